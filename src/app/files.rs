@@ -21,6 +21,9 @@ pub(crate) fn complete(mut loaded: LoadedRun) -> Result<LoadedRun, Failure> {
     loaded
         .warnings
         .extend_from_slice(&loaded.run.notes[before..]);
+    if let Some(dialect) = &loaded.dialect {
+        output::message(dialect);
+    }
     output::warn(&loaded.warnings);
     Ok(loaded)
 }

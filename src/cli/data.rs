@@ -20,7 +20,9 @@ use crate::sample::{Channel, Run};
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
 pub(super) struct MapArguments {
-    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
+    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755; a factor may be
+    /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the last sign of a command that was not zero, for a speed without one
+    /// (speed_rad_s=rpm*0.104719755*sign(duty))
     #[arg(long, value_name = "MAP")]
     #[expect(
         clippy::doc_markdown,
@@ -180,12 +182,11 @@ pub(super) fn prepare(
         others.extend(cautions);
         Ok(Some((loaded, scenario)))
     };
-    if fit_run.input_channel == Channel::VoltageCmd {
-        output::message("voltage_cmd_v serves as the voltage");
-        if let Some(note) = limited_note(&run.run) {
-            output::message(&note);
-            run.run.notes.push(note);
-        }
+    name_voltage(&run.run, &fit_run);
+    let limited = limited_note(&run.run);
+    if let Some(note) = limited.filter(|_| fit_run.input_channel == Channel::VoltageCmd) {
+        output::message(&note);
+        run.run.notes.push(note);
     }
     progress::stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
@@ -228,6 +229,17 @@ pub(super) fn prepare(
         evidence,
         about,
     })
+}
+
+/// Names the column that serves as the voltage, where it is not the only one or not the first choice.
+pub(super) fn name_voltage(run: &Run, scenario: &Scenario) {
+    match scenario.input_channel {
+        Channel::VoltageCmd => output::message("voltage_cmd_v serves as the voltage"),
+        Channel::Voltage if run.column(Channel::VoltageCmd).is_some() => {
+            output::message("voltage_v serves as the voltage, not the voltage_cmd_v beside it");
+        }
+        _ => {}
+    }
 }
 
 /// Says how often the command was not what the motor had.

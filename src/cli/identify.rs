@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use super::data::{MapArguments, model, read_text};
+use super::data::{self, MapArguments, model, read_text};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::sanity_report;
 use super::{output, signals};
@@ -166,9 +166,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         runs.push(identify(loaded, &file.model, arguments)?);
     }
-    let commanded = |run: &OneRun| run.scenario.input_channel == Channel::VoltageCmd;
-    if runs.iter().any(commanded) {
-        output::message("voltage_cmd_v serves as the voltage");
+    let commanded = |run: &&OneRun| run.scenario.input_channel == Channel::VoltageCmd;
+    if let Some(run) = runs.iter().find(commanded).or(runs.first()) {
+        data::name_voltage(&run.loaded.run, &run.scenario);
     }
     let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
     let per_run: Vec<Vec<ParameterEstimate>> = runs

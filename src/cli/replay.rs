@@ -62,7 +62,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .transpose()?;
     let mut rows = RunRows::open(&arguments.run, map.as_ref())?;
     let (settings, configuration_from) = settings(&rows)?;
-    let estimator = replay(|| rows.next_row(), OnlineConfig::from(settings))?;
+    let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
+    if let Some(dialect) = rows.rows.dialect() {
+        output::message(&dialect);
+    }
     let mut warnings = rows.warnings();
     warnings.extend(why_silent(&rows));
     output::warn(&warnings);
@@ -89,7 +92,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     let result = ReplayResult {
         run: arguments.run.display().to_string(),
-        rows_dropped: rows.rows_dropped(),
+        rows_dropped: rows.rows.rows_dropped(),
         online,
         configuration: settings,
         configuration_from,
@@ -167,7 +170,7 @@ fn why_silent(rows: &RunRows) -> Option<String> {
     use crate::sample::Channel;
     let missing: Vec<&str> = [Channel::Current, Channel::Speed]
         .into_iter()
-        .filter(|needed| rows.channels().all(|channel| channel != *needed))
+        .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))
         .map(Channel::key)
         .collect();
     (!missing.is_empty()).then(|| {

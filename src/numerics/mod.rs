@@ -1,4 +1,9 @@
 //! Mathematics without physics: filters, least squares (batch, recursive, non-linear) and statistics.
+//!
+//! ```text
+//! rows of a balance -> least_squares | recursive_least_squares -> estimate, covariance
+//! residuals, states -> levenberg_marquardt | riccati          -> optimum, gains
+//! ```
 
 pub mod change_watch;
 mod clustered_spread;

@@ -3,16 +3,25 @@
 use std::str::FromStr;
 
 use super::RecordingError;
-use super::csv_line::closing_quote;
 use crate::config_text::help_for_unknown;
 use crate::sample::Channel;
 
-/// One quantity out of one column: `value = cell * factor + offset`.
+/// One factor of a product of columns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Factor {
+    Column(String),
+    /// Only the sign of the column, as an unsigned speed takes it from its command.
+    SignOf(String),
+}
+
+/// One quantity: `value = product of columns * factor + offset`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mapping {
     /// `None` is the time axis.
     pub target: Option<Channel>,
+    /// The columns as they are written; the name of one column where a file has it.
     pub header: String,
+    pub columns: Vec<Factor>,
     pub factor: f64,
     pub offset: f64,
     /// A factor or an offset was written, if only `*1`: somebody thought of the unit.
@@ -41,7 +50,12 @@ impl FromStr for ColumnMap {
 
     fn from_str(text: &str) -> Result<Self, RecordingError> {
         let mut items: Vec<Mapping> = Vec::new();
-        for item in split_items(text) {
+        let mut parts = split_unquoted(text, ',');
+        // A comma at the very end is harmless.
+        if parts.len() > 1 && parts.last().is_some_and(|last| last.is_empty()) {
+            parts.pop();
+        }
+        for item in parts {
             let mapping = parse_item(item)?;
             if items.iter().any(|other| other.target == mapping.target) {
                 return Err(wrong(item, "this target was given before"));
@@ -55,26 +69,15 @@ impl FromStr for ColumnMap {
     }
 }
 
-fn split_items(text: &str) -> Vec<&str> {
-    let mut items = Vec::new();
-    let mut quoted = false;
-    let mut start = 0;
-    for (at, letter) in text.char_indices() {
-        match letter {
-            '"' => quoted = !quoted,
-            ',' if !quoted => {
-                items.push(text[start..at].trim());
-                start = at + 1;
-            }
-            _ => {}
-        }
-    }
-    items.push(text[start..].trim());
-    // A comma at the very end is harmless.
-    if items.len() > 1 && items.last().is_some_and(|last| last.is_empty()) {
-        items.pop();
-    }
-    items
+/// The parts between separators outside of double quotes.
+fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
+    let mut is_quoted = false;
+    text.split(|letter| {
+        is_quoted ^= letter == '"';
+        letter == separator && !is_quoted
+    })
+    .map(str::trim)
+    .collect()
 }
 
 fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
@@ -93,87 +96,111 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         )
     };
     let source = source.trim();
-    let (header, factor, offset, scaled) = if let Some(quoted) = source.strip_prefix('"') {
-        let close = closing_quote(quoted.as_bytes(), 0)
-            .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?;
-        let scale = quoted[close + 1..].trim();
-        let (factor, offset) = parse_scale(item, scale)?;
-        let header = quoted[..close].replace("\"\"", "\"");
-        (header, factor, offset, !scale.is_empty())
-    } else {
-        let (header, factor, offset) = parse_plain(item, source)?;
-        let scaled = header.trim() != source;
-        (header, factor, offset, scaled)
-    };
-    let header = header.trim().to_owned();
-    if header.is_empty() {
-        return Err(wrong(item, "the header is empty"));
+    let parts = split_unquoted(source, '*');
+    let (mut columns, mut factor, mut offset) = (Vec::new(), 1.0, 0.0);
+    // The header where it is one that holds stars.
+    let mut header = "";
+    let mut at = 0;
+    for (place, part) in parts.iter().copied().enumerate() {
+        let mut part = part;
+        if place + 1 == parts.len() {
+            (part, offset) = split_offset(item, part)?;
+        }
+        at += source[at..].find(part).unwrap_or_default() + part.len();
+        if let Some(value) = number(part).filter(|_| place > 0) {
+            if value == 0.0 {
+                // It would make every cell the same and hide the mistake.
+                return Err(wrong(item, "the factor is 0 (allowed: any other number)"));
+            }
+            factor *= value;
+            continue;
+        }
+        columns.push(parse_column(item, part, place > 0)?);
+        header = &source[..at];
     }
+    let header = match &columns[..] {
+        [Factor::Column(only)] => only.clone(),
+        _ => header.to_owned(),
+    };
+    let is_bare = parts.len() == 1 && (header == source || source.ends_with('"'));
     Ok(Mapping {
         target,
         header,
+        columns,
         factor,
         offset,
-        scaled,
+        scaled: !is_bare,
     })
 }
 
-/// A header without quotes: the factor follows the last `*`; without one, a `+` begins the offset where a number follows
-/// it, and belongs to the header where none does.
-fn parse_plain(item: &str, source: &str) -> Result<(String, f64, f64), RecordingError> {
-    if let Some(star) = source.rfind('*') {
-        let (factor, offset) = parse_scale(item, &source[star..])?;
-        return Ok((source[..star].to_owned(), factor, offset));
+/// A header, in double quotes or not, or `sign(header)`; behind a star no text that looks like a number.
+fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, RecordingError> {
+    if let Some(inner) = part
+        .strip_prefix("sign(")
+        .and_then(|rest| rest.strip_suffix(')'))
+    {
+        return match parse_column(item, inner.trim(), false)? {
+            Factor::Column(name) => Ok(Factor::SignOf(name)),
+            Factor::SignOf(_) => Err(wrong(item, "the sign of a sign is the sign itself")),
+        };
     }
-    for (plus, _) in source.match_indices('+') {
-        if let Some(offset) = number(&source[plus + 1..]) {
-            return Ok((source[..plus].to_owned(), 1.0, offset));
-        }
+    let looks_like_number = part.parse::<f64>().is_ok()
+        || part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
+    if is_behind && (part.is_empty() || looks_like_number) {
+        return Err(wrong(
+            item,
+            format!("{part:?} after the last * is neither a factor nor factor+offset"),
+        ));
     }
-    Ok((source.to_owned(), 1.0, 0.0))
+    let name = match part.strip_prefix('"') {
+        Some(quoted) => quoted
+            .strip_suffix('"')
+            .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?
+            .replace("\"\"", "\""),
+        None => part.to_owned(),
+    };
+    let name = name.trim().to_owned();
+    if name.is_empty() {
+        return Err(wrong(item, "the header is empty"));
+    }
+    Ok(Factor::Column(name))
 }
 
-/// `[*factor][+offset]`. A `+` may also be part of an exponent, as in `1e+3`.
-fn parse_scale(item: &str, scale: &str) -> Result<(f64, f64), RecordingError> {
-    if scale.is_empty() {
-        return Ok((1.0, 0.0));
-    }
-    if let Some(offset) = scale.strip_prefix('+') {
-        let offset = number(offset).ok_or_else(|| {
+/// The last part without its offset. A `+` begins the offset where a number follows it; it may also be part of an
+/// exponent, as in `1e+3`, or of a header.
+fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), RecordingError> {
+    if part.starts_with('"') {
+        let Some(close) = part.rfind('"').filter(|close| *close > 0) else {
+            return Ok((part, 0.0));
+        };
+        let behind = part[close + 1..].trim();
+        let Some(offset) = behind.strip_prefix('+') else {
+            return match behind {
+                "" => Ok((part, 0.0)),
+                _ => Err(wrong(
+                    item,
+                    format!("{behind:?} after the header is neither *factor nor +offset"),
+                )),
+            };
+        };
+        let value = number(offset).ok_or_else(|| {
             wrong(
                 item,
                 format!("the offset {offset:?} is not a finite number"),
             )
         })?;
-        return Ok((1.0, offset));
+        return Ok((&part[..=close], value));
     }
-    let Some(scale) = scale.strip_prefix('*') else {
-        return Err(wrong(
-            item,
-            format!("{scale:?} after the header is neither *factor nor +offset"),
-        ));
-    };
-    if let Some(factor) = number(scale) {
-        return nonzero(item, factor).map(|factor| (factor, 0.0));
-    }
-    for (plus, _) in scale.match_indices('+') {
-        if let (Some(factor), Some(offset)) = (number(&scale[..plus]), number(&scale[plus + 1..])) {
-            return nonzero(item, factor).map(|factor| (factor, offset));
+    let is_factor = part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
+    if number(part).is_none() {
+        for (plus, _) in part.match_indices('+') {
+            let (before, offset) = (part[..plus].trim(), number(&part[plus + 1..]));
+            if let Some(offset) = offset.filter(|_| !is_factor || number(before).is_some()) {
+                return Ok((before, offset));
+            }
         }
     }
-    Err(wrong(
-        item,
-        format!("{scale:?} after the last * is neither a factor nor factor+offset"),
-    ))
-}
-
-/// A factor of zero would make every cell the same and hide the mistake.
-fn nonzero(item: &str, factor: f64) -> Result<f64, RecordingError> {
-    if factor == 0.0 {
-        Err(wrong(item, "the factor is 0 (allowed: any other number)"))
-    } else {
-        Ok(factor)
-    }
+    Ok((part, 0.0))
 }
 
 fn number(text: &str) -> Option<f64> {
@@ -246,9 +273,46 @@ mod tests {
     }
 
     #[test]
+    fn a_factor_may_be_a_column_or_its_sign() {
+        let column = |name: &str| Factor::Column(name.to_owned());
+        let sign = |name: &str| Factor::SignOf(name.to_owned());
+        for (source, columns, factor, offset) in [
+            (
+                "duty*bus_v",
+                vec![column("duty"), column("bus_v")],
+                1.0,
+                0.0,
+            ),
+            (
+                "a*-2*\"b, c\"*0.5+3",
+                vec![column("a"), column("b, c")],
+                -1.0,
+                3.0,
+            ),
+            ("rpm*0.1*sign(u)", vec![column("rpm"), sign("u")], 0.1, 0.0),
+            (
+                "sign( \"u, V\" )*rpm",
+                vec![sign("u, V"), column("rpm")],
+                1.0,
+                0.0,
+            ),
+        ] {
+            let map: ColumnMap = format!("time_s=t,current_a={source}").parse().unwrap();
+            let item = &map.items()[1];
+            assert_eq!(item.columns, columns, "{source}");
+            assert!((item.factor - factor).abs() < 1e-15, "{source}: {item:?}");
+            assert!((item.offset - offset).abs() < 1e-15, "{source}: {item:?}");
+            assert!(item.scaled, "{source}");
+        }
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
         for (source, part) in [
-            ("i*x", "after the last *"),
+            ("i*2x", "after the last *"),
+            ("i*", "after the last *"),
+            ("i*sign(sign(u))", "sign of a sign"),
+            ("sign()", "header is empty"),
             ("i*2-3", "after the last *"),
             ("i*0", "factor is 0"),
             ("i*inf", "after the last *"),

@@ -1,8 +1,19 @@
-//! Any CSV into a [`Run`].
+//! Any CSV, row by row, into rows and runs: the `csv` crate parts the cells, the rules of a row are ours.
+//!
+//! ```text
+//! text -> head (byte order mark, sep= line, header row) -> Dialect, Wanted columns
+//!      -> csv::Reader -> cells -> rules of a row -> Row -> Run
+//! ```
+//!
+//! The memory does not grow with the file. A quoted cell holds no line break, so that a torn line never swallows others.
 
-use std::io::BufRead;
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
-use super::{ColumnMap, CsvRows, RecordingError};
+use csv::{ErrorKind, ReaderBuilder, StringRecord};
+
+use super::error::RowProblem;
+use super::{ColumnMap, Factor, RecordingError, Row};
+use crate::config_text::nearest;
 use crate::sample::{Channel, Origin, Run};
 
 /// How a file is to be read.
@@ -10,9 +21,8 @@ use crate::sample::{Channel, Origin, Run};
 pub struct ReadOptions<'a> {
     /// Columns of a foreign file; without it the headers must be our own.
     pub map: Option<&'a ColumnMap>,
-    /// The writer ends every row with a line feed, so a last row without one is torn even if it can be read: `1.2` may
-    /// have been `1.25`. True for our own run folders.
-    pub whole_lines_only: bool,
+    /// It stands in a run folder: the writer ended every row with a line feed and wrote no remarks.
+    pub in_run_folder: bool,
 }
 
 /// Reads a whole CSV by the rules of [`CsvRows`]. Returns the run and warnings for the reader.
@@ -23,7 +33,7 @@ pub fn read_csv(
 ) -> Result<(Run, Vec<String>), RecordingError> {
     let mut rows = CsvRows::new(reader, file, options)?;
     let run = collect(&mut rows, file, options.map.is_none())?;
-    Ok((run, rows.warnings().to_vec()))
+    Ok((run, rows.warnings()))
 }
 
 /// All rows as columns. A column without a single value is no column. Commands are commands in our own files; in a
@@ -63,13 +73,649 @@ pub(super) fn collect(
         run.set_column(channel, column, origin).map_err(wrap)?;
     }
     run.set_limited_rows(limited_rows);
-    run.rows_dropped = rows.rows_dropped();
+    run.rows_dropped = rows.rows_dropped;
+    run.notes.extend(rows.dialect());
+    run.notes.extend(rows.stamps.sentence(file));
     if run.column(Channel::Speed).is_none() && run.column(Channel::Angle).is_some() {
         run.notes.push(format!(
             "{file}: speed_rad_s is absent, angle_rad is there: speed has to be derived from it"
         ));
     }
     Ok(run)
+}
+
+/// Looks at the end of a record first: the length of its whole rows, and whether a torn one follows. Its writer ends every
+/// row with a line feed, so a last row without one is torn even if it can be read: `1.2` may have been `1.25`.
+pub(super) fn whole_rows(text: &mut (impl Read + Seek)) -> io::Result<(u64, bool)> {
+    let end = text.seek(SeekFrom::End(0))?;
+    let mut whole = end;
+    let mut block = Vec::new();
+    while whole > 0 {
+        let from = whole.saturating_sub(4096);
+        text.seek(SeekFrom::Start(from))?;
+        block.clear();
+        text.by_ref().take(whole - from).read_to_end(&mut block)?;
+        let line_end = block.iter().rposition(|byte| *byte == b'\n');
+        whole = from + line_end.map_or(0, |at| at as u64 + 1);
+        if line_end.is_some() {
+            break;
+        }
+    }
+    text.seek(SeekFrom::Start(0))?;
+    Ok((whole, whole < end))
+}
+
+/// Columns of ours that are no quantity; they are read past.
+const BOOKKEEPING: [&str; 4] = ["host_time_s", "seq", "status", QUALITY];
+/// The one of them whose remarks are kept.
+const QUALITY: &str = "quality";
+/// Between the cells of a file; the first with which the file has its time column.
+const SEPARATORS: [u8; 3] = [b',', b';', b'\t'];
+/// Share of the rows of a foreign file that may go back in time; beyond it the column is no time.
+const MOST_BACKWARDS_SHARE: f64 = 0.1;
+
+/// One column that is wanted: the product of some cells, `factor` and `offset`.
+struct Wanted {
+    target: Option<Channel>,
+    cells: Vec<Cell>,
+    factor: f64,
+    offset: f64,
+}
+
+struct Cell {
+    field: usize,
+    /// Only the sign counts: that of the last value that was not zero, until there is one +1.
+    sign: Option<f64>,
+}
+
+/// The text behind the header, which ends with a line feed here even if the file does not.
+struct Body<R> {
+    inner: R,
+    last: u8,
+    /// The file does not end with a line feed.
+    is_open: bool,
+}
+
+impl<R: Read> Read for Body<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = self.inner.read(bytes)?;
+        if count > 0 {
+            self.last = bytes[count - 1];
+        } else if self.last != b'\n' && !bytes.is_empty() {
+            (self.last, self.is_open, bytes[0]) = (b'\n', true, b'\n');
+            return Ok(1);
+        }
+        Ok(count)
+    }
+}
+
+/// How a file departs from comma and decimal point.
+struct Dialect {
+    separator: u8,
+    /// What stands before the decimals, once a number has shown it; always a point where the comma parts the cells.
+    decimal: Option<u8>,
+    has_mark: bool,
+    has_sep_line: bool,
+}
+
+impl Dialect {
+    /// NaN for a missing cell; `None` for what is neither missing nor a finite number.
+    fn number(&mut self, cell: &str) -> Option<f64> {
+        let finite = |text: &str| text.parse().ok().filter(|value: &f64| !value.is_infinite());
+        if cell.is_empty() {
+            return Some(f64::NAN);
+        }
+        if self.separator != b','
+            && let Some(mark) = cell.bytes().find(|byte| matches!(byte, b',' | b'.'))
+        {
+            if *self.decimal.get_or_insert(mark) != mark {
+                return None;
+            }
+            if mark == b',' {
+                return finite(&cell.replacen(',', ".", 1));
+            }
+        }
+        finite(cell)
+    }
+}
+
+/// Rows of a foreign file that were left out for their time.
+#[derive(Default)]
+struct Stamps {
+    repeated: usize,
+    backwards: usize,
+    /// What is wrong with the first that goes back.
+    first: Option<RecordingError>,
+}
+
+impl Stamps {
+    fn sentence(&self, file: &str) -> Option<String> {
+        let (repeated, backwards) = (self.repeated, self.backwards);
+        (repeated + backwards > 0).then(|| {
+            format!(
+                "{file}: {} rows whose time is not after that of the row before were left out: {repeated} repeat it, {backwards} go back",
+                repeated + backwards
+            )
+        })
+    }
+}
+
+/// The rows of a CSV in order. Empty and `NaN` cells are missing; in foreign files lines that begin with `#` are left out.
+///
+/// A torn last row is left out, counted and warned of, and so are rows of a foreign file whose time is not after that of
+/// the row before; a row that cannot be read anywhere else is an error with its number.
+pub struct CsvRows<R> {
+    reader: csv::Reader<Body<R>>,
+    record: StringRecord,
+    file: String,
+    headers: Vec<String>,
+    wanted: Vec<Wanted>,
+    /// Where our own remarks stand; a foreign column of that name is none of ours.
+    quality_field: Option<usize>,
+    is_mapped: bool,
+    in_run_folder: bool,
+    dialect: Dialect,
+    lines_before: u64,
+    last_s: Option<f64>,
+    /// Lines with data, counted as errors count them.
+    lines: usize,
+    rows: usize,
+    rows_dropped: usize,
+    ends_torn: bool,
+    comments: usize,
+    stamps: Stamps,
+    warnings: Vec<String>,
+}
+
+impl<R: BufRead> CsvRows<R> {
+    /// Reads the header. `file` names the run and stands in errors.
+    pub fn new(
+        mut reader: R,
+        file: &str,
+        options: ReadOptions<'_>,
+    ) -> Result<Self, RecordingError> {
+        let time = options
+            .map
+            .and_then(|map| map.items().iter().find(|item| item.target.is_none()))
+            .map_or("time_s", |item| item.header.as_str());
+        let head = Head::read(&mut reader, file, time)?;
+        let headers = head.headers;
+        let mut warnings = Vec::new();
+        let wanted = match options.map {
+            Some(map) => wanted_by_map(&headers, map, file)?,
+            None => wanted_of_our_own(&headers, file, &mut warnings)?,
+        };
+        let quality_field = headers.iter().position(|header| header == QUALITY);
+        let body = Body {
+            inner: reader,
+            last: b'\n',
+            is_open: false,
+        };
+        Ok(Self {
+            reader: ReaderBuilder::new()
+                .has_headers(false)
+                .flexible(true)
+                .delimiter(head.dialect.separator)
+                .terminator(csv::Terminator::Any(b'\n'))
+                .buffer_capacity(1 << 16)
+                .from_reader(body),
+            record: StringRecord::new(),
+            file: file.to_owned(),
+            quality_field: quality_field.filter(|_| options.map.is_none()),
+            headers,
+            wanted,
+            is_mapped: options.map.is_some(),
+            in_run_folder: options.in_run_folder,
+            dialect: head.dialect,
+            lines_before: head.lines,
+            last_s: None,
+            lines: 0,
+            rows: 0,
+            rows_dropped: 0,
+            ends_torn: false,
+            comments: 0,
+            stamps: Stamps::default(),
+            warnings,
+        })
+    }
+
+    /// A torn last row was cut off before.
+    pub(super) fn set_ends_torn(&mut self, ends_torn: bool) {
+        self.ends_torn = ends_torn;
+    }
+
+    /// The next row, with its quantities and, in our own files, the remarks on them; `None` at the end of the file.
+    pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
+        loop {
+            let taken = match self.reader.read_record(&mut self.record) {
+                Ok(false) => break,
+                Ok(true) => self.take(),
+                Err(error) => Err(self.unreadable(&error)),
+            };
+            match taken {
+                Ok(None) => {}
+                Ok(row) => {
+                    self.rows += 1;
+                    return Ok(row);
+                }
+                Err(error) => {
+                    let line = self.line();
+                    if !self.is_torn_end()? {
+                        return Err(error);
+                    }
+                    self.leave_out_torn(line);
+                }
+            }
+        }
+        if std::mem::take(&mut self.ends_torn) {
+            self.leave_out_torn(self.line() + 1);
+        }
+        let comments = std::mem::take(&mut self.comments);
+        if comments > 0 {
+            self.warnings.push(format!(
+                "{}: {comments} lines that begin with # were left out",
+                self.file
+            ));
+        }
+        if self.rows == 0 {
+            return Err(RecordingError::NoRows {
+                file: self.file.clone(),
+            });
+        }
+        let too_many = self.stamps.backwards as f64 > MOST_BACKWARDS_SHARE * self.rows as f64;
+        match self.stamps.first.take() {
+            Some(error) if too_many => Err(error),
+            _ => Ok(None),
+        }
+    }
+
+    /// The channels that the file has a column for; each cell of it may still be missing.
+    pub fn channels(&self) -> impl Iterator<Item = Channel> + '_ {
+        self.wanted.iter().filter_map(|wanted| wanted.target)
+    }
+
+    /// Rows given out so far.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Rows that were left out because they are torn or for their time.
+    pub fn rows_dropped(&self) -> usize {
+        self.rows_dropped
+    }
+
+    /// Sentences for the reader; complete after the last row.
+    pub fn warnings(&self) -> Vec<String> {
+        let stamps = self.stamps.sentence(&self.file);
+        self.warnings.iter().cloned().chain(stamps).collect()
+    }
+
+    /// How the file departs from comma and decimal point, where it does; complete after the last row.
+    pub fn dialect(&self) -> Option<String> {
+        let Dialect {
+            separator, decimal, ..
+        } = self.dialect;
+        let name = if separator == b'\t' {
+            "a tab".to_owned()
+        } else {
+            format!("{:?}", char::from(separator))
+        };
+        let departures = [
+            (separator != b',', &*format!("{name} parts the cells")),
+            (decimal == Some(b','), "numbers have a decimal comma"),
+            (self.dialect.has_sep_line, "a sep= line names the separator"),
+            (self.dialect.has_mark, "it begins with a byte order mark"),
+        ];
+        let there = departures.iter().filter(|(is_there, _)| *is_there);
+        let texts: Vec<&str> = there.map(|(_, text)| *text).collect();
+        (!texts.is_empty()).then(|| format!("{}: {}", self.file, texts.join(", ")))
+    }
+
+    fn leave_out_torn(&mut self, line: usize) {
+        self.rows_dropped += 1;
+        self.warnings.push(format!(
+            "{}: the last row (line {line}) is torn and was left out",
+            self.file
+        ));
+    }
+
+    /// Number of the line that was read last.
+    fn line(&self) -> usize {
+        let lines = self.lines_before + self.reader.position().line() - 1;
+        usize::try_from(lines).unwrap_or(usize::MAX)
+    }
+
+    /// Whether the record that was read last is what a file without a last line feed ends with.
+    fn is_torn_end(&mut self) -> Result<bool, RecordingError> {
+        if self.record.as_slice().matches('\n').count() > 1 {
+            return Ok(false);
+        }
+        let next = self.reader.read_record(&mut self.record);
+        let is_end = !next.map_err(|error| self.unreadable(&error))?;
+        Ok(is_end && self.reader.get_ref().is_open)
+    }
+
+    fn unreadable(&self, error: &csv::Error) -> RecordingError {
+        let file = self.file.clone();
+        match error.kind() {
+            ErrorKind::Utf8 { .. } => RecordingError::NotUtf8 {
+                file,
+                line: self.line(),
+            },
+            _ => RecordingError::Io {
+                path: file,
+                doing: "read",
+                reason: error.to_string(),
+            },
+        }
+    }
+
+    /// The present line as a row; `None` for a blank line, a remark, a row of separators only, as spreadsheets leave them
+    /// behind, and one whose time is left out.
+    fn take(&mut self) -> Result<Option<Row>, RecordingError> {
+        let line = self.line();
+        let text = self.record.as_slice();
+        if text.contains('\n') {
+            // The record holds the line ends; the last of them, of a quote that is never closed, is the file's own.
+            let inside = text.matches('\n').count();
+            return Err(RecordingError::Quote {
+                file: self.file.clone(),
+                line: line + usize::from(text.ends_with('\n')) - inside,
+            });
+        }
+        let first = self.record.get(0).unwrap_or_default().trim_start();
+        if self.record.len() == 1 && first.is_empty() {
+            return Ok(None);
+        }
+        if first.starts_with('#') && !self.in_run_folder {
+            self.comments += 1;
+            return Ok(None);
+        }
+        self.lines += 1;
+        let (file, row, headers) = (&self.file, self.lines, &self.headers);
+        let wrong = |problem| RecordingError::Row {
+            file: file.clone(),
+            row,
+            line,
+            problem,
+        };
+        if self.record.len() != headers.len() {
+            return Err(wrong(RowProblem::FieldCount {
+                found: self.record.len(),
+                expected: headers.len(),
+            }));
+        }
+        let mut out = Row::at(f64::NAN);
+        let mut time_column = 0;
+        let mut empty = true;
+        for wanted in &mut self.wanted {
+            let mut value = wanted.factor;
+            for Cell { field, sign } in &mut wanted.cells {
+                let cell = self.record[*field].trim();
+                let Some(number) = self.dialect.number(cell) else {
+                    return Err(wrong(RowProblem::NotANumber {
+                        column: headers[*field].clone(),
+                        text: cell.to_owned(),
+                    }));
+                };
+                value *= match sign {
+                    None => number,
+                    Some(sign) => {
+                        if number.abs() > 0.0 {
+                            *sign = number.signum();
+                        }
+                        *sign
+                    }
+                };
+            }
+            value += wanted.offset;
+            if let Some(channel) = wanted.target {
+                empty &= value.is_nan();
+                out.set(channel, Some(value));
+            } else {
+                out.time_s = value;
+                time_column = wanted.cells[0].field;
+            }
+        }
+        if out.time_s.is_nan() {
+            if empty {
+                return Ok(None);
+            }
+            return Err(wrong(RowProblem::TimeMissing {
+                column: headers[time_column].clone(),
+            }));
+        }
+        if let Some(before_s) = self.last_s
+            && out.time_s <= before_s
+        {
+            let error = wrong(RowProblem::TimeNotIncreasing {
+                time_s: out.time_s,
+                before_s,
+            });
+            if !self.is_mapped {
+                return Err(error);
+            }
+            self.rows_dropped += 1;
+            if out.time_s < before_s {
+                self.stamps.backwards += 1;
+                self.stamps.first.get_or_insert(error);
+            } else {
+                self.stamps.repeated += 1;
+            }
+            return Ok(None);
+        }
+        self.last_s = Some(out.time_s);
+        if let Some(field) = self.quality_field {
+            self.record[field].clone_into(&mut out.quality);
+        }
+        Ok(Some(out))
+    }
+}
+
+/// What stands before the rows.
+struct Head {
+    headers: Vec<String>,
+    dialect: Dialect,
+    /// Lines up to the header row, with it.
+    lines: u64,
+}
+
+impl Head {
+    /// The header row is the first line that is neither blank nor a remark. A line that begins with `#` but has the time
+    /// column is a header, as some tools write it.
+    fn read(reader: &mut impl BufRead, file: &str, time: &str) -> Result<Self, RecordingError> {
+        let mut dialect = Dialect {
+            separator: b',',
+            decimal: None,
+            has_mark: false,
+            has_sep_line: false,
+        };
+        let mut separators = SEPARATORS.to_vec();
+        let mut bytes = Vec::new();
+        for lines in 1.. {
+            bytes.clear();
+            let count = reader.read_until(b'\n', &mut bytes);
+            let count = count.map_err(|error| RecordingError::Io {
+                path: file.to_owned(),
+                doing: "read",
+                reason: error.to_string(),
+            })?;
+            if count == 0 {
+                break;
+            }
+            if lines == 1 && bytes.starts_with(b"\xef\xbb\xbf") {
+                bytes.drain(..3);
+                dialect.has_mark = true;
+            }
+            let text = bytes.trim_ascii();
+            if text.is_empty() {
+                continue;
+            }
+            if lines == 1
+                && text.len() == 5
+                && text[..4].eq_ignore_ascii_case(b"sep=")
+                && text[4].is_ascii_punctuation()
+            {
+                separators = vec![text[4]];
+                dialect.has_sep_line = true;
+                continue;
+            }
+            let is_remark = text[0] == b'#';
+            // Only a line end within its field tells that a quote is not closed.
+            let line = [text, b"\n"].concat();
+            let found = separators
+                .iter()
+                .map(|separator| headers(&line, *separator, lines, file))
+                .collect::<Result<Vec<_>, _>>();
+            let found = match found {
+                Err(_) if is_remark => continue,
+                found => found?,
+            };
+            let with_time = found
+                .iter()
+                .position(|names| names.iter().any(|n| n == time));
+            if is_remark && with_time.is_none() {
+                continue;
+            }
+            let most = found.iter().map(Vec::len).max();
+            let most = found.iter().position(|names| Some(names.len()) == most);
+            let chosen = with_time.or(most).unwrap_or_default();
+            dialect.separator = separators[chosen];
+            return Ok(Self {
+                headers: found.into_iter().nth(chosen).unwrap_or_default(),
+                dialect,
+                lines,
+            });
+        }
+        Err(RecordingError::Empty {
+            file: file.to_owned(),
+        })
+    }
+}
+
+fn headers(
+    text: &[u8],
+    separator: u8,
+    line: u64,
+    file: &str,
+) -> Result<Vec<String>, RecordingError> {
+    let file = file.to_owned();
+    let line = usize::try_from(line).unwrap_or(usize::MAX);
+    let mut reader = ReaderBuilder::new()
+        .has_headers(false)
+        .delimiter(separator)
+        .from_reader(text);
+    let mut record = StringRecord::new();
+    if reader.read_record(&mut record).is_err() {
+        return Err(RecordingError::NotUtf8 { file, line });
+    }
+    if record.as_slice().contains('\n') {
+        return Err(RecordingError::Quote { file, line });
+    }
+    Ok(record.iter().map(|name| name.trim().to_owned()).collect())
+}
+
+fn wanted_by_map(
+    headers: &[String],
+    map: &ColumnMap,
+    file: &str,
+) -> Result<Vec<Wanted>, RecordingError> {
+    let cell = |name: &str, sign| -> Result<Cell, RecordingError> {
+        let field = field_of(headers, name, file)?;
+        Ok(Cell { field, sign })
+    };
+    let mut wanted = Vec::new();
+    for item in map.items() {
+        // A header may hold a star itself.
+        let is_one = headers.contains(&item.header);
+        let cells = item.columns.iter().map(|factor| match factor {
+            Factor::Column(name) => cell(name, None),
+            Factor::SignOf(name) => cell(name, Some(1.0)),
+        });
+        wanted.push(Wanted {
+            target: item.target,
+            cells: if is_one {
+                vec![cell(&item.header, None)?]
+            } else {
+                cells.collect::<Result<_, _>>()?
+            },
+            factor: item.factor,
+            offset: item.offset,
+        });
+    }
+    Ok(wanted)
+}
+
+fn wanted_of_our_own(
+    headers: &[String],
+    file: &str,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Wanted>, RecordingError> {
+    let plain = |header, target| {
+        let field = field_of(headers, header, file)?;
+        Ok(Wanted {
+            target,
+            cells: vec![Cell { field, sign: None }],
+            factor: 1.0,
+            offset: 0.0,
+        })
+    };
+    let mut wanted = vec![plain("time_s", None)?];
+    let mut ignored = Vec::new();
+    for header in headers {
+        if let Some(channel) = Channel::from_key(header) {
+            wanted.push(plain(header, Some(channel))?);
+        } else if header != "time_s" && !BOOKKEEPING.contains(&header.as_str()) {
+            ignored.push(format!("{header:?}"));
+        }
+    }
+    if wanted.len() == 1 {
+        return Err(RecordingError::NoKnownColumn {
+            file: file.to_owned(),
+            help: map_help(headers),
+        });
+    }
+    if !ignored.is_empty() {
+        warnings.push(format!(
+            "{file}: columns that drivebench does not know were ignored: {}",
+            ignored.join(", ")
+        ));
+    }
+    Ok(wanted)
+}
+
+fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, RecordingError> {
+    let fields: Vec<usize> = (0..headers.len())
+        .filter(|field| headers[*field] == header)
+        .collect();
+    let (file, header) = (file.to_owned(), header.to_owned());
+    match (fields.first(), fields.len()) {
+        (Some(field), 1) => Ok(*field),
+        (Some(_), count) => Err(RecordingError::AmbiguousHeader {
+            file,
+            header,
+            count,
+        }),
+        (None, _) => {
+            let names = headers.iter().map(String::as_str);
+            let near = nearest(&header, names.filter(|name| !name.is_empty()));
+            let near = near.map_or_else(String::new, |name| format!("did you mean {name:?}? "));
+            Err(RecordingError::HeaderNotFound {
+                file,
+                header,
+                help: near + &map_help(headers),
+            })
+        }
+    }
+}
+
+/// What is in the file, and how to say which column is which.
+fn map_help(headers: &[String]) -> String {
+    let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
+    format!(
+        "the file has {}; name them with --map 'time_s=HEADER,...'",
+        there.join(", ")
+    )
 }
 
 #[cfg(test)]

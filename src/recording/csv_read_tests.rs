@@ -1,5 +1,5 @@
 use super::*;
-use crate::recording::number_text;
+use crate::recording::{Manifest, number_text, run_from_memory};
 
 fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
     read_csv(text, "run.csv", ReadOptions::default())
@@ -9,7 +9,7 @@ fn mapped(text: &str, map: &str) -> Result<(Run, Vec<String>), RecordingError> {
     let map: ColumnMap = map.parse().unwrap();
     let options = ReadOptions {
         map: Some(&map),
-        whole_lines_only: false,
+        in_run_folder: false,
     };
     read_csv(text.as_bytes(), "foreign.csv", options)
 }
@@ -43,6 +43,7 @@ fn a_byte_order_mark_crlf_blank_lines_and_no_last_line_end() {
     assert_eq!(run.time_s(), &[-5.0, -4.5, -4.0]);
     assert_eq!(run.rows_dropped, 0);
     assert!(warnings.is_empty());
+    assert_eq!(run.notes, ["run.csv: it begins with a byte order mark"]);
 }
 
 #[test]
@@ -75,57 +76,60 @@ fn one_column_may_serve_two_targets_and_an_empty_column_is_none() {
     assert!(run.column(Channel::Current).is_none());
 }
 
+/// Line ends are written as `/`.
 #[test]
 fn errors_name_row_column_and_value() {
+    let allowed = "(allowed: a finite number with a decimal point, NaN or an empty cell)";
     for (text, message) in [
         (
             "",
-            "run.csv: the file is empty (a header row and data rows are needed)",
+            "the file is empty (a header row and data rows are needed)",
         ),
-        ("time_s,current_a\n", "run.csv: a header but no data row"),
+        ("time_s,current_a/", "a header but no data row"),
         (
-            "time_s,current_a\n0,1\n0,2\n",
-            "run.csv: row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
-        ),
-        (
-            "time_s,current_a\n0,1\n1\n2,3\n",
-            "run.csv: row 2 (line 3): 1 cells, the header has 2",
+            "time_s,current_a/0,1/0,2/",
+            "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
         ),
         (
-            "time_s,current_a\n0,1\n1,2,3\n",
-            "run.csv: row 2 (line 3): 3 cells, the header has 2",
+            "time_s,current_a/0,1/1/2,3/",
+            "row 2 (line 3): 1 cells, the header has 2",
         ),
         (
-            "time_s,current_a\n0,1 A\n",
-            "run.csv: row 1 (line 2), column \"current_a\": \"1 A\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+            "time_s,current_a/0,1/1,2,3/",
+            "row 2 (line 3): 3 cells, the header has 2",
         ),
         (
-            "time_s,current_a\n0,inf\n",
-            "run.csv: row 1 (line 2), column \"current_a\": \"inf\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+            "time_s,current_a/0,1 A/",
+            &format!("row 1 (line 2), column \"current_a\": \"1 A\" is not a number {allowed}"),
         ),
         (
-            "time_s,current_a\nnan,1\n",
-            "run.csv: row 1 (line 2): no time in column \"time_s\"",
+            "time_s,current_a/0,inf/",
+            &format!("row 1 (line 2), column \"current_a\": \"inf\" is not a number {allowed}"),
         ),
         (
-            "time_s,foo\n0,1\n",
-            "run.csv: no column that drivebench knows beside time_s",
+            "time_s,current_a/nan,1/",
+            "row 1 (line 2): no time in column \"time_s\"",
         ),
         (
-            "t,current_a\n0,1\n",
-            "run.csv: no column \"time_s\" in the header",
+            "time_s,foo/0,1/",
+            "no column that drivebench knows beside time_s",
+        ),
+        ("t,current_a/0,1/", "no column \"time_s\" in the header"),
+        (
+            "time_s,current_a,current_a/0,1,1/",
+            "2 columns are called \"current_a\", exactly one is needed",
         ),
         (
-            "time_s,current_a,current_a\n0,1,1\n",
-            "run.csv: 2 columns are called \"current_a\", exactly one is needed",
+            "time_s,current_a/0,\"1/1,2/",
+            "line 2: a double quote is not closed on its line",
         ),
         (
-            "time_s,current_a\n0,\"1\n1,2\n",
-            "run.csv: line 2: a double quote is not closed on its line",
+            "time_s,current_a//0,1/1,\"2\"/2,\"3/4\"/3,1/",
+            "line 5: a double quote is not closed on its line",
         ),
     ] {
-        let error = own(text.as_bytes()).unwrap_err();
-        assert_eq!(error.to_string(), message);
+        let error = own(text.replace('/', "\n").as_bytes()).unwrap_err();
+        assert_eq!(error.to_string(), format!("run.csv: {message}"));
         assert!(!error.help().is_empty());
     }
 }
@@ -157,8 +161,8 @@ fn help_lists_the_headers_and_the_nearest() {
         error.help()
     );
     assert!(error.help().contains("\"Zeit\", \"Strom\""));
-    let error = own(b"time_s;current_a\n0;1\n").unwrap_err();
-    assert!(error.help().contains("';'"), "{}", error.help());
+    let error = own(b"t;current_a\n0;1\n").unwrap_err();
+    assert!(error.help().contains("\"t\", \"current_a\""));
 }
 
 #[test]
@@ -177,11 +181,10 @@ fn a_file_cut_at_any_byte_keeps_every_whole_row() {
     for cut in line_ends[150]..=text.len() {
         let whole_rows = line_ends.iter().filter(|end| **end <= cut).count() - 1;
         let torn = usize::from(!line_ends.contains(&cut));
-        let options = ReadOptions {
-            map: None,
-            whole_lines_only: true,
-        };
-        let (run, warnings) = read_csv(&text.as_bytes()[..cut], "samples.csv", options).unwrap();
+        let folder = std::path::Path::new("r");
+        let bytes = &text.as_bytes()[..cut];
+        let loaded = run_from_memory(folder, bytes, &Manifest::default()).unwrap();
+        let (run, warnings) = (loaded.run, loaded.warnings);
         assert_eq!(run.rows(), whole_rows, "cut at byte {cut}");
         assert_eq!(run.rows_dropped, torn, "cut at byte {cut}");
         assert_eq!(warnings.len(), torn);
@@ -197,9 +200,10 @@ fn a_file_cut_at_any_byte_keeps_every_whole_row() {
 fn a_row_torn_in_the_middle_is_an_error_and_a_tail_of_zero_bytes_is_not() {
     assert!(matches!(
         own(b"time_s,current_a\n0,1\n0.1,\n0.2\n0.3,4\n").unwrap_err(),
-        RecordingError::FieldCount {
+        RecordingError::Row {
             row: 3,
             line: 4,
+            problem: RowProblem::FieldCount { .. },
             ..
         }
     ));
@@ -227,4 +231,133 @@ fn remarks_in_foreign_files_are_left_out_and_counted() {
     // numpy writes its header as a remark
     let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
     assert_eq!(run.rows(), 1);
+}
+
+#[test]
+fn cells_are_parted_at_commas_outside_of_quotes() {
+    let cells = |line: &str| headers(format!("{line}\n").as_bytes(), b',', 1, "f");
+    for (line, expected) in [
+        ("a,b", vec!["a", "b"]),
+        (",", vec!["", ""]),
+        (" a , b ", vec!["a", "b"]),
+        (r#""a,b",c"#, vec!["a,b", "c"]),
+        (r#""say ""x""" , 1"#, vec![r#"say "x""#, "1"]),
+        ("Torque (N\u{b7}m),x", vec!["Torque (N\u{b7}m)", "x"]),
+        (r#"5" pipe,1"#, vec![r#"5" pipe"#, "1"]),
+    ] {
+        assert_eq!(cells(line).unwrap(), expected, "{line}");
+    }
+    for open in [r#"a,"b"#, r#""a"""#] {
+        let error = cells(open).unwrap_err();
+        assert!(matches!(error, RecordingError::Quote { .. }), "{open}");
+    }
+}
+
+/// Line ends are written as `/`.
+#[test]
+fn every_dialect_is_found_and_named() {
+    let comma = "numbers have a decimal comma";
+    let sep = "a sep= line names the separator";
+    for (text, named) in [
+        ("t,u,i/0,1.5,-2/1,2,3e-1/", vec![]),
+        ("t;u;i/0;1.5;-2/1;2;0.3/", vec!["';' parts the cells"]),
+        (
+            "t;u;i/0;1,5;-2/1;2;3e-1/",
+            vec!["';' parts the cells", comma],
+        ),
+        (
+            "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/",
+            vec!["a tab parts the cells"],
+        ),
+        (
+            "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3",
+            vec!["';' parts the cells", comma, sep],
+        ),
+        (
+            "\u{feff}sep=|//t|u|i/0|1.5|-2/1|2|0.3/",
+            vec![
+                "'|' parts the cells",
+                sep,
+                "it begins with a byte order mark",
+            ],
+        ),
+        // A comma within a name is none between cells.
+        (
+            "\"t\";\"u\";i;\"a, b, c, d\"/0;1.5;-2;/1;2;0.3;/",
+            vec!["';' parts the cells"],
+        ),
+    ] {
+        let text = text.replace('/', "\n");
+        let (run, warnings) = mapped(&text, "time_s=t,voltage_v=u,current_a=i").unwrap();
+        assert_eq!(run.time_s(), &[0.0, 1.0], "{text}");
+        assert_eq!(run.column(Channel::Voltage).unwrap(), &[1.5, 2.0], "{text}");
+        assert_eq!(
+            run.column(Channel::Current).unwrap(),
+            &[-2.0, 0.3],
+            "{text}"
+        );
+        assert!(warnings.is_empty(), "{warnings:?}");
+        let named = (!named.is_empty()).then(|| format!("foreign.csv: {}", named.join(", ")));
+        assert_eq!(run.notes.first(), named.as_ref(), "{text}");
+    }
+    // A file has one decimal mark: here the comma would part thousands.
+    let error = mapped("t;i\n0,5;1\n1,5;1.234,5\n", "time_s=t,current_a=i").unwrap_err();
+    assert!(
+        error.to_string().contains("\"1.234,5\" is not a number"),
+        "{error}"
+    );
+    let error = mapped("t;i\n0.5;1\n1.5;1,234\n", "time_s=t,current_a=i").unwrap_err();
+    assert!(
+        error.to_string().contains("\"1,234\" is not a number"),
+        "{error}"
+    );
+}
+
+#[test]
+fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
+    let mut text = String::from("t,i\n");
+    for row in 0..100 {
+        let stamp = match row {
+            40 | 41 => 39,
+            70 => 12,
+            other => other,
+        };
+        text += &[stamp.to_string(), row.to_string() + "\n"].join(",");
+    }
+    let (run, warnings) = mapped(&text, "time_s=t,current_a=i").unwrap();
+    assert_eq!((run.rows(), run.rows_dropped), (97, 3));
+    let said = "foreign.csv: 3 rows whose time is not after that of the row before were left out: 2 repeat it, 1 go back";
+    assert_eq!(warnings, [said]);
+    assert_eq!(run.notes, [said]);
+    // What goes to and fro all the time is no time; the first such row is named.
+    let text = "t,i\n0,1\n1,2\n0.5,3\n1.5,1\n1.2,1\n";
+    let error = mapped(text, "time_s=t,current_a=i").unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .contains("row 3 (line 4): time 0.5 s is not after 1 s"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_quantity_may_be_a_product_of_columns_and_take_its_sign_from_a_command() {
+    let text = "t,duty,bus_v,rpm,a*b\n\
+                0,0,100,2,1\n1,0.5,100,10,2\n2,0,100,8,3\n3,-0.5,90,10,4\n4,,90,20,5\n";
+    let map = "time_s=t,voltage_v=duty*bus_v,speed_rad_s=rpm*0.5*sign(duty),current_a=a*b*2+1";
+    let (run, _) = mapped(text, map).unwrap();
+    let volts: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
+    assert_eq!(volts, [(0.0, 0.0), (1.0, 50.0), (2.0, 0.0), (3.0, -45.0)]);
+    // Where the command is zero or missing its last sign holds.
+    assert_eq!(
+        run.column(Channel::Speed).unwrap(),
+        &[1.0, 5.0, 4.0, -5.0, -10.0]
+    );
+    // A header that holds a star is one column.
+    assert_eq!(
+        run.column(Channel::Current).unwrap(),
+        &[3.0, 5.0, 7.0, 9.0, 11.0]
+    );
+    let error = mapped(text, "time_s=t,voltage_v=duty*bus").unwrap_err();
+    assert!(error.to_string().contains("no column \"bus\""), "{error}");
 }

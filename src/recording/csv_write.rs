@@ -55,7 +55,7 @@ impl Row {
     }
 }
 
-/// Which columns a `samples.csv` has, in the order of DESIGN.md 5.2.
+/// Which columns a `samples.csv` has, in the order of the contract.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
     channels: Vec<Channel>,
@@ -114,42 +114,70 @@ impl Layout {
         if self.exchange {
             names.extend(["status", "quality"]);
         }
-        names.join(",") + "\n"
+        csv_text(|csv| csv.write_record(names))
     }
 
-    /// Writes the row with its line feed into `line`, which is cleared first.
-    pub fn format(&self, row: &Row, line: &mut String) {
-        line.clear();
-        push_number(line, row.time_s);
+    /// The row with its line feed.
+    pub fn line(&self, row: &Row) -> String {
+        csv_text(|csv| self.write(row, csv, &mut String::new()))
+    }
+
+    /// Writes the row; `scratch` is room for a number.
+    fn write(
+        &self,
+        row: &Row,
+        csv: &mut csv::Writer<&mut Vec<u8>>,
+        scratch: &mut String,
+    ) -> csv::Result<()> {
+        let mut number = |value: Option<f64>, csv: &mut csv::Writer<_>| {
+            scratch.clear();
+            push_number(scratch, value.unwrap_or(f64::NAN));
+            csv.write_field(&*scratch)
+        };
+        number(Some(row.time_s), csv)?;
         if self.host_time {
-            push_cell(line, row.host_time_s);
+            number(row.host_time_s, csv)?;
         }
         if self.exchange {
-            line.push(',');
-            if let Some(seq) = row.seq {
-                let _ = write!(line, "{seq}");
-            }
+            csv.write_field(row.seq.map_or_else(String::new, |seq| seq.to_string()))?;
         }
         for channel in &self.channels {
-            push_cell(line, row.get(*channel));
+            number(row.get(*channel), csv)?;
         }
         if self.exchange {
-            for text in [&row.status, &row.quality] {
-                line.push(',');
-                line.push_str(text);
-            }
+            csv.write_field(&row.status)?;
+            csv.write_field(&row.quality)?;
         }
-        line.push('\n');
+        csv.write_record(None::<&[u8]>)
     }
+}
+
+/// What is written into memory, as CSV.
+fn csv_text(write: impl FnOnce(&mut csv::Writer<&mut Vec<u8>>) -> csv::Result<()>) -> String {
+    let mut bytes = Vec::new();
+    let mut csv = csv::WriterBuilder::new().from_writer(&mut bytes);
+    write(&mut csv).expect("memory takes every row");
+    drop(csv);
+    String::from_utf8(bytes).expect("the cells are text")
 }
 
 /// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
 pub fn number_text(value: f64) -> String {
     let mut text = String::new();
-    if value.is_finite() {
-        push_number(&mut text, value);
-    }
+    push_number(&mut text, value);
     text
+}
+
+/// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
+fn push_number(text: &mut String, value: f64) {
+    let value = value + 0.0; // turns -0 into 0
+    let _ = if !value.is_finite() {
+        Ok(())
+    } else if value != 0.0 && !(1e-5..1e16).contains(&value.abs()) {
+        write!(text, "{value:e}")
+    } else {
+        write!(text, "{value}")
+    };
 }
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
@@ -159,36 +187,19 @@ pub fn write_run(run: &Run) -> String {
         .filter(|channel| run.column(*channel).is_some())
         .collect();
     let layout = Layout::plain(&there);
-    let mut text = layout.header();
-    let mut line = String::new();
-    for (index, time_s) in run.time_s().iter().enumerate() {
-        let mut row = Row::at(*time_s);
-        for channel in &there {
-            let cell = run.column(*channel).map(|column| column[index]);
-            row.set(*channel, cell);
+    let rows = csv_text(|csv| {
+        let mut scratch = String::new();
+        for (index, time_s) in run.time_s().iter().enumerate() {
+            let mut row = Row::at(*time_s);
+            for channel in &there {
+                let cell = run.column(*channel).map(|column| column[index]);
+                row.set(*channel, cell);
+            }
+            layout.write(&row, csv, &mut scratch)?;
         }
-        layout.format(&row, &mut line);
-        text.push_str(&line);
-    }
-    text
-}
-
-fn push_cell(line: &mut String, value: Option<f64>) {
-    line.push(',');
-    if let Some(value) = value {
-        push_number(line, value);
-    }
-}
-
-/// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
-fn push_number(line: &mut String, value: f64) {
-    let value = value + 0.0; // turns -0 into 0
-    let magnitude = value.abs();
-    let _ = if value != 0.0 && !(1e-5..1e16).contains(&magnitude) {
-        write!(line, "{value:e}")
-    } else {
-        write!(line, "{value}")
-    };
+        Ok(())
+    });
+    layout.header() + &rows
 }
 
 #[cfg(test)]
@@ -235,10 +246,8 @@ mod tests {
         row.set(Channel::Current, Some(9.0)); // not in the layout
         row.remark(Channel::VoltageCmd, "unconfirmed");
         row.remark(Channel::Speed, "stale");
-        let mut line = "old".to_owned();
-        layout.format(&row, &mut line);
         assert_eq!(
-            line,
+            layout.line(&row),
             "0.5,,7,,0,,voltage_cmd_v:unconfirmed speed_rad_s:stale\n"
         );
     }

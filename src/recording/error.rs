@@ -6,6 +6,21 @@ use thiserror::Error;
 
 use crate::sample::RunError;
 
+/// What is wrong with a row of a CSV; the text goes on behind its number.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum RowProblem {
+    #[error(": time {time_s} s is not after {before_s} s (time must be strictly increasing)")]
+    TimeNotIncreasing { time_s: f64, before_s: f64 },
+    #[error(": no time in column {column:?}")]
+    TimeMissing { column: String },
+    #[error(": {found} cells, the header has {expected}")]
+    FieldCount { found: usize, expected: usize },
+    #[error(
+        ", column {column:?}: {text:?} is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)"
+    )]
+    NotANumber { column: String, text: String },
+}
+
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RecordingError {
     #[error("{path}: cannot {doing}: {reason}")]
@@ -34,40 +49,12 @@ pub enum RecordingError {
     },
     #[error("{file}: no column that drivebench knows beside time_s")]
     NoKnownColumn { file: String, help: String },
-    #[error(
-        "{file}: row {row} (line {line}): time {time_s} s is not after {before_s} s (time must be strictly increasing)"
-    )]
-    TimeNotIncreasing {
+    #[error("{file}: row {row} (line {line}){problem}")]
+    Row {
         file: String,
         row: usize,
         line: usize,
-        time_s: f64,
-        before_s: f64,
-    },
-    #[error("{file}: row {row} (line {line}): no time in column {column:?}")]
-    TimeMissing {
-        file: String,
-        row: usize,
-        line: usize,
-        column: String,
-    },
-    #[error("{file}: row {row} (line {line}): {found} cells, the header has {expected}")]
-    FieldCount {
-        file: String,
-        row: usize,
-        line: usize,
-        found: usize,
-        expected: usize,
-    },
-    #[error(
-        "{file}: row {row} (line {line}), column {column:?}: {text:?} is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)"
-    )]
-    NotANumber {
-        file: String,
-        row: usize,
-        line: usize,
-        column: String,
-        text: String,
+        problem: RowProblem,
     },
     #[error("{file}: line {line}: a double quote is not closed on its line")]
     Quote { file: String, line: usize },
@@ -92,20 +79,17 @@ impl RecordingError {
             | Self::NoKnownColumn { help, .. } => help.clone(),
             Self::Io { .. } => "check the path, its permissions and the space on the disk".into(),
             Self::Map { .. } => {
-                "the form is --map 'target=header[*factor][+offset],...'; put a header with , * or + in double quotes; a negative offset is +-3".into()
+                "the form is --map 'target=header[*factor][+offset],...', where a factor is a number, another header or sign(HEADER); put a header with , * or + in double quotes; a negative offset is +-3".into()
             }
             Self::MapWithoutTime => "add time_s=HEADER, for instance time_s=t".into(),
             Self::AmbiguousHeader { .. } => "rename one of the columns in the file".into(),
-            Self::TimeNotIncreasing { .. } => {
-                "sort the rows by time and remove repeated ones; is this the time column?".into()
+            Self::Row { problem, .. } => match problem {
+                RowProblem::TimeNotIncreasing { .. } => "sort the rows by time and remove repeated ones; is this the time column?",
+                RowProblem::TimeMissing { .. } => "remove the row or give it a time",
+                RowProblem::FieldCount { .. } => "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this",
+                RowProblem::NotANumber { .. } => "leave a missing value empty or write NaN; numbers have a decimal point and no unit",
             }
-            Self::TimeMissing { .. } => "remove the row or give it a time".into(),
-            Self::FieldCount { .. } => {
-                "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this".into()
-            }
-            Self::NotANumber { .. } => {
-                "leave a missing value empty or write NaN; numbers have a decimal point and no unit".into()
-            }
+            .into(),
             Self::Quote { .. } => "a quoted cell must begin and end on one line".into(),
             Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
             Self::Empty { .. } | Self::NoRows { .. } => {

@@ -1,12 +1,13 @@
-//! What the recorders have in common: rows and events as whole lines, kept in memory while they cannot be written.
+//! The journal of a run: rows and events as whole lines, kept in memory while they cannot be written; and the recorder of
+//! virtual time, which keeps them there for good.
 
 use std::fs::File;
 use std::io::{self, Write};
 
 use serde_json::{Map, Value};
 
-use super::{CommandRow, Layout, Row, RowOrder};
-use crate::sample::Sample;
+use super::{CommandRow, Layout, ReadOptions, RecordingError, Row, RowOrder, read_csv};
+use crate::sample::{Run, Sample};
 
 /// Something that happened and is no sample: a key, a re-arm, a lost deadline, a trip. Replay needs every one.
 #[derive(Clone, Debug, PartialEq)]
@@ -193,7 +194,6 @@ pub(super) struct Journal<S> {
     trouble: Option<String>,
     status: RecorderStatus,
     rows: Vec<Row>,
-    line: String,
 }
 
 impl<S: Durable> Journal<S> {
@@ -214,7 +214,6 @@ impl<S: Durable> Journal<S> {
             trouble: None,
             status: RecorderStatus::default(),
             rows: Vec::new(),
-            line: String::new(),
             layout,
         };
         let result = journal.samples.push(&journal.layout.header());
@@ -296,9 +295,8 @@ impl<S: Durable> Journal<S> {
     fn write_rows(&mut self) {
         let mut rows = std::mem::take(&mut self.rows);
         for row in rows.drain(..) {
-            self.layout.format(&row, &mut self.line);
             let lost = self.samples.lost;
-            let result = self.samples.push(&self.line);
+            let result = self.samples.push(&self.layout.line(&row));
             self.note(result);
             if lost == 0 && self.samples.lost > 0 {
                 let most = self.samples.room >> 20;
@@ -353,6 +351,63 @@ impl<S: Durable> Journal<S> {
             }
             Ok(()) => {}
         }
+    }
+}
+
+/// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
+pub struct MemoryRecorder {
+    journal: Journal<io::Sink>,
+}
+
+impl MemoryRecorder {
+    pub fn new(layout: Layout) -> Self {
+        let lines = || Lines::new(io::sink(), usize::MAX);
+        Self {
+            journal: Journal::new(layout, lines(), lines(), usize::MAX),
+        }
+    }
+
+    /// Writes the commands that still wait for their instant; to be called once at the end.
+    pub fn finish(&mut self) {
+        self.journal.finish();
+    }
+
+    /// The text of `samples.csv` so far.
+    pub fn samples_csv(&self) -> String {
+        text_of(self.journal.texts().0)
+    }
+
+    /// The text of `events.jsonl` so far.
+    pub fn events_jsonl(&self) -> String {
+        text_of(self.journal.texts().1)
+    }
+
+    /// The run as it would be read from disk.
+    pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
+        let bytes = self.journal.texts().0.unwrap_or_default();
+        read_csv(bytes, name, ReadOptions::default()).map(|(run, _)| run)
+    }
+}
+
+fn text_of(bytes: Option<&[u8]>) -> String {
+    String::from_utf8_lossy(bytes.unwrap_or_default()).into_owned()
+}
+
+impl Record for MemoryRecorder {
+    fn row(&mut self, sample: &Sample) {
+        self.journal.row(sample);
+    }
+
+    fn command(&mut self, command: &CommandRow) {
+        self.journal.command(*command);
+    }
+
+    fn event(&mut self, event: Event) {
+        self.journal.event(&event);
+    }
+
+    fn status(&self) -> RecorderStatus {
+        self.journal.status()
     }
 }
 

@@ -13,27 +13,22 @@
 //! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
 
 mod column_map;
-mod csv_line;
 mod csv_read;
-mod csv_rows;
 mod csv_write;
 mod error;
 mod journal;
 mod manifest;
-mod memory;
 mod open_run;
 mod recorder;
 mod row_order;
 mod run_folder;
 
-pub use column_map::{ColumnMap, Mapping};
-pub use csv_read::{ReadOptions, read_csv};
-pub use csv_rows::CsvRows;
+pub use column_map::{ColumnMap, Factor, Mapping};
+pub use csv_read::{CsvRows, ReadOptions, read_csv};
 pub use csv_write::{Layout, Row, number_text, write_run};
-pub use error::RecordingError;
-pub use journal::{Event, Record, RecorderStatus};
+pub use error::{RecordingError, RowProblem};
+pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
 pub use manifest::Manifest;
-pub use memory::MemoryRecorder;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 pub use recorder::{Kept, Recorder};
 pub use row_order::{CommandRow, RowOrder};

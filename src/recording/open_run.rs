@@ -1,12 +1,13 @@
 //! Whatever a user calls a RUN: a run folder, its `samples.csv`, or any CSV with a map.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor, Read as _, Take};
 use std::path::{Path, PathBuf};
 
+use super::csv_read::whole_rows;
 use super::run_folder::SAMPLES;
 use super::{
-    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, Row, RunFile, RunFolder, csv_read,
+    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read,
 };
 use crate::sample::{Channel, Origin, Run};
 
@@ -20,11 +21,13 @@ pub struct LoadedRun {
     pub folder: Option<PathBuf>,
     /// Sentences for the reader: torn rows, an unfinished run, ignored columns.
     pub warnings: Vec<String>,
+    /// How a foreign file departs from comma and decimal point, where it does.
+    pub dialect: Option<String>,
 }
 
 /// A run that is read row by row: nothing of it is kept but the last line.
 pub struct RunRows {
-    rows: CsvRows<BufReader<File>>,
+    pub rows: CsvRows<BufReader<Take<File>>>,
     name: String,
     /// `None` for foreign files, and where the manifest is lost or cannot be read.
     pub manifest: Option<Manifest>,
@@ -45,14 +48,20 @@ impl RunRows {
         let mut warnings = Vec::new();
         let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
 
-        let file =
-            File::open(&samples).map_err(|error| RecordingError::io(&samples, "open", &error))?;
+        let io = |doing, error| RecordingError::io(&samples, doing, &error);
+        let mut file = File::open(&samples).map_err(|error| io("open", error))?;
         let name = path.display().to_string();
         let options = ReadOptions {
             map,
-            whole_lines_only: folder.is_some(),
+            in_run_folder: folder.is_some(),
         };
-        let rows = CsvRows::new(BufReader::with_capacity(1 << 20, file), &name, options)?;
+        // Only the record of a run ends as we know; what else is read may be a pipe.
+        let (length, ends_torn) = match folder {
+            Some(_) => whole_rows(&mut file).map_err(|error| io("read", error))?,
+            None => (u64::MAX, false),
+        };
+        let mut rows = CsvRows::new(BufReader::new(file.take(length)), &name, options)?;
+        rows.set_ends_torn(ends_torn);
         Ok(Self {
             rows,
             name,
@@ -62,30 +71,10 @@ impl RunRows {
         })
     }
 
-    /// The next row, with the quantities only; `None` at the end.
-    pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
-        self.rows.next_row()
-    }
-
-    /// The channels that the file has a column for.
-    pub fn channels(&self) -> impl Iterator<Item = Channel> + '_ {
-        self.rows.channels()
-    }
-
-    /// Rows given out so far.
-    pub fn rows(&self) -> usize {
-        self.rows.rows()
-    }
-
-    /// Torn rows that were left out.
-    pub fn rows_dropped(&self) -> usize {
-        self.rows.rows_dropped()
-    }
-
     /// What the reader should know, once the last row has been read.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = self.warnings.clone();
-        warnings.extend_from_slice(self.rows.warnings());
+        warnings.extend(self.rows.warnings());
         let (name, rows) = (&self.name, self.rows.rows());
         if let Some(manifest) = &self.manifest {
             if !manifest.finished {
@@ -117,6 +106,7 @@ pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Recor
     Ok(LoadedRun {
         run,
         warnings: source.warnings(),
+        dialect: source.rows.dialect(),
         manifest: source.manifest,
         folder: source.folder,
     })
@@ -131,14 +121,18 @@ pub fn run_from_memory(
     let name = folder.display().to_string();
     let options = ReadOptions {
         map: None,
-        whole_lines_only: true,
+        in_run_folder: true,
     };
-    let mut rows = CsvRows::new(samples, &name, options)?;
+    // Memory can be read.
+    let (length, ends_torn) = whole_rows(&mut Cursor::new(samples)).unwrap_or_default();
+    let mut rows = CsvRows::new(samples.take(length), &name, options)?;
+    rows.set_ends_torn(ends_torn);
     let mut run = csv_read::collect(&mut rows, &name, true)?;
     set_origins(&mut run, manifest);
     Ok(LoadedRun {
         run,
-        warnings: rows.warnings().to_vec(),
+        warnings: rows.warnings(),
+        dialect: None,
         manifest: Some(manifest.clone()),
         folder: Some(folder.to_owned()),
     })
@@ -177,7 +171,13 @@ fn folder_of(
             ));
             (Some(parent.to_owned()), None)
         }
-        Err(_) => (None, None),
+        Err(_) => {
+            warnings.push(format!(
+                "{}: it stands outside of its run folder: where its signals come from is unknown, and its commands and voltages are taken as sampled, each held until the next row",
+                samples.display()
+            ));
+            (None, None)
+        }
     }
 }
 
@@ -266,7 +266,9 @@ mod tests {
         assert_eq!(loaded.warnings.len(), 1);
         assert_eq!(loaded.run.rows(), 1);
         // A bare samples.csv is simply a CSV.
-        assert!(open_run(&folder.samples(), None).unwrap().folder.is_none());
+        let bare = open_run(&folder.samples(), None).unwrap();
+        assert!(bare.folder.is_none());
+        assert!(bare.warnings[0].contains("outside of its run folder"));
     }
 
     #[test]

@@ -232,21 +232,6 @@ mod tests {
         sample
     }
 
-    /// `(time, command, current)` of each row.
-    type Brief = (f64, Option<f64>, Option<f64>);
-
-    fn brief(rows: &[Row]) -> Vec<Brief> {
-        rows.iter()
-            .map(|row| {
-                (
-                    row.time_s,
-                    row.get(Channel::VoltageCmd),
-                    row.get(Channel::Current),
-                )
-            })
-            .collect()
-    }
-
     #[test]
     fn a_half_width_has_its_column_where_the_link_gives_it_and_reads_back_to_the_bit() {
         use crate::recording::{CsvRows, ReadOptions};
@@ -258,10 +243,8 @@ mod tests {
         order.sample(&stamped, &mut rows);
         order.sample(&sample(0.020, None), &mut rows);
         let mut text = layout.header();
-        let mut line = String::new();
         for row in &rows {
-            layout.format(row, &mut line);
-            text.push_str(&line);
+            text.push_str(&layout.line(row));
         }
         assert!(text.contains(",time_half_width_s,status"), "{text}");
         let mut back = CsvRows::new(text.as_bytes(), "r", ReadOptions::default()).unwrap();
@@ -279,72 +262,88 @@ mod tests {
         assert!(!plain.contains("half_width"));
     }
 
-    #[test]
-    fn a_command_stands_at_the_instant_at_which_the_drive_applied_it() {
-        let mut order = RowOrder::new(layout());
-        let mut rows = Vec::new();
-        order.command(volts(1, 0.0, 5.0));
-        order.sample(&sample(0.010, Some((1, 0.003))), &mut rows);
-        order.command(volts(2, 0.010, 6.0));
-        order.sample(&sample(0.020, Some((2, 0.020))), &mut rows);
-        assert_eq!(
-            brief(&rows),
-            vec![
-                (0.003, Some(5.0), None),
-                (0.010, None, Some(1.0)),
-                (0.020, Some(6.0), Some(1.0)), // equal times: one row
-            ]
-        );
-        assert_eq!((order.repeats(), order.unconfirmed()), (0, 0));
+    /// What happens: command `k` is sent at a time with so many volts, a sample comes that says which was applied when.
+    enum Step {
+        Send(u64, f64, f64),
+        Take(f64, Option<(u64, f64)>),
+        Finish,
     }
 
     #[test]
-    fn a_command_applied_after_the_sample_waits_for_the_next_one() {
-        let mut order = RowOrder::new(layout());
-        let mut rows = Vec::new();
-        order.command(volts(1, 0.0, 5.0));
-        order.sample(&sample(0.010, Some((0, 0.0))), &mut rows);
-        assert_eq!(brief(&rows), vec![(0.010, None, Some(1.0))]);
-        order.command(volts(2, 0.010, 6.0));
-        order.sample(&sample(0.020, Some((1, 0.011))), &mut rows);
-        assert_eq!(rows[1].time_s.to_bits(), 0.011_f64.to_bits());
-        order.finish(&mut rows);
-        assert_eq!(rows.len(), 4);
-        assert_eq!(rows[3].quality, "voltage_cmd_v:unconfirmed");
-        assert!(rows[3].time_s > rows[2].time_s);
-    }
-
-    #[test]
-    fn a_lost_reply_leaves_a_remark_and_stops_nothing() {
-        let mut order = RowOrder::new(layout());
-        let mut rows = Vec::new();
-        order.command(volts(1, 0.001, 5.0));
-        order.command(volts(2, 0.011, 6.0));
-        order.sample(&sample(0.020, Some((2, 0.012))), &mut rows);
-        assert_eq!(
-            brief(&rows),
-            vec![
-                (0.001, Some(5.0), None),
-                (0.012, Some(6.0), None),
-                (0.020, None, Some(1.0)),
-            ]
-        );
-        assert_eq!(rows[0].quality, "voltage_cmd_v:unconfirmed");
-        assert_eq!(rows[1].quality, "");
-        assert_eq!(order.unconfirmed(), 1);
-    }
-
-    #[test]
-    fn a_drive_without_stamps_has_its_commands_when_they_were_sent() {
-        let mut order = RowOrder::new(layout());
-        let mut rows = Vec::new();
-        order.command(volts(1, 0.001, 5.0));
-        order.sample(&sample(0.005, None), &mut rows);
-        assert_eq!(
-            brief(&rows),
-            vec![(0.001, Some(5.0), None), (0.005, None, Some(1.0))]
-        );
-        assert_eq!(rows[0].quality, "");
+    fn commands_stand_where_the_drive_applied_them_and_samples_where_they_are_new() {
+        use Step::{Finish, Send, Take};
+        for (name, steps, expected, repeats, unconfirmed) in [
+            (
+                "each where it was applied; equal times are one row",
+                vec![
+                    Send(1, 0.0, 5.0),
+                    Take(0.010, Some((1, 0.003))),
+                    Send(2, 0.010, 6.0),
+                    Take(0.020, Some((2, 0.020))),
+                ],
+                "0.003,1,5,,,\n0.01,,,1,,\n0.02,2,6,1,,\n",
+                0,
+                0,
+            ),
+            (
+                "one that is applied after the sample waits for the next one",
+                vec![
+                    Send(1, 0.0, 5.0),
+                    Take(0.010, Some((0, 0.0))),
+                    Send(2, 0.010, 6.0),
+                    Take(0.020, Some((1, 0.011))),
+                    Finish,
+                ],
+                "0.01,,,1,,\n0.011,1,5,,,\n0.02,,,1,,\n0.020000000000000004,2,6,,,voltage_cmd_v:unconfirmed\n",
+                0,
+                1,
+            ),
+            (
+                "a lost reply leaves a remark and stops nothing",
+                vec![
+                    Send(1, 0.001, 5.0),
+                    Send(2, 0.011, 6.0),
+                    Take(0.020, Some((2, 0.012))),
+                ],
+                "0.001,1,5,,,voltage_cmd_v:unconfirmed\n0.012,2,6,,,\n0.02,,,1,,\n",
+                0,
+                1,
+            ),
+            (
+                "without stamps where it was sent",
+                vec![Send(1, 0.001, 5.0), Take(0.005, None)],
+                "0.001,1,5,,,\n0.005,,,1,,\n",
+                0,
+                0,
+            ),
+            (
+                "a sample that is not new is counted and left out",
+                [0.1, 0.1, 0.05, f64::NAN, 0.2]
+                    .map(|time_s| Take(time_s, None))
+                    .into(),
+                "0.1,,,1,,\n0.2,,,1,,\n",
+                3,
+                0,
+            ),
+        ] {
+            let layout = layout().without_host_time();
+            let mut order = RowOrder::new(layout.clone());
+            let mut rows = Vec::new();
+            for step in steps {
+                match step {
+                    Send(seq, time_s, value) => order.command(volts(seq, time_s, value)),
+                    Take(time_s, applied) => order.sample(&sample(time_s, applied), &mut rows),
+                    Finish => order.finish(&mut rows),
+                }
+            }
+            let text: String = rows.iter().map(|row| layout.line(row)).collect();
+            assert_eq!(text, expected, "{name}");
+            assert_eq!(
+                (order.repeats(), order.unconfirmed()),
+                (repeats, unconfirmed),
+                "{name}"
+            );
+        }
     }
 
     #[test]
@@ -363,17 +362,6 @@ mod tests {
         assert_eq!(rows[0].get(Channel::Reference), Some(50.0));
         assert_eq!(rows[0].get(Channel::VoltageCmd), None);
         assert_eq!(rows[1].get(Channel::VoltageCmd), Some(0.0));
-    }
-
-    #[test]
-    fn a_sample_that_is_not_new_is_counted_and_left_out() {
-        let mut order = RowOrder::new(layout());
-        let mut rows = Vec::new();
-        for time_s in [0.1, 0.1, 0.05, f64::NAN, 0.2] {
-            order.sample(&sample(time_s, None), &mut rows);
-        }
-        assert_eq!(rows.len(), 2);
-        assert_eq!(order.repeats(), 3);
     }
 
     #[test]

@@ -14,9 +14,7 @@ use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::identification::{output_error, start, weak_form};
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
 use drivebench::sample::{ParameterEstimate, Run, Verdict};
-use drivebench::workflow::reproduce::lines::{
-    self, ALL_ERRORS, Errors, HOST_STAMPED, Told, VoltageKnown,
-};
+use drivebench::workflow::reproduce::lines::{self, ALL_ERRORS, HOST_STAMPED, Told, VoltageKnown};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -82,6 +80,10 @@ fn online(run: &Run, config: OnlineConfig) -> Online {
         online.push(&sample);
     }
     online
+}
+
+fn alternating(motor: u64) -> Sampling {
+    [Sampling::Regular, Sampling::Fast][usize::from(motor % 2 == 1)]
 }
 
 #[derive(Clone, Copy, Default)]
@@ -218,20 +220,10 @@ fn the_weak_form_covers() {
 #[test]
 fn what_a_host_stamps_covers() {
     let runs = usize::try_from(MOTORS * SEEDS / 2).unwrap();
-    let bad = Errors {
-        late: 0.01,
-        lost: 0.01,
-        doubled: 0.01,
-        ..ALL_ERRORS
-    };
-    let sampled = Errors {
-        voltage: VoltageKnown::Sampled,
-        ..ALL_ERRORS
-    };
-    let clocked = Errors {
-        stamps: false,
-        ..ALL_ERRORS
-    };
+    let (mut bad, mut sampled, mut clocked) = (ALL_ERRORS, ALL_ERRORS, ALL_ERRORS);
+    (bad.late, bad.lost, bad.doubled) = (0.01, 0.01, 0.01);
+    sampled.voltage = VoltageKnown::Sampled;
+    clocked.stamps = false;
     let mut wrong = Vec::new();
     for (name, errors) in [
         ("host's stamps", ALL_ERRORS),
@@ -273,11 +265,7 @@ fn a_nameplate_far_off_changes_nothing() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let (mut inside, mut all, mut wrong) = (0, 0, Vec::new());
     for motor in 0..MOTORS {
-        let sampling = if motor % 2 == 0 {
-            Sampling::Regular
-        } else {
-            Sampling::Fast
-        };
+        let sampling = alternating(motor);
         let trajectory = Trajectory::random(FIRST_MOTOR + 1000 + motor, sampling, SECONDS);
         let mut nameplate = Motor::new("nameplate");
         for (key, truth) in KEYS.iter().zip(trajectory.truth) {
@@ -326,27 +314,19 @@ fn a_steady_state_settles_nothing_that_it_does_not_carry() {
     let claims: Vec<String> = (0..MOTORS)
         .into_par_iter()
         .flat_map_iter(|motor| {
-            let sampling = if motor % 2 == 0 {
-                Sampling::Regular
-            } else {
-                Sampling::Fast
-            };
+            let sampling = alternating(motor);
             let trajectory = Trajectory::steady(FIRST_MOTOR + 2000 + motor, sampling, SECONDS);
             let run = trajectory.run(motor);
             schemes.into_iter().flat_map(move |(name, scheme)| {
-                let truth = trajectory.truth;
-                let about = trajectory.describe();
-                scheme(&run, &trajectory)
-                    .into_iter()
-                    .zip(
-                        KEYS.iter()
-                            .zip(truth)
-                            .skip(if name == "scheme 2" { 3 } else { 0 }),
-                    )
+                let about = format!("{name} {}", trajectory.describe());
+                let first = if name == "scheme 2" { 3 } else { 0 };
+                let truths = KEYS.into_iter().zip(trajectory.truth).skip(first);
+                let found = scheme(&run, &trajectory).into_iter().zip(truths);
+                found
                     .filter(|(estimate, (key, _))| {
-                        **key != MotorKey::LoadTorque && estimate.verdict == Verdict::Settled
+                        *key != MotorKey::LoadTorque && estimate.verdict == Verdict::Settled
                     })
-                    .map(|(estimate, (_, truth))| format!("{name} {about} {estimate:?} {truth}"))
+                    .map(|(estimate, (_, truth))| format!("{about} {estimate:?} {truth}"))
                     .collect::<Vec<String>>()
             })
         })

@@ -1,4 +1,4 @@
-//! Tests that a simulation cannot cheat (DISCOVERY.md, rule 6) for runs with voltage, current and speed: doses, placebos,
+//! Tests of the diagnosis that a simulation cannot cheat, for runs with voltage, current and speed: doses, placebos,
 //! split halves, the floor a fifth up and down; on simulated messy records, and on records named by `DRIVEBENCH_DATA`.
 //!
 //! ```text
@@ -22,10 +22,7 @@ mod record;
 use std::path::PathBuf;
 
 use drivebench::diagnosis::{Diagnosis, Evidence, add, diagnose};
-use drivebench::emulator::truth::effect::{
-    ConstantLoad, CurrentOffset, HiddenEffect, QuadraticLoad, SpeedDelay, StribeckFriction,
-    VoltageDrop,
-};
+use drivebench::emulator::truth::effect::HiddenEffect;
 use drivebench::plant::{Model, Scenario, effect};
 use drivebench::recording::open_run;
 use rayon::prelude::*;
@@ -36,56 +33,31 @@ fn is_quick() -> bool {
     std::env::var_os("DRIVEBENCH_EVERYTHING").is_none()
 }
 
-/// A known effect and how it is put into the truth.
-struct Dose {
-    id: &'static str,
-    /// In the middle of what the study hides.
-    usual: f64,
-    hidden: fn(f64) -> HiddenEffect,
-}
+/// A known effect, its usual size (in the middle of what the study hides), and the key of its size in the emulator.
+struct Dose(&'static str, f64, &'static str);
 
 /// None of them is in the background.
 const DOSES: [Dose; 6] = [
-    Dose {
-        id: "quadratic_load",
-        usual: 2e-6,
-        hidden: |size| {
-            HiddenEffect::QuadraticLoad(QuadraticLoad {
-                quadratic_n_m_s2_per_rad2: size,
-            })
-        },
-    },
-    Dose {
-        id: "voltage_drop",
-        usual: 1.4,
-        hidden: |size| HiddenEffect::VoltageDrop(VoltageDrop { drop_v: size }),
-    },
-    Dose {
-        id: "constant_load",
-        usual: 0.08,
-        hidden: |size| HiddenEffect::ConstantLoad(ConstantLoad { constant_n_m: size }),
-    },
-    Dose {
-        id: "stribeck_friction",
-        usual: 0.12,
-        hidden: |size| {
-            HiddenEffect::StribeckFriction(StribeckFriction {
-                stribeck_n_m: size,
-                stribeck_speed_rad_s: 10.0,
-            })
-        },
-    },
-    Dose {
-        id: "speed_delay",
-        usual: 2.7e-3,
-        hidden: |size| HiddenEffect::SpeedDelay(SpeedDelay { delay_s: size }),
-    },
-    Dose {
-        id: "current_offset",
-        usual: 0.2,
-        hidden: |size| HiddenEffect::CurrentOffset(CurrentOffset { offset_a: size }),
-    },
+    Dose("quadratic_load", 2e-6, "quadratic_n_m_s2_per_rad2"),
+    Dose("voltage_drop", 1.4, "drop_v"),
+    Dose("constant_load", 0.08, "constant_n_m"),
+    Dose("stribeck_friction", 0.12, "stribeck_n_m"),
+    Dose("speed_delay", 2.7e-3, "delay_s"),
+    Dose("current_offset", 0.2, "offset_a"),
 ];
+
+impl Dose {
+    /// As it is put into the truth.
+    fn hidden(&self, size: f64) -> HiddenEffect {
+        let mut keys = toml::Table::new();
+        keys.insert("id".to_owned(), self.0.into());
+        keys.insert(self.2.to_owned(), size.into());
+        if self.0 == "stribeck_friction" {
+            keys.insert("stribeck_speed_rad_s".to_owned(), 10.0.into());
+        }
+        keys.try_into().expect("an effect of the emulator")
+    }
+}
 
 /// What the background holds besides the coloured torque: these names are right too.
 const BACKGROUND: [&str; 4] = ["viscous_friction", "cogging", "command_delay", "supply_sag"];
@@ -165,19 +137,19 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
     let mut failures = Vec::new();
     for dose in doses_done() {
         let mut candidates = without.candidates.iter();
-        let stated = candidates.find(|candidate| candidate.effect == dose.id);
+        let stated = candidates.find(|candidate| candidate.effect == dose.0);
         let stated = stated.unwrap().detectable.unwrap();
-        let (natural, natural_std) = size_of(dose.id, &nameplate(), &plain);
+        let (natural, natural_std) = size_of(dose.0, &nameplate(), &plain);
         println!(
             "{}: stated detectable {stated:.2e}; without a dose {natural:.2e} +- {natural_std:.1e}",
-            dose.id
+            dose.0
         );
         let rows: Vec<Row> = multiples
             .par_iter()
             .map(|multiple| {
                 let size = multiple * stated;
-                let data = evidence(&[(dose.hidden)(size)], machine);
-                let (value, std) = size_of(dose.id, &nameplate(), &data);
+                let data = evidence(&[dose.hidden(size)], machine);
+                let (value, std) = size_of(dose.0, &nameplate(), &data);
                 Row {
                     multiple: *multiple,
                     size,
@@ -210,21 +182,21 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
             );
             let mut fails = |is_wrong: bool, what: &str| {
                 if is_wrong {
-                    failures.push(format!("{} x {}: {what}", dose.id, row.multiple));
+                    failures.push(format!("{} x {}: {what}", dose.0, row.multiple));
                 }
             };
-            fails(!wrong(found, dose.id).is_empty(), "another name");
+            fails(!wrong(found, dose.0).is_empty(), "another name");
             fails(off.abs() > INTERVAL * row.std, "outside its interval");
             fails(off.abs() > LINEAR * row.size + row.std, "not linear");
             fails(row.value <= before, "not in the order of the doses");
-            let is_named = is_named(found, dose.id);
+            let is_named = is_named(found, dose.0);
             fails(named_from.is_some() && !is_named, "named below, not here");
             fails(
                 row.multiple >= KEPT && !is_named,
                 "would have shown, it said",
             );
             // A name that is only left open beside one of the background is none yet.
-            if found.effects.contains(&dose.id) {
+            if found.effects.contains(&dose.0) {
                 named_from = named_from.or(Some(row.multiple));
             }
             before = row.value;
@@ -233,9 +205,9 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
             Some(multiple) => println!(
                 "  named from {multiple} x {stated:.2e} = {:.2e}, {:.2} of the study's size",
                 multiple * stated,
-                multiple * stated / dose.usual
+                multiple * stated / dose.1
             ),
-            None => failures.push(format!("{}: named at no dose", dose.id)),
+            None => failures.push(format!("{}: named at no dose", dose.0)),
         }
     }
     assert!(failures.is_empty(), "{failures:#?}");
@@ -249,20 +221,20 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
         .enumerate()
         .flat_map_iter(|(index, dose)| {
             let machine = 10 + index as u64;
-            let data = evidence(&[(dose.hidden)(dose.usual)], machine);
+            let data = evidence(&[dose.hidden(dose.1)], machine);
             let mut failures = Vec::new();
             let mut judge = |what: &str, found: &Diagnosis| {
                 println!(
                     "{}, {what}: {:?} {:?}, open {:?}, {:.2} -> {:.2}",
-                    dose.id,
+                    dose.0,
                     found.verdict,
                     found.effects,
                     found.confusable,
                     found.holdout_before,
                     found.holdout_after
                 );
-                if !is_named(found, dose.id) || !wrong(found, dose.id).is_empty() {
-                    failures.push(format!("{}, {what}: {}", dose.id, found.sentence));
+                if !is_named(found, dose.0) || !wrong(found, dose.0).is_empty() {
+                    failures.push(format!("{}, {what}: {}", dose.0, found.sentence));
                 }
             };
             let halves = diagnose(&nameplate(), swapped(&data)).unwrap();
@@ -274,15 +246,15 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
                 let what = format!("noise floor x {floor}");
                 judge(&what, &diagnose(&nameplate(), data).unwrap());
             }
-            let (one, one_std) = size_of(dose.id, &nameplate(), &data);
-            let (two, two_std) = size_of(dose.id, &nameplate(), &swapped(&data));
+            let (one, one_std) = size_of(dose.0, &nameplate(), &data);
+            let (two, two_std) = size_of(dose.0, &nameplate(), &swapped(&data));
             let apart = (one - two).abs() / one_std.hypot(two_std);
             println!(
                 "{}: {one:.3e} +- {one_std:.1e} and {two:.3e} +- {two_std:.1e}, of {:.3e}: {apart:.1} std apart",
-                dose.id, dose.usual
+                dose.0, dose.1
             );
             if apart > INTERVAL {
-                failures.push(format!("{}: the halves are {apart:.1} std apart", dose.id));
+                failures.push(format!("{}: the halves are {apart:.1} std apart", dose.0));
             }
             failures
         })
@@ -299,7 +271,7 @@ fn placebos_are_refused() {
         .map(|&(record_of, machine)| {
             // Half of the records miss an effect: a model that is wrong must not make placebos right.
             let dose = &DOSES[record_of % DOSES.len()];
-            let hidden = [(dose.hidden)(dose.usual)];
+            let hidden = [dose.hidden(dose.1)];
             let hidden = if record_of % 2 == 0 { &hidden[..] } else { &[] };
             let run = record(hidden, STUDY_LEVEL, machine, 0, 1.6 * DURATION_S);
             let data = Evidence::new(run.clone(), None, None);

@@ -2,11 +2,10 @@
 //!
 //! One good record of a motor is spoilt in every way that users of such tools complain of.
 
+use crate::kit::prelude::*;
 use std::sync::OnceLock;
 
 use crate::kit::motor_log::{Bench, COLUMNS, J, Row, csv, noise, push, steps};
-use crate::kit::{Desk, call, drivebench, has, line, manifest, only_folder, parameter, refusal};
-use serde_json::Value;
 
 const RPM: f64 = 9.549_296_585_513_72;
 
@@ -38,46 +37,43 @@ fn nothing_invented(found: &Value) {
     }
 }
 
-/// `identify` says status 5, `part` stands in headline or help, and the JSON holds no number.
-#[track_caller]
-fn refused(name: &str, text: &str, model: bool, parts: &[&str]) {
+/// `identify` on a file of this text, beside the nameplate or alone.
+fn identified(text: &str, has_model: bool) -> Done {
     let desk = Desk::new();
-    let nameplate = desk.nameplate();
     let file = desk.put("log.csv", text);
-    let command = if model {
-        line("identify {} --json --model {}", &[&file, &nameplate])
-    } else {
-        line("identify {} --json", &[&file])
-    };
-    let done = drivebench(command).expect(5);
-    let error = done.error();
-    for part in parts {
-        assert!(error.contains(part), "{name}: {part:?} is not in {error}");
+    if has_model {
+        return call("identify {} --json --model {}", &[&file, &desk.nameplate()]);
     }
+    call("identify {} --json", &[&file])
+}
+
+/// `identify` says status 5, each of the words parted by `&` stands in headline or help, and the JSON holds no number.
+#[track_caller]
+fn refused(words: &str, has_model: bool, text: &str) {
+    let done = identified(text, has_model).expect(5);
+    has(&done.error(), &words.split(" & ").collect::<Vec<_>>());
     let found = done.json();
     nothing_invented(&found);
     let kind = found["findings"][0]["kind"].as_str().unwrap_or_default();
-    assert!(!kind.is_empty(), "{name}: {found:#}");
+    assert!(!kind.is_empty(), "{words}: {found:#}");
+}
+
+/// The same of the good record with each row changed.
+#[track_caller]
+fn refused_if(words: &str, change: impl Fn(&mut Row)) {
+    refused(words, false, &spoilt(change));
 }
 
 #[test]
 fn the_record_itself_is_good() {
-    let desk = Desk::new();
-    let nameplate = desk.nameplate();
     let header = format!("{COLUMNS},angle_rad");
-    for (text, model) in [
+    for (text, has_model) in [
         (spoilt(|_| {}), false),
         (spoilt_csv(&header, |_| {}), false),
         (spoilt(|_| {}), true),
     ] {
-        let file = desk.put("log.csv", &text);
-        let done = if model {
-            call("identify {} --json --model {}", &[&file, &nameplate])
-        } else {
-            call("identify {} --json", &[&file])
-        };
-        let done = done.expect(0);
-        assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+        let done = identified(&text, has_model).expect(0);
+        lacks(&done.stderr, &["warning"]);
         let found = done.json();
         assert_eq!(
             found["parameters"]["back_emf_v_s_per_rad"]["verdict"],
@@ -102,160 +98,74 @@ fn a_record_without_excitation_is_refused_with_the_operating_point() {
     };
     let steady = level(24.0, 1.286, 63.8);
     refused(
-        "constant voltage",
+        "24 & one operating point & steps of voltage",
+        false,
         &steady,
-        false,
-        &["24", "one operating point", "steps of voltage"],
     );
-    refused("constant voltage", &steady, true, &["one operating point"]);
+    refused("one operating point", true, &steady);
     let still = level(0.0, 0.0, 0.0);
-    refused(
-        "standstill",
-        &still,
-        false,
-        &["stands still", "7.995 s", "steps of voltage"],
-    );
-    let exact = spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]);
-    refused("constant columns", &exact, false, &["nothing changes"]);
+    refused("stands still & 7.995 s & steps of voltage", false, &still);
+    refused_if("nothing changes", |row| {
+        *row = [row[0], 12.0, 1.5, 30.0, 0.0];
+    });
 }
 
 #[test]
 fn a_dead_or_frozen_channel_is_refused_by_name() {
+    refused_if("current_a is 1.5 A & not measured", |row| row[2] = 1.5);
+    refused_if("current_a is 0 A & not measured", |row| row[2] = 0.0);
+    refused_if("speed_rad_s is 30 rad/s & not measured", |row| {
+        row[3] = 30.0;
+    });
+    refused_if("speed reads 0 & the shaft turns", |row| row[3] = 0.0);
     let held = good()[700][3];
-    for (name, text, parts) in [
-        (
-            "constant current",
-            spoilt(|row| row[2] = 1.5),
-            ["current_a is 1.5 A", "not measured"],
-        ),
-        (
-            "zero current",
-            spoilt(|row| row[2] = 0.0),
-            ["current_a is 0 A", "not measured"],
-        ),
-        (
-            "constant speed",
-            spoilt(|row| row[3] = 30.0),
-            ["speed_rad_s is 30 rad/s", "not measured"],
-        ),
-        (
-            "zero speed",
-            spoilt(|row| row[3] = 0.0),
-            ["speed reads 0", "the shaft turns"],
-        ),
-        (
-            "frozen for a while",
-            spoilt(|row| {
-                if (3.5..5.5).contains(&row[0]) {
-                    row[3] = held;
-                }
-            }),
-            ["speed_rad_s repeats", "from 3.500 to"],
-        ),
-        (
-            "cut off",
-            spoilt(|row| row[2] = row[2].clamp(-8.0, 8.0)),
-            ["current_a stands at exactly", "cut off"],
-        ),
-    ] {
-        refused(name, &text, false, &parts);
-    }
+    refused_if("speed_rad_s repeats & from 3.500 to", |row| {
+        if (3.5..5.5).contains(&row[0]) {
+            row[3] = held;
+        }
+    });
+    refused_if("current_a stands at exactly & cut off", |row| {
+        row[2] = row[2].clamp(-8.0, 8.0);
+    });
 }
 
 #[test]
 fn swapped_columns_and_reversed_signs_are_named() {
-    for (name, text, parts) in [
-        (
-            "u and i",
-            spoilt(|row| row.swap(1, 2)),
-            [
-                "voltage and current are swapped",
-                "voltage_v=(column of current_a)",
-            ],
-        ),
-        (
-            "i and w",
-            spoilt(|row| row.swap(2, 3)),
-            [
-                "current and speed are swapped",
-                "current_a=(column of speed_rad_s)",
-            ],
-        ),
-        (
-            "reversed speed",
-            spoilt(|row| row[3] = -row[3]),
-            [
-                "sign of the speed is reversed",
-                "speed_rad_s=(column of speed_rad_s)*-1",
-            ],
-        ),
-        (
-            "reversed current",
-            spoilt(|row| row[2] = -row[2]),
-            ["sign of the current is reversed", "*-1"],
-        ),
-        (
-            "reversed voltage",
-            spoilt(|row| row[1] = -row[1]),
-            ["sign of the voltage is reversed", "*-1"],
-        ),
-        (
-            "unsigned current",
-            spoilt(|row| row[2] = row[2].abs()),
-            ["current_a is never negative", "lost its sign"],
-        ),
-        (
-            "unsigned speed",
-            spoilt(|row| row[3] = row[3].abs()),
-            ["speed_rad_s is never negative", "lost its sign"],
-        ),
-        (
-            "unsigned voltage",
-            spoilt(|row| row[1] = row[1].abs()),
-            ["voltage_v is never negative", "lost its sign"],
-        ),
-    ] {
-        refused(name, &text, false, &parts);
-    }
+    let swapped = "voltage and current are swapped & voltage_v=(column of current_a)";
+    refused_if(swapped, |row| row.swap(1, 2));
+    let swapped = "current and speed are swapped & current_a=(column of speed_rad_s)";
+    refused_if(swapped, |row| row.swap(2, 3));
     // Which of the two it is called does not matter: the voltage's column holds no speed.
-    let text = spoilt(|row| row.swap(1, 3));
-    refused("u and w", &text, false, &["speed"]);
+    refused_if("speed", |row| row.swap(1, 3));
+    let reversed = "sign of the speed is reversed & speed_rad_s=(column of speed_rad_s)*-1";
+    refused_if(reversed, |row| row[3] = -row[3]);
+    refused_if("sign of the current is reversed & *-1", |row| {
+        row[2] = -row[2];
+    });
+    refused_if("sign of the voltage is reversed & *-1", |row| {
+        row[1] = -row[1];
+    });
+    for (column, name) in [(1, "voltage_v"), (2, "current_a"), (3, "speed_rad_s")] {
+        let words = format!("{name} is never negative & lost its sign");
+        refused_if(&words, |row| row[column] = row[column].abs());
+    }
 }
 
 #[test]
 fn a_wrong_unit_is_named_with_its_factor() {
     let rpm = |row: &mut Row| row[3] *= RPM;
-    let header = format!("{COLUMNS},angle_rad");
-    let parts = ["r/min", "9.549", "*0.104719755"];
-    refused(
-        "r/min beside the angle",
-        &spoilt_csv(&header, rpm),
-        false,
-        &parts,
-    );
-    refused("r/min beside a nameplate", &spoilt(rpm), true, &parts);
-    let no_current = spoilt(|row| {
-        row[3] *= RPM;
-        row[2] = f64::NAN;
-    });
-    refused("r/min without a current", &no_current, true, &parts);
+    let with_angle = format!("{COLUMNS},angle_rad");
+    let words = "r/min & 9.549 & *0.104719755";
+    refused(words, false, &spoilt_csv(&with_angle, rpm));
+    refused(words, true, &spoilt(rpm));
+    let no_current = spoilt(|row| (row[2], row[3]) = (f64::NAN, RPM * row[3]));
+    refused(words, true, &no_current);
     let milliamps = spoilt(|row| row[2] *= 1e3);
-    refused(
-        "mA beside a nameplate",
-        &milliamps,
-        true,
-        &["mA", "1000", "*0.001"],
-    );
-    refused("mA by their size", &milliamps, false, &["mA", "1000"]);
-    let milliseconds = spoilt(|row| row[0] *= 1e3);
-    refused(
-        "ms",
-        &milliseconds,
-        false,
-        &["ms", "1000", "time_s=COLUMN*0.001"],
-    );
-    let degrees = spoilt_csv(&header, |row| row[3] *= 57.295_779_513);
-    refused("deg/s", &degrees, false, &["deg/s", "57.29"]);
+    refused("mA & 1000 & *0.001", true, &milliamps);
+    refused("mA & 1000", false, &milliamps);
+    refused_if("ms & 1000 & time_s=COLUMN*0.001", |row| row[0] *= 1e3);
+    let degrees = spoilt_csv(&with_angle, |row| row[3] *= 57.295_779_513);
+    refused("deg/s & 57.29", false, &degrees);
 }
 
 #[test]
@@ -263,7 +173,7 @@ fn a_suspect_speed_with_nothing_to_compare_is_not_settled() {
     let desk = Desk::new();
     let done = desk.on("identify {} --json", &spoilt(|row| row[3] *= RPM));
     let done = done.expect(0);
-    assert!(done.stderr.contains("9.5493"), "{}", done.stderr);
+    has(&done.stderr, &["9.5493"]);
     let found = done.json();
     for (key, verdict) in [
         ("back_emf_v_s_per_rad", "searching"),
@@ -286,8 +196,7 @@ fn a_header_in_another_unit_needs_a_factor() {
         arguments.push(format!("time_s=t,voltage_v=u,current_a=i,speed_rad_s={speed}").into());
         drivebench(arguments)
     };
-    let error = identify("speed [rpm]").expect(2).error();
-    has(&error, &["9.5493", "*0.104719755"]);
+    identify("speed [rpm]").fails(2, &["9.5493", "*0.104719755"]);
     let found = identify("speed [rpm]*0.104719755").expect(0).json();
     let value = parameter(&found, "back_emf_v_s_per_rad");
     assert!(
@@ -307,57 +216,34 @@ fn an_unusable_file_is_status_2_for_every_command() {
         push(&mut two, &row[..4]);
     }
     let nan = f64::NAN;
-    for (name, text, part) in [
-        ("two rows", two, "2 usable rows, at least 20"),
+    let after = |time_s: f64, place: usize, value: f64| {
+        spoilt(move |row| {
+            if row[0] > time_s {
+                row[place] = value;
+            }
+        })
+    };
+    for (part, text) in [
+        ("2 usable rows, at least 20", two),
+        ("no voltage", spoilt(|row| row[1..].fill(nan))),
         (
-            "all NaN",
-            spoilt(|row| *row = [row[0], nan, nan, nan, nan]),
-            "no voltage",
-        ),
-        (
-            "NaN outputs",
-            spoilt(|row| (row[2], row[3]) = (nan, nan)),
             "neither current nor speed",
+            spoilt(|row| row[2..].fill(nan)),
         ),
         (
-            "voltage only",
+            "neither current nor speed",
             spoilt_csv("time_s,voltage_v", |_| {}),
-            "neither current nor speed",
         ),
-        ("time only", spoilt_csv("time_s", |_| {}), "no column"),
-        (
-            "infinite time",
-            spoilt(|row| {
-                if row[0] > 3.0 {
-                    row[0] = f64::INFINITY;
-                }
-            }),
-            "inf",
-        ),
-        (
-            "time far away",
-            spoilt(|row| row[0] *= 1e20),
-            "size up to 1e12",
-        ),
-        (
-            "a wild cell",
-            spoilt(|row| {
-                if row[0] > 7.9 {
-                    row[2] = 1e300;
-                }
-            }),
-            "current_a 1e300",
-        ),
+        ("no column", spoilt_csv("time_s", |_| {})),
+        ("inf", after(3.0, 0, f64::INFINITY)),
+        ("size up to 1e12", spoilt(|row| row[0] *= 1e20)),
+        ("current_a 1e300", after(7.9, 2, 1e300)),
     ] {
         let file = desk.put("log.csv", &text);
-        for command in [
-            "identify {} --json",
-            "compare {} --json",
-            "diagnose {} --json",
-        ] {
-            let bare = call(command, &[&file]).expect(2);
-            assert!(bare.error().contains(part), "{name}: {}", bare.error());
-            assert_eq!(bare.stdout, "", "{name}");
+        for command in ["identify", "compare", "diagnose"] {
+            let command = format!("{command} {{}} --json");
+            let bare = call(&command, &[&file]).fails(2, &[part]);
+            assert_eq!(bare.stdout, "", "{part}");
             let text = format!("{command} --model {{}}");
             refusal(&text, &[&file, &nameplate]);
         }
@@ -370,16 +256,12 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
     let nameplate = desk.nameplate();
     let swapped = desk.put("swapped.csv", &spoilt(|row| row.swap(1, 2)));
     for command in ["compare {} --json", "diagnose {} --json"] {
-        let error = call(command, &[&swapped]).expect(5).error();
-        assert!(error.contains("voltage and current are swapped"), "{error}");
+        call(command, &[&swapped]).fails(5, &["voltage and current are swapped"]);
     }
-    let error = call("diagnose {} --json --model {}", &[&swapped, &nameplate])
-        .expect(5)
-        .error();
-    assert!(error.contains("swapped"), "{error}");
+    call("diagnose {} --json --model {}", &[&swapped, &nameplate]).fails(5, &["swapped"]);
     // A model as given can be compared with anything; what is wrong stands beside the figures.
     let done = call("compare {} --json --model {}", &[&swapped, &nameplate]).expect(0);
-    assert!(done.stderr.contains("swapped"), "{}", done.stderr);
+    has(&done.stderr, &["swapped"]);
     assert!(
         done.json()["notes"][0]
             .as_str()
@@ -393,7 +275,7 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
     );
     let done = call("diagnose {} --json --model {}", &[&steady, &nameplate]);
     assert!(done.status == 5 || done.status == 0, "{}", done.stderr);
-    assert!(done.stderr.contains("nothing changes"), "{}", done.stderr);
+    has(&done.stderr, &["nothing changes"]);
 }
 
 #[test]
@@ -444,20 +326,17 @@ fn the_origin_of_a_signal_limits_what_is_claimed_from_it() {
     let found = identify("speed_rad_s=estimated").expect(0).json();
     assert_eq!(verdict(&found, "back_emf_v_s_per_rad"), "searching");
     assert_eq!(verdict(&found, "resistance_ohm"), "settled");
-    let error = identify("speed_rad_s=guessed").expect(2).error();
-    has(&error, &["guessed", "estimated"]);
+    identify("speed_rad_s=guessed").fails(2, &["guessed", "estimated"]);
 }
 
 #[test]
 fn the_origin_travels_from_the_drives_profile_to_the_answer() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let text = "run --port sim: --headless --emulator zk-22fc-hidden --seed 7 --out {}";
-    call(text, &[out.path()]).expect(0);
-    let folder = only_folder(out.path());
-    assert_eq!(manifest(out.path())["sides"]["current_a"], "terminal");
-    let done = call("identify {} --json", &[&folder]).expect(0);
+    let run = recorded("--emulator zk-22fc-hidden --seed 7", &[]);
+    let manifest = read_json(run.join("manifest.json"));
+    assert_eq!(manifest["sides"]["current_a"], "terminal");
+    let done = call("identify {} --json", &[&run]).expect(0);
     // A good run of a motor with a hidden effect is no bad input.
-    assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+    lacks(&done.stderr, &["warning"]);
     let signals = &done.json()["signals"];
     assert_eq!(signals["voltage_cmd_v"]["origin"], "commanded");
     assert_eq!(signals["voltage_v"]["origin"], "measured");
@@ -480,5 +359,5 @@ fn a_signal_with_holes_is_named_before_anything_is_concluded_from_the_rest() {
     let file = desk.put("log.csv", &text);
     let done = call("compare {} --model {}", &[&file, &nameplate]).expect(0);
     let said = "current_a is missing in 400 of 1600 samples";
-    assert!(done.stderr.contains(said), "{}", done.stderr);
+    has(&done.stderr, &[said]);
 }

@@ -1,12 +1,7 @@
 //! The first move and what may not be moved freely, through the real binary in virtual time: direction pulse and
 //! nameplate, vertical loads, supplies that take nothing back, thyristor converters.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use crate::kit::{
-    BENCH, Desk, Done, PLAIN, call, column, has, json_of, manifest, only_folder, refusal,
-};
+use crate::kit::prelude::*;
 
 /// A short bench over the paper's motor: head, more sections, and the parts of the sequence.
 fn bench(more: &str, sequence: &str) -> String {
@@ -20,16 +15,8 @@ const STEPS: &str = "[[sequence]]\nstandstill = { seconds = 0.2 }\n\
 fn run(desk: &Desk, bench: &str, emulator: &str, options: &str) -> Done {
     let bench = desk.put("bench.toml", bench);
     let emulator = desk.put("emulator.toml", emulator);
-    let text = format!("run {{}} --port sim: --emulator {{}} --headless --out {{}} {options}");
-    call(&text, &[&bench, &emulator, &desk.path("runs")])
-}
-
-fn folder(desk: &Desk) -> PathBuf {
-    only_folder(&desk.path("runs"))
-}
-
-fn events(folder: &Path) -> String {
-    fs::read_to_string(folder.join("events.jsonl")).unwrap()
+    let options = format!("{{}} --headless --emulator {{}} {options}");
+    desk.simulate("run", &options, &[&bench, &emulator])
 }
 
 #[test]
@@ -45,7 +32,7 @@ fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
             "times the nameplate's 0.3538",
         ],
     );
-    let manifest = manifest(&desk.path("runs"));
+    let manifest = desk.manifest();
     assert_eq!(manifest["waivers"].as_array().map(Vec::len), Some(0));
 }
 
@@ -55,8 +42,10 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
     let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");
     let done = run(&desk, &bench("", STEPS), &reversed, "").expect(3);
     let error = done.error();
-    assert!(error.contains("direction: encoder reversed"), "{error}");
-    assert!(error.contains("help: exchange A and B"), "{error}");
+    has(
+        &error,
+        &["direction: encoder reversed", "help: exchange A and B"],
+    );
     assert!(!desk.path("runs").exists(), "nothing was recorded");
 
     // What the waived pulse would have shown the run shows itself: no waiver lets an encoder run backwards.
@@ -69,10 +58,9 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
             "safety trip: encoder reversed",
         ],
     );
-    let folder = folder(&desk);
-    let waivers = manifest(&desk.path("runs"))["waivers"].to_string();
+    let waivers = desk.manifest()["waivers"].to_string();
     has(&waivers, &["direction", "plausibility"]);
-    assert!(events(&folder).contains("\"waived\""));
+    has(&desk.read("events.jsonl"), &["\"waived\""]);
 }
 
 #[test]
@@ -84,8 +72,10 @@ fn a_back_emf_per_revolution_is_refused_with_the_mistake_named() {
     );
     let error = run(&desk, &wrong, PLAIN, "").expect(3).error();
     has(&error, &["plausibility: back-EMF constant 0.3"]);
-    assert!(error.contains("V per r/min on the nameplate"), "{error}");
-    assert!(error.contains("--waive-plausibility"), "{error}");
+    has(
+        &error,
+        &["V per r/min on the nameplate", "--waive-plausibility"],
+    );
 }
 
 const VERTICAL: &str = "[load]\nvertical = true\nhold_current_a = 2.26\n\
@@ -98,8 +88,7 @@ fn a_vertical_load_is_held_before_its_brake_opens_and_until_it_has_closed() {
     let desk = Desk::new();
     let hoist = format!("{PLAIN}\n{HOIST}");
     run(&desk, &bench(VERTICAL, STEPS), &hoist, "").expect(0);
-    let folder = folder(&desk);
-    let events = events(&folder);
+    let events = desk.read("events.jsonl");
     let at = |words: &str| {
         events
             .find(words)
@@ -108,7 +97,7 @@ fn a_vertical_load_is_held_before_its_brake_opens_and_until_it_has_closed() {
     // Held, then moved; at rest, then shut, then off.
     let order = ["releases", "\"running\"", "applies", "\"stopping\""].map(at);
     assert!(order.is_sorted(), "{events}");
-    let samples = fs::read_to_string(folder.join("samples.csv")).unwrap();
+    let samples = desk.read("samples.csv");
     let (angles, volts) = (
         column(&samples, "angle_rad"),
         column(&samples, "voltage_cmd_v"),
@@ -137,10 +126,8 @@ fn a_vertical_load_is_neither_dropped_nor_moved_without_a_brake() {
     has(&error, &["free fall of a vertical load 0.5"]);
     let undescribed = bench("[load]\nvertical = true\n", STEPS);
     let hoist = format!("{PLAIN}\n{HOIST}");
-    let error = run(&desk, &undescribed, &hoist, "--waive-direction")
-        .expect(3)
-        .error();
-    assert!(error.contains("load.hold_current_a is left out"), "{error}");
+    run(&desk, &undescribed, &hoist, "--waive-direction")
+        .fails(3, &["load.hold_current_a is left out"]);
 }
 
 #[test]
@@ -148,8 +135,7 @@ fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s
     let fast = "[[sequence]]\nsteps = { levels_v = [95.0, 0.0], hold_s = 1.0 }\n";
     let stiff = PLAIN.replace("bus_v = 120.0", "bus_v = 120.0\nbus_capacitance_f = 1e-3");
     let desk = Desk::new();
-    let error = run(&desk, &bench("", fast), &stiff, "").expect(4).error();
-    assert!(error.contains("bus voltage too high"), "{error}");
+    run(&desk, &bench("", fast), &stiff, "").fails(4, &["bus voltage too high"]);
 
     let desk = Desk::new();
     let limited = bench(
@@ -159,7 +145,7 @@ fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s
     // A small resistor burns what is left beside friction and winding.
     let sink = stiff.replace("1e-3", "1.0");
     run(&desk, &limited, &sink, "").expect(0);
-    assert!(events(&folder(&desk)).contains("\"supply\":true"));
+    assert!(desk.read("events.jsonl").contains("\"supply\":true"));
     let file = desk.put("plan.toml", &limited);
     let plan = json_of("plan {} --json", &[&file]);
     let warnings = plan["warnings"].to_string();
@@ -211,7 +197,7 @@ fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
     let both = "[[sequence]]\nsteps = { levels_v = [12.0, -12.0], hold_s = 1.0 }\n";
     let file = desk.put("both.toml", &with(both));
     let error = refusal("plan {}", &[&file]);
-    assert!(error.contains("reverse voltage 12"), "{error}");
+    has(&error, &["reverse voltage 12"]);
 
     let forward = with("[[sequence]]\nsteps = { levels_v = [12.0, 6.0], hold_s = 1.5 }\n");
     let done = run(&desk, &forward, PLAIN, "--waive-watchdog").expect(0);
@@ -225,8 +211,5 @@ fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
     let desk = Desk::new();
     let lost = format!("{PLAIN}\n[faults]\nfield_lost_from_s = 4.0\n");
     let longer = forward.replace("hold_s = 1.5", "hold_s = 4.0");
-    let error = run(&desk, &longer, &lost, "--waive-watchdog")
-        .expect(4)
-        .error();
-    has(&error, &["field lost: field current 0.000 A"]);
+    run(&desk, &longer, &lost, "--waive-watchdog").fails(4, &["field lost: field current 0.000 A"]);
 }

@@ -1,12 +1,9 @@
 //! Runs to judge by that cannot be judged by, and files with holes: said plainly, and what can be answered is answered.
 
-use std::fmt::Write as _;
-use std::fs;
-use std::path::Path;
+use crate::kit::prelude::*;
 use std::sync::OnceLock;
 
 use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, push, steps};
-use crate::kit::{Desk, call, has};
 /// `share` of the steps.
 fn record(bench: Bench, share: f64) -> Vec<Row> {
     bench.record(|time_s| share * steps(time_s))
@@ -97,7 +94,7 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
     )
     .expect(0);
     assert_eq!(done.json()["holdout_from"], "run");
-    assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+    lacks(&done.stderr, &["warning"]);
 }
 
 /// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
@@ -152,10 +149,10 @@ fn a_page_names_no_holdout_that_was_set_aside_and_says_why_it_was() {
     let other = record(OTHER, 0.9);
     let other = desk.put("other.csv", &text_of(&other, |_| {}));
     let page = page_of(&desk, "diagnose", &run, &other);
-    assert!(page.contains("run.csv, last 40 % held out"), "{page}");
-    assert!(!page.contains("held out other.csv"), "{page}");
+    has(&page, &["run.csv, last 40 % held out"]);
+    lacks(&page, &["held out other.csv"]);
     assert!(!page.contains("run 2"), "two runs: {page}");
-    assert!(page.contains("not of the same motor"), "{page}");
+    has(&page, &["not of the same motor"]);
 }
 
 #[test]
@@ -163,15 +160,14 @@ fn a_page_does_not_call_unseen_what_is_objected_to() {
     let desk = Desk::new();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
     let page = page_of(&desk, "compare", &run, &run);
-    assert!(!page.contains("has not seen"), "{page}");
-    assert!(page.contains("its samples are those of the run"), "{page}");
+    lacks(&page, &["has not seen"]);
+    has(&page, &["its samples are those of the run"]);
     let desk = Desk::new();
     let again = record(again(23), 0.9);
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
     let page = page_of(&desk, "compare", &run, &holdout);
-    assert!(page.contains("held out again.csv"), "{page}");
-    assert!(page.contains("has not seen"), "{page}");
-    assert!(!page.contains("About the data"), "{page}");
+    has(&page, &["held out again.csv", "has not seen"]);
+    lacks(&page, &["About the data"]);
 }
 
 #[test]
@@ -187,7 +183,7 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
         for file in ["run.csv: 60 of ", "again.csv: 60 of "] {
             assert!(page.contains(file), "{command}, {file}: {page}");
         }
-        assert!(page.contains("of voltage_v are missing"), "{page}");
+        has(&page, &["of voltage_v are missing"]);
         let dropped = "Rows of the file that were dropped: 1";
         assert!(page.contains(dropped), "{command}: {page}");
     }

@@ -1,26 +1,16 @@
 //! `identify` over several runs of one machine, with an added inertia, behind a gearbox; through the real binary.
 
-use std::path::PathBuf;
-
-use crate::kit::{PLAIN, call, has, json_of, number, only_folder};
+use crate::kit::prelude::*;
 
 /// A run in virtual time of the plain ZK-22FC with torque constant 0.30 N.m/A and the given inertia, kg.m2.
-fn run_with(inertia_kg_m2: f64, seed: u32) -> PathBuf {
+fn run_with(inertia_kg_m2: f64, seed: u32) -> Recorded {
     let emulator = PLAIN.replace("tolerance = 0.1", "tolerance = 0.0").replace(
         "inertia_kg_m2 = 0.0045",
         &format!("inertia_kg_m2 = {inertia_kg_m2}\ntorque_n_m_per_a = 0.30"),
     );
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let file = out.path().join("emulator.toml");
-    std::fs::write(&file, emulator).expect("a temporary file");
-    let runs = out.path().join("runs");
-    let text =
-        format!("run --port sim: --headless --json --emulator {{}} --seed {seed} --out {{}}");
-    call(&text, &[&file, &runs]).expect(0);
-    let folder = only_folder(&runs);
-    // Read until the test ends.
-    let _ = out.keep();
-    folder
+    let desk = Desk::new();
+    let file = desk.put("emulator.toml", &emulator);
+    recorded(&format!("--emulator {{}} --seed {seed}"), &[&file])
 }
 
 #[test]
@@ -43,14 +33,14 @@ fn a_known_added_inertia_gives_the_absolute_scale() {
     // Without the disc Kt = Ke = 0.3538 is assumed, and everything mechanical is as much too large.
     let assumed = number(&found, "/parameters/inertia_kg_m2/value");
     assert!((assumed / 0.0045 - 0.3538 / 0.30).abs() < 0.01, "{assumed}");
-    assert!(!done.stdout.contains("plausible"), "{}", done.stdout);
+    lacks(&done.stdout, &["plausible"]);
 
     let ten_times = format!(
         "identify {{}} --added-inertia {}=0.005 --json",
         disc.display()
     );
     let wrong = call(&ten_times, &[&bare]).expect(0);
-    assert!(wrong.stdout.contains("plausible"), "{}", wrong.stdout);
+    has(&wrong.stdout, &["plausible"]);
 }
 
 #[test]
@@ -60,7 +50,7 @@ fn several_runs_give_the_spread_between_them() {
         run_with(0.0045, 4),
         run_with(0.0047, 5),
     ];
-    let paths: Vec<_> = runs.iter().map(PathBuf::as_path).collect();
+    let paths: Vec<_> = runs.iter().map(|run| &**run).collect();
     let found = json_of("identify {} {} {} --json --gear-ratio 10", &paths);
     let at = |pointer: &str| number(&found, pointer);
     assert!((at("/parameters/inertia_kg_m2/runs") - 3.0).abs() < 1e-9);
@@ -98,10 +88,10 @@ fn a_drive_that_limits_the_voltage_settles_nothing() {
 fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
     let run = run_with(0.0045, 8);
     let plate = include_str!("../../bench-configs/motors/zk-22fc.toml");
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = folder.path().join("motor.toml");
+    let folder = Desk::new();
+    let file = folder.path("motor.toml");
     let compare = |text: &str| {
-        std::fs::write(&file, text).expect("a temporary file");
+        fs::write(&file, text).expect("a temporary file");
         let options = "identify {} --nameplate {} --json";
         json_of(options, &[&run, &file])
     };
@@ -117,11 +107,10 @@ fn a_load_trace_never_overwrites_a_record() {
     let run = run_with(0.0045, 9);
     let samples = run.join("samples.csv");
     let model = run.join("model.toml");
-    let before = std::fs::read(&samples).expect("a record");
+    let before = fs::read(&samples).expect("a record");
     let text = "identify {} --model {} --load-torque {}";
-    let done = call(text, &[&samples, &model, &samples]).expect(2);
-    has(&done.error(), &["never overwritten"]);
-    assert_eq!(std::fs::read(&samples).expect("a record"), before);
+    call(text, &[&samples, &model, &samples]).fails(2, &["never overwritten"]);
+    assert_eq!(fs::read(&samples).expect("a record"), before);
 }
 
 #[test]

@@ -1,22 +1,17 @@
 //! What the command line makes of foreign, torn and empty files, wrong keys, wrong words and plans that are too much.
 
+use crate::kit::motor_log::coulomb_step;
+use crate::kit::prelude::*;
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
-use std::fs;
-
-use crate::kit::{
-    BENCH, Desk, Done, PLAIN, call, drivebench, has, json_of, line, only_folder,
-    parameter as value, refusal,
-};
-use serde_json::Value;
+use std::sync::LazyLock;
 
 /// A run of the plain motor, as rows of text: time, voltage, current, speed.
 fn rows() -> Vec<[String; 4]> {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let text = "run --port sim: --headless --emulator zk-22fc-plain --seed 7 --out {}";
-    call(text, &[out.path()]).expect(0);
-    let csv = fs::read_to_string(only_folder(out.path()).join("samples.csv")).expect("samples");
-    let mut lines = csv.lines().map(|row| row.split(',').collect::<Vec<_>>());
+    static CSV: LazyLock<String> = LazyLock::new(|| {
+        let run = recorded("--emulator zk-22fc-plain --seed 7", &[]);
+        fs::read_to_string(run.join("samples.csv")).expect("samples")
+    });
+    let mut lines = CSV.lines().map(|row| row.split(',').collect::<Vec<_>>());
     let header = lines.next().expect("a header");
     let places = ["time_s", "voltage_cmd_v", "current_a", "speed_rad_s"].map(|name| {
         let place = header.iter().position(|cell| *cell == name);
@@ -47,41 +42,83 @@ impl Desk {
 fn a_foreign_file_with_other_names_and_units_gives_the_same_motor() {
     let (desk, rows) = (Desk::new(), rows());
     let own = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
+    let times = |cell: &str, factor: f64| {
+        let value = cell.parse::<f64>();
+        value.map_or(f64::NAN, |value| value * factor).to_string()
+    };
     let foreign: Vec<[String; 4]> = rows
         .iter()
         .map(|[time, volts, amps, speed]| {
-            let rpm = speed
-                .parse::<f64>()
-                .map_or(f64::NAN, |speed| speed * 60.0 / TAU);
-            let milliamps = amps.parse::<f64>().map_or(f64::NAN, |amps| amps * 1e3);
-            [
-                time.clone(),
-                volts.clone(),
-                milliamps.to_string(),
-                rpm.to_string(),
-            ]
+            let (amps, rpm) = (times(amps, 1e3), times(speed, 60.0 / TAU));
+            [time.clone(), volts.clone(), amps, rpm]
         })
         .collect();
     // With the byte order mark of a spreadsheet.
     let text = csv("\u{feff}t,\"u, V\",i mA,rpm\n", &foreign);
     let file = desk.put("foreign.csv", &text);
-    let mut arguments = line("identify {} --json --map", &[&file]);
-    arguments.push(
-        "time_s=t,voltage_v=\"u, V\",current_a=i mA*0.001,speed_rad_s=rpm*0.10471975511965977"
-            .into(),
+    let map =
+        "time_s=t,voltage_v=\"u, V\",current_a=i mA*0.001,speed_rad_s=rpm*0.10471975511965977";
+    let mapped = |map: &str| {
+        let mut arguments = line("identify {} --json --map", &[&file]);
+        arguments.push(map.into());
+        drivebench(arguments)
+    };
+    let done = mapped(map).expect(0);
+    has(
+        &done.stderr,
+        &["foreign.csv: it begins with a byte order mark"],
     );
-    let found = drivebench(arguments).expect(0).json();
+    let found = done.json();
     for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
-        let (ours, theirs) = (value(&own, key).unwrap(), value(&found, key).unwrap());
+        let (ours, theirs) = (
+            parameter(&own, key).unwrap(),
+            parameter(&found, key).unwrap(),
+        );
         assert!((theirs / ours - 1.0).abs() < 1e-3, "{key}: {ours} {theirs}");
     }
     // A header that is not there is named, with what is there.
-    let text = "identify {} --map time_s=t,speed_rad_s=rmp";
-    let error = refusal(text, &[&file]);
-    assert!(error.contains("rmp") && error.contains("rpm"), "{error}");
-    let text = "identify {} --map time_s=t,sped_rad_s=rpm";
-    let error = refusal(text, &[&file]);
-    assert!(error.contains("speed_rad_s"), "{error}");
+    mapped("time_s=t,speed_rad_s=rmp").fails(2, &["rmp", "rpm"]);
+    mapped("time_s=t,sped_rad_s=rpm").fails(2, &["speed_rad_s"]);
+}
+
+/// As a spreadsheet of the continent writes it, from a logger that notes the duty, the bus, and a speed without a sign beside its way.
+#[test]
+fn a_file_of_another_dialect_with_products_and_stamps_that_repeat_gives_the_same_motor() {
+    let (desk, rows) = (Desk::new(), rows());
+    let own = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
+    let mut text = "sep=;\nt;duty;bus_v;i;rpm;way\n".to_owned();
+    for (number, [time, volts, amps, speed]) in rows.iter().enumerate() {
+        let duty = volts
+            .parse()
+            .map_or(String::new(), |volts: f64| (volts / 120.0).to_string());
+        let (way, speed) = speed
+            .strip_prefix('-')
+            .map_or((1, &**speed), |speed| (-1, speed));
+        let row = format!("{time};{duty};120;{amps};{speed};{way}\n").replace('.', ",");
+        // The logger was faster than its clock here.
+        let count = if number == 300 { 3 } else { 1 };
+        text += &row.repeat(count);
+    }
+    let map = "time_s=t,voltage_cmd_v=duty*bus_v,current_a=i,speed_rad_s=rpm*1*sign(way)";
+    let done = desk.identify(&text, &format!("--map {map}")).expect(0);
+    has(
+        &done.stderr,
+        &[
+            "';' parts the cells, numbers have a decimal comma, a sep= line names the separator",
+            "2 rows whose time is not after that of the row before were left out: 2 repeat it",
+            "voltage_cmd_v serves as the voltage",
+        ],
+    );
+    let found = done.json();
+    assert_eq!(found["rows_dropped"], 2);
+    has(
+        &found["notes"].to_string(),
+        &["decimal comma", "2 repeat it"],
+    );
+    for key in ["resistance_ohm", "back_emf_v_s_per_rad"] {
+        let ours = parameter(&own, key).unwrap();
+        expect_near(key, parameter(&found, key), ours, 0.05);
+    }
 }
 
 #[test]
@@ -91,15 +128,14 @@ fn a_torn_last_row_is_a_warning_and_a_torn_middle_an_error() {
     // Cut within the last row, before its last comma.
     let cut = whole.trim_end().rfind(',').unwrap();
     let done = desk.identify(&whole[..cut], "").expect(0);
-    assert!(done.stderr.contains("warning: "), "{}", done.stderr);
+    has(&done.stderr, &["warning: "]);
     let found = done.json();
     assert_eq!(found["rows_dropped"], 1);
     assert_eq!(found["rows"].as_u64(), Some(rows.len() as u64 - 1));
 
     let mut torn: Vec<&str> = whole.lines().collect();
     torn[20] = "0.95,0";
-    let error = desk.identify(&torn.join("\n"), "").expect(2).error();
-    assert!(error.contains("line 21"), "{error}");
+    desk.identify(&torn.join("\n"), "").fails(2, &["line 21"]);
 }
 
 #[test]
@@ -109,15 +145,12 @@ fn files_without_data_are_status_2_with_the_name() {
         let error = desk.identify(text, "").expect(2).error();
         assert!(error.contains("log.csv"), "{text:?}: {error}");
     }
-    let missing = desk.path("missing.csv");
-    let error = refusal("identify {}", &[&missing]);
-    assert!(error.contains("missing.csv"), "{error}");
-    let text = "time_s,voltage_cmd_v,current_a,speed_rad_s\n0,1,1,1\n0,1,1,1\n";
-    let error = desk.identify(text, "").expect(2).error();
-    assert!(error.contains("strictly increasing"), "{error}");
-    let text = "time_s,voltage_cmd_v,current_a,speed_rad_s\n0,1,1,fast\n1,1,1,1\n";
-    let error = desk.identify(text, "").expect(2).error();
-    assert!(error.contains("fast"), "{error}");
+    call("identify {}", &[&desk.path("missing.csv")]).fails(2, &["missing.csv"]);
+    let repeated = format!("{HEADER}0,1,1,1\n0,1,1,1\n");
+    desk.identify(&repeated, "")
+        .fails(2, &["strictly increasing"]);
+    let no_number = format!("{HEADER}0,1,1,fast\n1,1,1,1\n");
+    desk.identify(&no_number, "").fails(2, &["fast"]);
 }
 
 #[test]
@@ -134,13 +167,16 @@ fn a_column_of_missing_values_is_not_measured_and_never_zero() {
     let all = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
     let found = desk.identify(&without(2), "").expect(0).json();
     let key = "back_emf_v_s_per_rad";
-    let (ours, theirs) = (value(&all, key).unwrap(), value(&found, key).unwrap());
+    let (ours, theirs) = (
+        parameter(&all, key).unwrap(),
+        parameter(&found, key).unwrap(),
+    );
     assert!((theirs / ours - 1.0).abs() < 0.02, "{ours} {theirs}");
     // Without the voltage nothing electrical can come out.
     let done = desk
         .identify(&without(1), "--require resistance_ohm")
         .expect(5);
-    assert!(value(&done.json(), "resistance_ohm").is_none());
+    assert!(parameter(&done.json(), "resistance_ohm").is_none());
     done.error();
 }
 
@@ -170,7 +206,7 @@ fn what_cannot_be_observed_and_is_required_is_status_5() {
     let text = csv(HEADER, &rows[..45]);
     let done = desk.identify(&text, "--require inertia_kg_m2").expect(5);
     assert!(done.json()["parameters"]["inertia_kg_m2"]["value"].is_null());
-    assert!(done.error().contains("inertia_kg_m2"));
+    has(&done.error(), &["inertia_kg_m2"]);
 }
 
 /// Force and position of a linear axis: 95 kg, 20 N of dry friction, 200 N.s/m, 6 N of its own weight on the slope.
@@ -190,20 +226,7 @@ fn axis() -> String {
             let count = (position * 1e7_f64).round() / 1e7;
             let _ = writeln!(text, "{time_s:.5},{:.3},{count}", force(time_s));
         }
-        let drive = force(time_s) - offset;
-        let sticks = speed == 0.0 && drive.abs() <= dry;
-        let direction = if speed == 0.0 {
-            drive.signum()
-        } else {
-            speed.signum()
-        };
-        let next = if sticks {
-            0.0
-        } else {
-            speed + (drive - dry * direction - viscous * speed) / mass * step_s
-        };
-        // Through zero it stops before it turns.
-        let next = if speed * next < 0.0 { 0.0 } else { next };
+        let next = coulomb_step(speed, force(time_s) - offset, [dry, viscous, mass], step_s);
         position += 0.5 * (speed + next) * step_s;
         speed = next;
     }
@@ -220,7 +243,7 @@ fn an_axis_without_electrics_is_identified_from_force_and_position() {
     );
     let text = "identify {} --model {} --json --map time_s=t,torque_n_m=force_n,angle_rad=x_m";
     let done = call(text, &[&file, &model]).expect(0);
-    assert!(done.stderr.contains("derived"), "{}", done.stderr);
+    has(&done.stderr, &["derived"]);
     let found = done.json();
     assert_eq!(found["scheme"], "weak-form");
     for (key, truth, tolerance) in [
@@ -229,9 +252,7 @@ fn an_axis_without_electrics_is_identified_from_force_and_position() {
         ("viscous_friction.viscous_n_m_s_per_rad", 200.0, 0.05),
         ("constant_load.constant_n_m", 6.0, 0.15),
     ] {
-        let value = value(&found, key);
-        let near = value.is_some_and(|value| (value / truth - 1.0).abs() < tolerance);
-        assert!(near, "{key}: {value:?}, not {truth}\n{found:#}");
+        expect_near(key, parameter(&found, key), truth, tolerance);
     }
 }
 
@@ -302,11 +323,11 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
         ["unknown", "unknown"],
         "{shown}"
     );
-    assert!(shown.contains("band: torque ee"), "{shown}");
+    has(&shown, &["band: torque ee"]);
     assert!(found["residual"]["torque_n_m"]["rho_ee"].is_object());
     assert!(found["residual"].get("speed_rad_s").is_none());
     let page = fs::read_to_string(page).unwrap();
-    assert!(page.contains("speed (0.75 s windows)"), "{page}");
+    has(&page, &["speed (0.75 s windows)"]);
     let lights = &page[page.find("Residual lights").unwrap()..];
     let lights = &lights[..lights.find("</table>").unwrap()];
     assert!(
@@ -342,9 +363,7 @@ fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
                 argument.clone_from(&run);
             }
         }
-        let error = drivebench(arguments).expect(2).error();
-        assert!(error.contains(&format!("wrong.toml:{number}:")), "{error}");
-        assert!(error.contains(wrong) && error.contains(right), "{error}");
+        drivebench(arguments).fails(2, &[&format!("wrong.toml:{number}:"), wrong, right]);
     }
 }
 
@@ -357,7 +376,7 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
     let file = desk.put("fast.toml", &BENCH.replacen(right, wrong, 1));
     let done = call("plan {} --json", &[&file]).expect(2);
     let error = done.error();
-    assert!(error.contains("speed") && error.contains("100"), "{error}");
+    has(&error, &["speed", "100"]);
     let refusals = done.json()["refusals"].as_array().map_or(0, Vec::len);
     assert!(refusals > 0);
     let predicted = done.json()["peak_speed_rad_s"].as_f64().unwrap();
@@ -366,7 +385,7 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
     let out = desk.path("runs");
     let text = "run {} --port sim: --headless --out {}";
     let error = refusal(text, &[&file, &out]);
-    assert!(error.contains("plan refused"), "{error}");
+    has(&error, &["plan refused"]);
     assert!(!out.exists());
 }
 
@@ -382,18 +401,9 @@ fn effects_has_a_card_for_each_and_names_the_nearest() {
         let name = card["name"].as_str().unwrap();
         let is_listed = changelog.contains(name) || changelog.contains(&format!("`add {id}`"));
         assert!(is_listed, "{id} is not in the CHANGELOG");
-        for key in [
-            "name",
-            "equation",
-            "causes",
-            "looks_like",
-            "excite",
-            "remedy",
-        ] {
-            assert!(
-                card[key].as_str().is_some_and(|text| !text.is_empty()),
-                "{id}: {key}"
-            );
+        for key in "name equation causes looks_like excite remedy".split(' ') {
+            let is_told = card[key].as_str().is_some_and(|text| !text.is_empty());
+            assert!(is_told, "{id}: {key}");
         }
         // What the user or the data define has its parameters in its settings.
         let is_defined = ["custom", "table"].contains(&id);
@@ -404,10 +414,7 @@ fn effects_has_a_card_for_each_and_names_the_nearest() {
         let equation = card["equation"].as_str().unwrap();
         assert!(words.join(" ").contains(equation), "{id}");
     }
-    let error = drivebench(["effects", "stribek_friction"])
-        .expect(2)
-        .error();
-    has(&error, &["did you mean `stribeck_friction`"]);
+    drivebench(["effects", "stribek_friction"]).fails(2, &["did you mean `stribeck_friction`"]);
 }
 
 #[test]
@@ -435,39 +442,29 @@ fn every_command_has_help_with_an_example() {
 
 #[test]
 fn usage_errors_are_two_lines_and_status_2() {
-    for arguments in [
-        &["nonsense"][..],
-        &["identify"],
-        &["identify", "a.csv", "--model"],
-        &["run", "--sed", "3"],
-        &["compare", "a.csv", "--min-fit", "much"],
-        &["run", "--headless", "--port", ""],
-        &[
-            "run",
-            "--headless",
-            "--port",
-            "sim:",
-            "--emulator",
-            "zk-22fc-plane",
-        ],
-        &["emulate", "--link", "telepathy"],
-        &["emulate", "--link", "modbus-tcp", "--pty", "no.pty"],
-        &["emulate", "--listen", "127.0.0.1:0"],
-        &["emulate", "--pty", "README.md"],
-        &["emulate", "--pty", "no-such-folder/drive.pty"],
-    ] {
-        let done = drivebench(arguments).expect(2);
-        done.error();
-        assert_eq!(done.stdout, "", "{arguments:?}");
-    }
+    refusals(
+        "nonsense
+         identify
+         identify a.csv --model
+         run --sed 3
+         compare a.csv --min-fit much
+         run --headless --port=
+         run --headless --port sim: --emulator zk-22fc-plane
+         emulate --link telepathy
+         emulate --link modbus-tcp --pty no.pty
+         emulate --listen 127.0.0.1:0
+         emulate --pty README.md
+         emulate --pty no-such-folder/drive.pty",
+        &[],
+    );
     // As newcomers write it.
-    for (arguments, is_told) in [
-        (["diagnose", "runs/a", "runs/b"], true),
-        (["compare", "runs/a", "runs/b"], true),
-        (["compare", "runs/a", "--fit"], false),
-        (["replay", "runs/a", "runs/b"], false),
+    for (text, is_told) in [
+        ("diagnose runs/a runs/b", true),
+        ("compare runs/a runs/b", true),
+        ("compare runs/a --fit", false),
+        ("replay runs/a runs/b", false),
     ] {
-        let error = drivebench(arguments).expect(2).error();
+        let error = refusal(text, &[]);
         assert_eq!(error.contains("--holdout RUN2"), is_told, "{error}");
     }
 }

@@ -1,12 +1,7 @@
 //! A mystery from the drawing of its seed to its revelation, through the real binary.
 
-use std::fs;
-use std::path::Path;
-
-use crate::kit::process::Emulator;
-use crate::kit::{BENCH, call, has, json_of, only_folder, refusal};
+use crate::kit::prelude::*;
 use drivebench::emulator::mystery::{Truth, draw};
-use nix::sys::signal::Signal;
 
 /// The first seed that hides this effect; `None`: that hides nothing.
 fn seed_of(id: Option<&str>) -> u64 {
@@ -15,15 +10,13 @@ fn seed_of(id: Option<&str>) -> u64 {
 }
 
 #[track_caller]
-fn sealed(seed: u64, folder: &Path) -> std::path::PathBuf {
-    let file = folder.join("sealed.json");
+fn sealed(seed: u64, desk: &Desk) -> PathBuf {
     let text = draw(seed).truth.seal().expect("a truth can be sealed");
-    fs::write(&file, text).expect("the folder takes a file");
-    file
+    desk.put("sealed.json", &text)
 }
 
 /// The run, beside which the sealed truth lies.
-fn run_in(out: &Path) -> std::path::PathBuf {
+fn run_in(out: &Path) -> PathBuf {
     let mut entries = fs::read_dir(out)
         .unwrap()
         .map(|entry| entry.unwrap().path());
@@ -56,8 +49,8 @@ fn tells_nothing(seed: u64, place: &str, text: &str) {
 
 #[test]
 fn the_emulator_of_a_mystery_seals_its_truth_and_does_not_tell_it() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let (pty, seal) = (folder.path().join("d.pty"), folder.path().join("s.json"));
+    let folder = Desk::new();
+    let (pty, seal) = (folder.path("d.pty"), folder.path("s.json"));
     let seed = seed_of(Some("backlash"));
     let text = format!("emulate --mystery {seed} --pty {{}} --seal {{}}");
     let emulator = Emulator::start(&text, &[&pty, &seal]);
@@ -65,7 +58,7 @@ fn the_emulator_of_a_mystery_seals_its_truth_and_does_not_tell_it() {
     let (ready, told) = (emulator.ready, emulator.process.end().stderr);
 
     assert!(ready.starts_with("ready modbus-rtu "), "{ready}");
-    assert!(told.contains("sealed truth in "), "{told}");
+    has(&told, &["sealed truth in "]);
     let sealed = fs::read_to_string(&seal).expect("the sealed file is there");
     for (place, text) in [
         ("ready line", &ready),
@@ -82,12 +75,12 @@ fn the_emulator_of_a_mystery_seals_its_truth_and_does_not_tell_it() {
 
 #[test]
 fn nothing_that_a_run_leaves_behind_tells_what_a_mystery_hides() {
-    let out = tempfile::tempdir().expect("a temporary folder");
+    let out = Desk::new();
     let seed = seed_of(Some("torque_ripple"));
     let text = format!("run --port sim: --headless --json --mystery {seed} --out {{}}");
-    let runs = out.path().join("runs");
+    let runs = out.path("runs");
     let done = call(&text, &[&runs]).expect(0);
-    assert_eq!(only_folder(out.path()), runs);
+    assert_eq!(only_folder(out.folder()), runs);
     tells_nothing(seed, "stdout", &done.stdout);
     tells_nothing(seed, "stderr", &done.stderr);
     let mut seen = 0;
@@ -112,14 +105,13 @@ fn nothing_that_a_run_leaves_behind_tells_what_a_mystery_hides() {
 
 #[test]
 fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
-    let out = tempfile::tempdir().expect("a temporary folder");
+    let out = Desk::new();
     let bench = BENCH
         .replace("config = \"zk-22fc-hidden\"", "config = \"mystery\"")
         .replace("\nseed = 1\n", "\nseed = 11\n");
-    let file = out.path().join("bench.toml");
-    fs::write(&file, bench).expect("the folder takes a file");
+    let file = out.put("bench.toml", &bench);
     let samples = |text: &str, runs: &str| {
-        let runs = out.path().join(runs);
+        let runs = out.path(runs);
         let paths = [file.as_path(), runs.as_path()];
         let paths = if text.contains("{} ") {
             &paths[..]
@@ -141,8 +133,8 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
 
 #[test]
 fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = sealed(seed_of(Some("voltage_drop")), folder.path());
+    let folder = Desk::new();
+    let file = sealed(seed_of(Some("voltage_drop")), &folder);
     for (word, outcome) in [
         ("voltage_drop", "right"),
         ("supply_sag", "wrong"),
@@ -155,13 +147,12 @@ fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
         assert_eq!(json["truth"]["effects"][0]["effect"], "voltage_drop");
     }
     let drop_v = draw(seed_of(Some("voltage_drop"))).truth.effects[0].parameters[0].value;
-    let diagnosis = serde_json::json!({
+    let diagnosis = json!({
         "verdict": "effect", "effect": "voltage_drop", "effects": ["voltage_drop"],
         "candidates": [{ "effect": "voltage_drop", "status": "supported",
             "parameters": { "drop_v": { "value": 1.05 * drop_v } } }],
     });
-    let said = folder.path().join("diagnosis.json");
-    fs::write(&said, diagnosis.to_string()).expect("the folder takes a file");
+    let said = folder.put("diagnosis.json", &diagnosis.to_string());
     let text = "reveal {} --diagnosis {} --guess supply_sag";
     let done = call(text, &[&file, &said]).expect(0);
     has(
@@ -179,8 +170,8 @@ fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
 
 #[test]
 fn without_a_terminal_reveal_asks_nothing() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = sealed(seed_of(None), folder.path());
+    let folder = Desk::new();
+    let file = sealed(seed_of(None), &folder);
     let done = call("reveal {}", &[&file]).expect(0);
     assert!(
         done.stdout.starts_with("hidden: nothing"),
@@ -190,56 +181,40 @@ fn without_a_terminal_reveal_asks_nothing() {
     assert!(done.stderr.is_empty(), "{}", done.stderr);
     let json = json_of("reveal {} --json", &[&file]);
     assert!(json["outcome"].is_null());
-    assert_eq!(json["truth"]["effects"], serde_json::json!([]));
+    assert_eq!(json["truth"]["effects"], json!([]));
 }
 
 #[test]
 fn what_cannot_be_revealed_is_refused_with_a_next_step() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = Desk::new();
     let seed = seed_of(Some("cogging"));
-    let file = sealed(seed, folder.path());
-    let broken = folder.path().join("broken.json");
+    let file = sealed(seed, &folder);
     let text = fs::read_to_string(&file).expect("it was written");
-    fs::write(
-        &broken,
-        text.replace("\"checksum\": \"", "\"checksum\": \"f"),
-    )
-    .expect("a file");
-    for (text, paths, part) in [
-        ("reveal {}", vec![broken.as_path()], "the seal is broken"),
-        (
-            "reveal {} --answer coging",
-            vec![file.as_path()],
-            "did you mean `cogging`?",
-        ),
-        (
-            "reveal {} --diagnosis {}",
-            vec![file.as_path(), file.as_path()],
-            "holds no verdict",
-        ),
-        ("reveal {}", vec![folder.path()], "help: "),
-        (
-            "run --headless --port /dev/nowhere --mystery 3",
-            vec![],
-            "--mystery hides an effect in our own",
-        ),
-        (
-            "emulate zk-22fc-plain --mystery 3",
-            vec![],
-            "cannot be used with",
-        ),
-    ] {
-        let error = refusal(text, &paths);
-        assert!(error.contains(part), "{part} in {error}");
-    }
+    let text = text.replace("\"checksum\": \"", "\"checksum\": \"f");
+    let broken = folder.put("broken.json", &text);
+    call("reveal {}", &[&broken]).fails(2, &["the seal is broken"]);
+    call("reveal {}", &[folder.folder()]).fails(2, &["help: "]);
+    refusals(
+        "reveal {} --answer coging => did you mean `cogging`?",
+        &[&file],
+    );
+    refusals(
+        "reveal {} --diagnosis {} => holds no verdict",
+        &[&file, &file],
+    );
+    refusals(
+        "run --headless --port /dev/nowhere --mystery 3 => --mystery hides an effect in our own
+         emulate zk-22fc-plain --mystery 3 => cannot be used with",
+        &[],
+    );
 }
 
 #[test]
 fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows() {
-    let room = tempfile::tempdir().unwrap();
+    let room = Desk::new();
     let seed = seed_of(Some("torque_bump"));
     let runs = ["1", "2"].map(|run_seed| {
-        let out = room.path().join(run_seed);
+        let out = room.path(run_seed);
         let text =
             format!("run --port sim: --headless --mystery {seed} --run-seed {run_seed} --out {{}}");
         call(&text, &[&out]).expect(0);
@@ -262,7 +237,7 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
     );
     let added = added.expect(0).stdout;
     assert!(added.starts_with("accepted: "), "{added}");
-    assert!(added.contains("the held-out error falls by"), "{added}");
+    has(&added, &["the held-out error falls by"]);
 }
 
 /// One run alone, of which the last two fifths are the hold-out: a torque bump that no card of the catalogue has. Four
@@ -275,8 +250,8 @@ fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
         truth.effect().map(|effect| effect.id.as_str()),
         Some("torque_bump")
     );
-    let room = tempfile::tempdir().unwrap();
-    let out = room.path().join("runs");
+    let room = Desk::new();
+    let out = room.path("runs");
     let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");
     call(&text, &[&out]).expect(0);
     let answer = json_of("diagnose {} --json", &[&run_in(&out)]);

@@ -1,11 +1,7 @@
 //! From "these two cannot be told apart" over the recommended bench file to a name: the real binary against its software
 //! drive, in virtual time, so that no stalled machine decides what a run can tell apart.
 
-use std::fs;
-use std::path::Path;
-
-use crate::kit::{BENCH, PLAIN, call, column, json_of, only_folder};
-use serde_json::Value;
+use crate::kit::prelude::*;
 
 /// The default bench with a weak sequence and little time.
 fn weak_bench(emulator: &Path) -> String {
@@ -26,11 +22,8 @@ fn weak_bench(emulator: &Path) -> String {
     )
 }
 
-fn recorded(bench: &Path, run_seed: u64, out: &Path) -> std::path::PathBuf {
-    let arguments =
-        format!("run {{}} --headless --port sim: --seed 5 --run-seed {run_seed} --out {{}} --json");
-    call(&arguments, &[bench, out]).expect(0);
-    only_folder(out)
+fn run_of(bench: &Path, run_seed: u64) -> Recorded {
+    recorded(&format!("{{}} --seed 5 --run-seed {run_seed}"), &[bench])
 }
 
 fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
@@ -40,31 +33,30 @@ fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
 
 #[test]
 fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let at = |name: &str| folder.path().join(name);
+    let folder = Desk::new();
+    let at = |name: &str| folder.path(name);
     let (emulator, bench, next) = (at("emulator.toml"), at("bench.toml"), at("next.toml"));
     let hidden = "\n[[hidden]]\nid = \"current_offset\"\noffset_a = 0.3\n";
     fs::write(&emulator, format!("{PLAIN}{hidden}")).expect("a file");
     fs::write(&bench, weak_bench(&emulator)).expect("a file");
 
-    let run = recorded(&bench, 1, &at("weak"));
+    let run = run_of(&bench, 1);
     let weak = diagnosed(&run, &bench, &next);
     assert_eq!(weak["verdict"], "ambiguous", "{}", weak["sentence"]);
     let rivals = weak["confusable"].to_string();
-    assert!(rivals.contains("current_offset"), "{rivals}");
+    has(&rivals, &["current_offset"]);
     let recommended = &weak["next_experiment"];
     let expected = recommended["expected_separation"].as_f64();
     assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
 
     let arguments = "diagnose {} --bench {}";
-    let missing = call(arguments, &[&run, &at("no.toml")]).expect(2);
-    assert!(missing.error().contains("no.toml"), "{}", missing.stderr);
+    call(arguments, &[&run, &at("no.toml")]).fails(2, &["no.toml"]);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
-    let run = recorded(&next, 2, &at("next"));
+    let run = run_of(&next, 2);
     let told = diagnosed(&run, &bench, &at("none.toml"));
     assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
-    assert_eq!(told["effects"], serde_json::json!(["current_offset"]));
+    assert_eq!(told["effects"], json!(["current_offset"]));
     assert!(!at("none.toml").exists(), "nothing is left to recommend");
     let peaks = &recommended["peaks"];
     for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {

@@ -1,67 +1,17 @@
 //! The command line on recorded runs, through the real binary: `run` and `commission` in virtual time, and everything that works on files.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use crate::kit::prelude::*;
 
-use crate::kit::{Done, call, json_of, manifest, number, only_folder, word};
-use serde_json::Value;
-use tempfile::TempDir;
-
-/// Two runs of one emulated motor, for fit and hold-out; made once, the commands only read them.
-struct Runs {
-    fit: PathBuf,
-    holdout: PathBuf,
-    /// The five-parameter model that `run` wrote.
-    model: PathBuf,
-}
-
-fn record(emulator: &str, run_seed: &str) -> (TempDir, Done) {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let text = format!(
-        "run --port sim: --headless --json --emulator {emulator} --seed 7 --run-seed {run_seed} --out {{}}"
-    );
-    let done = call(&text, &[out.path()]);
-    (out, done)
-}
-
-fn runs(emulator: &str) -> Runs {
-    let [fit, holdout] = ["1", "2"].map(|seed| {
-        let (out, done) = record(emulator, seed);
-        done.expect(0);
-        // Read by every test until the process ends.
-        only_folder(&out.keep())
-    });
-    let model = fit.join("model.toml");
-    Runs {
-        fit,
-        holdout,
-        model,
-    }
-}
-
-/// Stribeck friction is hidden in it.
-fn hidden() -> &'static Runs {
-    static RUNS: OnceLock<Runs> = OnceLock::new();
-    RUNS.get_or_init(|| runs("zk-22fc-hidden"))
-}
-
-/// The five-parameter model is the truth.
-fn plain() -> &'static Runs {
-    static RUNS: OnceLock<Runs> = OnceLock::new();
-    RUNS.get_or_init(|| runs("zk-22fc-plain"))
+fn record(desk: &Desk, emulator: &str, run_seed: &str) -> Done {
+    let options = format!("--emulator {emulator} --seed 7 --run-seed {run_seed}");
+    desk.simulate("run --headless", &options, &[]).expect(0)
 }
 
 /// A command on the hidden motor's runs: `{}` are fit, hold-out and model, then `more`.
 fn on_hidden(text: &str, more: &[&Path]) -> Done {
-    let runs = hidden();
-    let mut paths = vec![
-        runs.fit.as_path(),
-        runs.holdout.as_path(),
-        runs.model.as_path(),
-    ];
-    paths.extend(more);
-    call(text, &paths)
+    let runs = Runs::hidden();
+    let paths: [&Path; 3] = [&runs.fit, &runs.holdout, &runs.model];
+    call(text, &[&paths, more].concat())
 }
 
 /// Each parameter as the contract of `identify` has it.
@@ -85,32 +35,21 @@ fn check_parameters(parameters: &Value) {
 
 #[test]
 fn a_run_leaves_a_complete_folder_and_one_json_document() {
-    let (out, done) = record("zk-22fc-plain", "1");
-    let done = done.expect(0);
-    let result = done.json();
-    let folder = only_folder(out.path());
+    let desk = Desk::new();
+    let result = record(&desk, "zk-22fc-plain", "1").json();
+    let folder = desk.run();
     assert_eq!(Path::new(word(&result, "/folder")), folder);
     check_parameters(&result["parameters"]);
-    for file in [
-        "samples.csv",
-        "events.jsonl",
-        "manifest.json",
-        "model.toml",
-        "result.json",
-        "report.html",
-    ] {
+    let files = "samples.csv events.jsonl manifest.json model.toml result.json report.html";
+    for file in files.split(' ') {
         let size = fs::metadata(folder.join(file)).map_or(0, |metadata| metadata.len());
         assert!(size > 0, "{file}");
     }
-    let manifest = manifest(out.path());
+    let manifest = desk.manifest();
     assert_eq!(manifest["finished"], true);
-    let samples = fs::read_to_string(folder.join("samples.csv")).unwrap();
-    let rows = samples.lines().count() - 1;
+    let rows = desk.read("samples.csv").lines().count() - 1;
     assert_eq!(manifest["rows"].as_u64(), Some(rows as u64));
-    for event in fs::read_to_string(folder.join("events.jsonl"))
-        .unwrap()
-        .lines()
-    {
+    for event in desk.read("events.jsonl").lines() {
         assert!(serde_json::from_str::<Value>(event).is_ok(), "{event}");
     }
 }
@@ -118,9 +57,9 @@ fn a_run_leaves_a_complete_folder_and_one_json_document() {
 #[test]
 fn one_seed_is_one_run_to_the_bit_and_another_seed_is_another() {
     let samples = |seed: &str| {
-        let (out, done) = record("zk-22fc-hidden", seed);
-        done.expect(0);
-        fs::read(only_folder(out.path()).join("samples.csv")).unwrap()
+        let desk = Desk::new();
+        record(&desk, "zk-22fc-hidden", seed);
+        desk.read("samples.csv")
     };
     let first = samples("1");
     assert!(first.len() > 10_000);
@@ -130,11 +69,11 @@ fn one_seed_is_one_run_to_the_bit_and_another_seed_is_another() {
 
 #[test]
 fn a_second_run_does_not_touch_the_first() {
-    let out = tempfile::tempdir().unwrap();
+    let out = Desk::new();
     for _ in 0..2 {
-        call("run --port sim: --headless --out {}", &[out.path()]).expect(0);
+        call("run --port sim: --headless --out {}", &[out.folder()]).expect(0);
     }
-    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 2);
+    assert_eq!(fs::read_dir(out.folder()).unwrap().count(), 2);
 }
 
 #[test]
@@ -145,13 +84,9 @@ fn identify_keeps_its_contract() {
     assert_eq!(found["rows_dropped"], 0);
     assert!(number(&found, "/rows") > 1000.0);
     assert!((number(&found, "/period_s") - 0.01).abs() < 1e-6);
-    for key in [
-        "resistance_ohm",
-        "inductance_h",
-        "back_emf_v_s_per_rad",
-        "inertia_kg_m2",
-        "load_torque_n_m",
-    ] {
+    for key in
+        "resistance_ohm inductance_h back_emf_v_s_per_rad inertia_kg_m2 load_torque_n_m".split(' ')
+    {
         assert!(number(&found["parameters"], &format!("/{key}/value")) > 0.0);
     }
 }
@@ -159,7 +94,7 @@ fn identify_keeps_its_contract() {
 #[test]
 fn identify_finds_the_motor_that_was_emulated() {
     // The specimen lies within 10 % of the nameplate; every scheme must come to the same one.
-    let runs = plain();
+    let runs = Runs::plain();
     let inertia = |scheme: &str| {
         let text = format!("identify {{}} --scheme {scheme} --json");
         let found = json_of(&text, &[&runs.fit]);
@@ -181,7 +116,7 @@ fn identify_finds_the_motor_that_was_emulated() {
 fn a_requirement_that_the_data_do_not_carry_is_status_5_with_the_json() {
     let done = on_hidden("identify {} --require rotor_colour --json", &[]).expect(5);
     check_parameters(&done.json()["parameters"]);
-    assert!(done.error().contains("rotor_colour"));
+    has(&done.error(), &["rotor_colour"]);
     // The electrical half cannot come from speed alone.
     let found = done.json();
     assert!(found["parameters"]["resistance_ohm"]["value"].is_number());
@@ -193,14 +128,9 @@ fn compare_keeps_its_contract() {
         .expect(0)
         .json();
     for signal in ["speed_rad_s", "current_a"] {
-        for key in [
-            "fit_percent",
-            "rmse",
-            "noise_floor",
-            "one_step_rmse",
-            "holdout/fit_percent",
-            "holdout/rmse",
-        ] {
+        for key in
+            "fit_percent rmse noise_floor one_step_rmse holdout/fit_percent holdout/rmse".split(' ')
+        {
             number(&found, &format!("/signals/{signal}/{key}"));
         }
     }
@@ -228,7 +158,7 @@ fn a_fit_below_the_least_is_status_1() {
     let text = "compare {} --holdout {} --model {} --json --min-fit";
     let done = on_hidden(&format!("{text} 99.99"), &[]).expect(1);
     assert!(done.json()["signals"].is_object());
-    assert!(done.error().contains("99.99"));
+    has(&done.error(), &["99.99"]);
     on_hidden(&format!("{text} 50"), &[]).expect(0);
 }
 
@@ -263,8 +193,8 @@ fn diagnose_names_the_hidden_effect() {
         .pointer("/next_experiment/bench")
         .and_then(Value::as_str)
     {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("next.toml");
+        let folder = Desk::new();
+        let file = folder.path("next.toml");
         fs::write(&file, bench).unwrap();
         call("plan {}", &[&file]).expect(0);
     }
@@ -295,12 +225,7 @@ fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
         if is_named {
             assert!(candidate["holdout_after"].is_number(), "{candidate}");
         } else {
-            for key in [
-                "holdout_after",
-                "error_after",
-                "explained_percent",
-                "reached",
-            ] {
+            for key in "holdout_after error_after explained_percent reached".split(' ') {
                 assert!(candidate[key].is_null(), "{key}: {candidate}");
             }
             passed_over += 1;
@@ -311,7 +236,7 @@ fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
 
 #[test]
 fn pages_are_whole_and_never_overwritten() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Desk::new();
     for (command, parts) in [
         (
             "diagnose {} --holdout {} --model {} --json --html {}",
@@ -327,7 +252,7 @@ fn pages_are_whole_and_never_overwritten() {
             vec!["Above the noise floor", "Residual lights", "class=\"cell\""],
         ),
     ] {
-        let page = folder.path().join(format!("{}.html", parts.len()));
+        let page = folder.path(format!("{}.html", parts.len()));
         on_hidden(command, &[&page]).expect(0).json();
         let html = fs::read_to_string(&page).unwrap();
         for part in parts
@@ -346,8 +271,8 @@ fn pages_are_whole_and_never_overwritten() {
 
 #[test]
 fn without_a_holdout_the_run_is_split() {
-    let runs = hidden();
-    let paths = [runs.fit.as_path(), runs.model.as_path()];
+    let runs = Runs::hidden();
+    let paths: [&Path; 2] = [&runs.fit, &runs.model];
     let found = json_of("diagnose {} --model {} --json", &paths);
     assert_eq!(word(&found, "/holdout_from"), "split");
     assert_eq!(word(&found, "/effect"), "stribeck_friction");
@@ -355,18 +280,18 @@ fn without_a_holdout_the_run_is_split() {
 
 #[test]
 fn a_motor_without_a_hidden_effect_gets_none() {
-    let runs = plain();
-    let paths = [runs.fit.as_path(), runs.holdout.as_path()];
+    let runs = Runs::plain();
+    let paths: [&Path; 2] = [&runs.fit, &runs.holdout];
     let found = json_of("diagnose {} --holdout {} --json", &paths);
     assert_eq!(word(&found, "/verdict"), "none");
     assert!(found["effect"].is_null());
-    assert_eq!(found["effects"], serde_json::json!([]));
+    assert_eq!(found["effects"], json!([]));
 }
 
 #[test]
 fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
-    let folder = tempfile::tempdir().unwrap();
-    let richer = folder.path().join("richer.toml");
+    let folder = Desk::new();
+    let richer = folder.path("richer.toml");
     let add = "--run {} --holdout {} --model {} --output {} --json";
     let text = format!("add stribeck_friction {add}");
     let done = on_hidden(&text, &[&richer]).expect(0);
@@ -381,46 +306,43 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
     assert!(after < 0.5 * before, "{before} -> {after}");
     check_parameters(&found["parameters"]);
     let ladder = found["ladder"].as_array().unwrap();
-    assert_eq!(ladder[0]["effects"], serde_json::json!([]));
+    assert_eq!(ladder[0]["effects"], json!([]));
     assert_eq!(ladder[1]["effects"][0], "stribeck_friction");
     assert!(number(&ladder[1], "/holdout_rmse") < number(&ladder[0], "/holdout_rmse"));
 
     // Written, complete, and kept.
     let text_before = fs::read_to_string(&richer).unwrap();
     assert!(text_before.contains("stribeck_speed_rad_s"));
-    let again = on_hidden(&text, &[&richer]).expect(2);
-    assert!(again.error().contains("richer.toml"));
+    on_hidden(&text, &[&richer]).fails(2, &["richer.toml"]);
     assert_eq!(fs::read_to_string(&richer).unwrap(), text_before);
 
     // A useless effect on top is refused, and nothing is written.
-    let runs = hidden();
-    let (fit, holdout) = (runs.fit.as_path(), runs.holdout.as_path());
-    let none = folder.path().join("none.toml");
+    let runs = Runs::hidden();
+    let (fit, holdout): (&Path, &Path) = (&runs.fit, &runs.holdout);
+    let none = folder.path("none.toml");
     let paths = [fit, holdout, &richer, &none];
     let refused = call(&format!("add voltage_drop {add}"), &paths).expect(1);
     assert_eq!(refused.json()["accepted"], false);
     assert!(!word(&refused.json(), "/reason").is_empty());
-    assert!(refused.error().contains("refused"));
+    has(&refused.error(), &["refused"]);
     // To remove what is needed is refused too.
     let kept = call(&format!("remove stribeck_friction {add}"), &paths).expect(1);
     assert_eq!(kept.json()["accepted"], false);
     assert!(!none.exists());
 
     // What is not needed can be removed.
-    let (fuller, leaner) = (
-        folder.path().join("fuller.toml"),
-        folder.path().join("leaner.toml"),
-    );
+    let (fuller, leaner) = (folder.path("fuller.toml"), folder.path("leaner.toml"));
     let with_drop = format!("{text_before}\n[[effect]]\nid = \"voltage_drop\"\ndrop_v = 0.01\n");
     fs::write(&fuller, with_drop).unwrap();
     let paths = [fit, holdout, &fuller, &leaner];
     let removed = call(&format!("remove voltage_drop {add}"), &paths).expect(0);
     assert_eq!(removed.json()["accepted"], true);
     let text = fs::read_to_string(&leaner).unwrap();
-    assert!(text.contains("stribeck_friction") && !text.contains("id = \"voltage_drop\""));
+    has(&text, &["stribeck_friction"]);
+    lacks(&text, &["id = \"voltage_drop\""]);
 
     // Simulated with its own model, a run is that model.
-    let csv = folder.path().join("simulated.csv");
+    let csv = folder.path("simulated.csv");
     let printed = call("simulate --model {} --run {}", &[&richer, fit]).expect(0);
     fs::write(&csv, &printed.stdout).unwrap();
     let same = json_of("compare {} --model {} --json", &[&csv, &richer]);
@@ -434,11 +356,11 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
 
 /// The whole loop in virtual time; its JSON.
 fn commission(emulator: &str, seed: &str) -> Value {
-    let out = tempfile::tempdir().expect("a temporary folder");
+    let out = Desk::new();
     let text = format!(
         "commission --headless --port sim: --json --emulator {emulator} --seed {seed} --out {{}}"
     );
-    let result = json_of(&text, &[out.path()]);
+    let result = json_of(&text, &[out.folder()]);
     let runs = result["runs"].as_array().expect("a list of runs");
     assert!(runs.len() >= 3);
     for run in runs {

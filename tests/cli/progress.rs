@@ -1,14 +1,9 @@
 //! Progress and Ctrl-C as a person at a terminal meets them: the whole program in a pseudo-terminal.
 
-use std::fmt::Write as _;
+use crate::kit::prelude::*;
 use std::io::Read;
-use std::path::{Path, PathBuf};
 
-use crate::kit::line;
 use crate::kit::motor_log::noise;
-use crate::kit::process::Process;
-use crate::kit::terminal::Session;
-use nix::sys::signal::Signal;
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
@@ -36,23 +31,23 @@ fn long_record(folder: &Path) -> PathBuf {
         );
     }
     let path = folder.join("long.csv");
-    std::fs::write(&path, text).unwrap();
+    fs::write(&path, text).unwrap();
     path
 }
 
 #[test]
 fn ctrl_c_in_a_diagnosis_ends_it_with_130_and_a_clean_terminal() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = long_record(folder.path());
-    let bench = folder.path().join("next.toml");
+    let folder = Desk::new();
+    let run = long_record(folder.folder());
+    let bench = folder.path("next.toml");
     let arguments = line("diagnose {} --until-floor --next-bench {}", &[&run, &bench]);
-    let mut session = Session::start(&arguments, folder.path(), (80, 24));
+    let mut session = Session::start(&arguments, folder.folder(), (80, 24));
     session.wait_for_sent("diagnose: ");
     session.wait_for_sent(" s");
     session.press("\u{3}");
     let (status, screen) = (session.end(), session.text());
     assert_eq!(status, 130, "{screen}");
-    assert!(screen.contains("error: interrupted"), "{screen}");
+    has(&screen, &["error: interrupted"]);
     assert!(
         !screen.contains("diagnose: "),
         "the line is left behind: {screen}"
@@ -62,15 +57,15 @@ fn ctrl_c_in_a_diagnosis_ends_it_with_130_and_a_clean_terminal() {
 
 #[test]
 fn progress_is_one_line_that_goes_when_the_answer_comes() {
-    let folder = tempfile::tempdir().unwrap();
-    let record = std::fs::read(long_record(folder.path())).unwrap();
+    let folder = Desk::new();
+    let record = fs::read(long_record(folder.folder())).unwrap();
     // A pipe, so that the command waits for its data until the line has been seen, however fast the machine is.
-    let run = folder.path().join("pipe.csv");
+    let run = folder.path("pipe.csv");
     mkfifo(&run, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
     let arguments = line("compare {} --json", &[&run]);
-    let mut session = Session::start(&arguments, folder.path(), (80, 24));
+    let mut session = Session::start(&arguments, folder.folder(), (80, 24));
     session.wait_for_sent("compare: ");
-    let written = std::thread::spawn(move || std::fs::write(run, record));
+    let written = std::thread::spawn(move || fs::write(run, record));
     // The answer is longer than the screen, off which a line left behind would have scrolled: the bytes themselves tell.
     let status = session.end();
     written.join().unwrap().unwrap();
@@ -91,8 +86,8 @@ fn progress_is_one_line_that_goes_when_the_answer_comes() {
 
 #[test]
 fn without_a_terminal_there_is_no_progress_and_a_signal_ends_it_all_the_same() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = long_record(folder.path());
+    let folder = Desk::new();
+    let run = long_record(folder.folder());
     let mut process = Process::start(&line("diagnose {} --json --until-floor", &[&run]));
     // The first message comes after the signals are watched.
     let stderr = process.0.stderr.as_mut().unwrap();
@@ -101,7 +96,7 @@ fn without_a_terminal_there_is_no_progress_and_a_signal_ends_it_all_the_same() {
     let done = process.end().expect(130);
     let stderr = done.stderr;
     assert!(done.stdout.is_empty());
-    assert!(stderr.contains("error: interrupted"), "{stderr}");
+    has(&stderr, &["error: interrupted"]);
     assert!(
         !stderr.contains("diagnose: ") && !stderr.contains('\u{1b}'),
         "{stderr}"

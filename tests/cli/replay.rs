@@ -1,35 +1,26 @@
 //! `replay` through the real binary: the live run again, to the bit and in constant memory.
 
-use std::fmt::Write as _;
-use std::fs;
-use std::path::{Path, PathBuf};
+use crate::kit::prelude::*;
 use std::process::Command;
-use std::sync::OnceLock;
-
-use crate::kit::{BINARY, Done, call, json_of, only_folder, parameter, read_json};
-use serde_json::Value;
+use std::sync::LazyLock;
 
 /// A live run of the emulated motor; the tests work on copies.
 fn live() -> &'static Path {
-    static RUN: OnceLock<PathBuf> = OnceLock::new();
-    RUN.get_or_init(|| {
-        let out = tempfile::tempdir().expect("a temporary folder");
-        let text = "run --port sim: --headless --json --emulator zk-22fc-plain --seed 3 --out {}";
-        call(text, &[out.path()]).expect(0);
-        only_folder(&out.keep())
-    })
+    static RUN: LazyLock<Recorded> =
+        LazyLock::new(|| recorded("--emulator zk-22fc-plain --seed 3", &[]));
+    &RUN
 }
 
-fn copy() -> (tempfile::TempDir, PathBuf) {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let to = out.path().join("run");
+fn copy() -> (Desk, PathBuf) {
+    let desk = Desk::new();
+    let to = desk.path("run");
     fs::create_dir(&to).expect("a new folder");
     for entry in fs::read_dir(live()).expect("the run is there") {
         let path = entry.expect("an entry can be read").path();
         let name = path.file_name().expect("a file has a name");
         fs::copy(&path, to.join(name)).expect("a file can be copied");
     }
-    (out, to)
+    (desk, to)
 }
 
 fn replay(run: &Path) -> Done {
@@ -61,31 +52,19 @@ fn a_live_run_comes_out_again_to_the_bit() {
     assert_eq!(&kept["parameters"]["inertia_kg_m2"], inertia);
     assert!(kept["online"]["rows"].as_u64() > Some(1000));
     let text = call("replay {}", &[live()]).expect(0).stdout;
-    assert!(text.contains("identical to the live estimates"), "{text}");
+    has(&text, &["identical to the live estimates"]);
 }
 
 #[test]
 fn one_changed_digit_is_found() {
     let (_out, run) = copy();
-    let header = fs::read_to_string(run.join("samples.csv")).expect("samples");
-    let column = header
-        .lines()
-        .next()
-        .and_then(|names| names.split(',').position(|name| name == "current_a"))
-        .expect("a current is recorded");
+    let text = fs::read_to_string(run.join("samples.csv")).expect("samples");
+    let rows: Vec<Vec<&str>> = text.lines().map(|row| row.split(',').collect()).collect();
+    let column = rows[0].iter().position(|name| *name == "current_a");
+    let column = column.expect("a current is recorded");
     // The last digit of one current in the middle of the run.
-    let rows = header.lines().count();
-    let row = (rows / 2..rows)
-        .find(|row| {
-            let cells: Vec<&str> = header
-                .lines()
-                .nth(*row)
-                .expect("a row")
-                .split(',')
-                .collect();
-            cells[column].len() > 3
-        })
-        .expect("a row with a current");
+    let row = (rows.len() / 2..rows.len()).find(|row| rows[*row][column].len() > 3);
+    let row = row.expect("a row with a current");
     change(&run, row, |line| {
         let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
         let last = cells[column].pop();
@@ -96,7 +75,7 @@ fn one_changed_digit_is_found() {
     let result = done.json();
     assert_eq!(result["identical"], false);
     let key = result["first_difference"]["key"].as_str().expect("a key");
-    assert!(done.error().contains(key), "{}", done.stderr);
+    has(&done.error(), &[key]);
     assert!(key.starts_with("parameters."), "{key}");
 }
 
@@ -119,8 +98,7 @@ fn the_configuration_of_the_live_estimators_is_used() {
 
     manifest["configs"]["online"] = Value::String("electrical = 1".into());
     fs::write(&path, manifest.to_string()).expect("the copy can be written");
-    let error = replay(&run).expect(2).error();
-    assert!(error.contains("configs.online"), "{error}");
+    replay(&run).fails(2, &["configs.online"]);
 }
 
 #[test]
@@ -139,8 +117,8 @@ fn a_killed_run_has_nothing_to_compare_with_and_a_torn_row() {
     assert_eq!(result["identical"], Value::Null);
     assert_eq!(result["rows_dropped"], 1);
     let because = result["not_compared_because"].as_str().expect("a reason");
-    assert!(because.contains("not finished"), "{because}");
-    assert!(done.stderr.contains("last whole row"), "{}", done.stderr);
+    has(because, &["not finished"]);
+    has(&done.stderr, &["last whole row"]);
     assert!(result["parameters"]["resistance_ohm"]["value"].is_number());
 }
 
@@ -155,7 +133,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     let result = json_of(&text, &[&foreign]);
     assert_eq!(result["identical"], Value::Null);
     let because = result["not_compared_because"].as_str().expect("a reason");
-    assert!(because.contains("foreign"), "{because}");
+    has(because, &["foreign"]);
     assert_eq!(result["configuration_from"], "default");
     let own = replay(live()).expect(0).json();
     // The live run started from the nameplate, the foreign one from nothing: the same motor, not the same bits.
@@ -167,7 +145,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     // Without speed nothing can be told, and the reader learns why.
     let text = "replay {} --json --map time_s=t,current_a=current_a";
     let done = call(text, &[&foreign]).expect(0);
-    assert!(done.stderr.contains("no speed_rad_s"), "{}", done.stderr);
+    has(&done.stderr, &["no speed_rad_s"]);
     assert_eq!(
         done.json()["parameters"]["inertia_kg_m2"]["value"],
         Value::Null
@@ -179,8 +157,8 @@ fn a_foreign_file_is_replayed_by_its_map() {
 #[cfg(target_os = "linux")]
 fn three_hundred_thousand_rows_stream_in_little_memory() {
     const ROWS: u32 = 300_000;
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let path = out.path().join("long.csv");
+    let out = Desk::new();
+    let path = out.path("long.csv");
     let mut text =
         "time_s,voltage_cmd_v,current_a,speed_rad_s,angle_rad,bus_v,torque_n_m\n".to_owned();
     for row in 0..ROWS {

@@ -1,12 +1,7 @@
 //! `reproduce` through the real binary: text, JSON, files, and what it refuses.
 
-use std::fs;
+use crate::kit::prelude::*;
 use std::io::{BufRead, BufReader, Read};
-
-use crate::kit::process::Process;
-use crate::kit::{call, has, json_of, line, only_folder, refusal};
-use nix::sys::signal::Signal;
-use serde_json::Value;
 
 #[test]
 fn an_unknown_paper_is_told_what_is_allowed() {
@@ -16,29 +11,23 @@ fn an_unknown_paper_is_told_what_is_allowed() {
 
 #[test]
 fn a_folder_with_results_is_not_overwritten() {
-    let out = tempfile::tempdir().unwrap();
-    fs::write(out.path().join("mine.txt"), "mine").unwrap();
-    let done = call("reproduce paper-a --out {}", &[out.path()]).expect(2);
-    assert!(
-        done.error().contains("never overwritten"),
-        "{}",
-        done.stderr
-    );
+    let out = Desk::new();
+    fs::write(out.path("mine.txt"), "mine").unwrap();
+    let done = call("reproduce paper-a --out {}", &[out.folder()]).fails(2, &["never overwritten"]);
     assert!(done.stdout.is_empty());
-    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 1);
+    assert_eq!(fs::read_dir(out.folder()).unwrap().count(), 1);
 }
 
 #[test]
 fn the_size_of_the_study_is_refused_where_it_means_nothing() {
-    let paper = call("reproduce paper-a --sets 2 --json", &[]).expect(2);
-    assert!(paper.error().contains("--sets"), "{}", paper.stderr);
+    call("reproduce paper-a --sets 2 --json", &[]).fails(2, &["--sets"]);
     call("reproduce discovery --sets 0 --mysteries 0 --json", &[]).expect(2);
 }
 
 #[test]
 fn an_interrupted_study_ends_with_130_and_leaves_nothing_behind() {
-    let room = tempfile::tempdir().unwrap();
-    let out = room.path().join("study");
+    let room = Desk::new();
+    let out = room.path("study");
     let mut study = Process::start(&line("reproduce discovery --out {}", &[&out]));
     let mut stderr = BufReader::new(study.0.stderr.take().unwrap());
     let mut first = String::new();
@@ -55,28 +44,32 @@ fn an_interrupted_study_ends_with_130_and_leaves_nothing_behind() {
 
 #[test]
 fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
-    let room = tempfile::tempdir().unwrap();
-    let out = room.path().join("study");
+    let room = Desk::new();
+    let out = room.path("study");
     let study = "reproduce discovery --sets 0 --mysteries 2 --seed 3 --out {}";
     let done = call(study, &[&out]).expect(0);
     has(&done.stderr, &["mystery 4: hidden "]);
     let page = fs::read_to_string(out.join("validation.md")).unwrap();
-    assert!(page.contains("--sets 0 --mysteries 2 --seed 3"), "{page}");
-    assert!(page.contains("Of 2 mystery drives"), "{page}");
-    assert!(page.contains("| resistance_ohm "), "{page}");
-    assert!(!page.contains("One hidden effect"), "{page}");
+    has(
+        &page,
+        &[
+            "--sets 0 --mysteries 2 --seed 3",
+            "Of 2 mystery drives",
+            "| resistance_ohm ",
+        ],
+    );
+    lacks(&page, &["One hidden effect"]);
     // A study is a result, and results are never overwritten.
-    let again = call(study, &[&out]).expect(2);
-    assert!(again.error().contains("never overwritten"));
+    call(study, &[&out]).fails(2, &["never overwritten"]);
 }
 
 /// One run serves the text and the files; a second one, as JSON, is the same to the bit.
 #[test]
 fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
-    let room = tempfile::tempdir().unwrap();
-    let out = room.path().join("paper-a");
+    let room = Desk::new();
+    let out = room.path("paper-a");
     let done = call("reproduce paper-a --out {}", &[&out]).expect(0);
-    assert_eq!(only_folder(room.path()), out);
+    assert_eq!(only_folder(room.folder()), out);
     has(
         &done.stdout,
         &[
@@ -92,18 +85,7 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
-    for name in [
-        "figure-2",
-        "figure-3",
-        "figure-4",
-        "sampling-ta",
-        "sampling-tm",
-        "noise",
-        "figure-5",
-        "figure-6",
-        "figure-7-saturation",
-        "figure-7-adaptation",
-    ] {
+    for name in "figure-2 figure-3 figure-4 sampling-ta sampling-tm noise figure-5 figure-6 figure-7-saturation figure-7-adaptation".split(' ') {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(
             svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"),
@@ -151,8 +133,8 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
 /// The control of paper B: one run serves text and files, a second one is the same to the bit.
 #[test]
 fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
-    let room = tempfile::tempdir().unwrap();
-    let out = room.path().join("paper-b");
+    let room = Desk::new();
+    let out = room.path("paper-b");
     let done = call("reproduce paper-b --out {}", &[&out]).expect(0);
     has(
         &done.stdout,
@@ -168,14 +150,7 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
-    for name in [
-        "figure-4",
-        "figure-5",
-        "convergence",
-        "hall",
-        "back-emf",
-        "back-emf-closed",
-    ] {
+    for name in "figure-4 figure-5 convergence hall back-emf back-emf-closed".split(' ') {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(
             !svg.contains("NaN") && svg.matches("class=\"series").count() > 1,

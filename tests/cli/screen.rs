@@ -1,38 +1,15 @@
 //! The diagnosis on the screen of a real pseudo-terminal: guess, add with one key, see the error fall, write, leave.
 
+use crate::kit::prelude::*;
 use std::num::NonZero;
-use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
-use crate::kit::terminal::Session;
-use crate::kit::{call, has, only_folder};
-use nix::sys::signal::Signal;
-
-/// Two runs of an emulated motor with Stribeck friction, recorded in virtual time; made once, the tests only read them.
-fn runs() -> &'static [PathBuf; 2] {
-    static RUNS: OnceLock<[PathBuf; 2]> = OnceLock::new();
-    RUNS.get_or_init(|| {
-        ["1", "2"].map(|seed| {
-            let out = tempfile::tempdir().unwrap().keep();
-            let text = format!(
-                "run --port sim: --headless --json --emulator zk-22fc-hidden --seed 7 --run-seed {seed} --out {{}}"
-            );
-            call(&text, &[&out]).expect(0);
-            only_folder(&out)
-        })
-    })
-}
-
-fn diagnose(more: &[&str], folder: &Path, size: (u16, u16)) -> Session {
-    let [fit, holdout] = runs();
-    let mut arguments = vec![
-        "diagnose",
-        fit.to_str().unwrap(),
-        "--holdout",
-        holdout.to_str().unwrap(),
-        "--screen",
-    ];
-    arguments.extend(more);
+fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
+    let runs = Runs::hidden();
+    let mut arguments = line(
+        "diagnose {} --holdout {} --screen",
+        &[&runs.fit, &runs.holdout],
+    );
+    arguments.extend(line(more, &[]));
     Session::start(&arguments, folder, size)
 }
 
@@ -49,15 +26,11 @@ const DOWN: &str = "\u{1b}[B";
 
 #[test]
 fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = diagnose(
-        &["--guess", "--output", "found.toml"],
-        folder.path(),
-        (80, 24),
-    );
+    let folder = Desk::new();
+    let mut session = diagnose("--guess --output found.toml", folder.folder(), (80, 24));
     session.wait_for("the tool has its answer");
     // No name is given away, and nothing can be added before there is a guess.
-    assert!(!session.text().contains("supported"), "{}", session.text());
+    lacks(&session.text(), &["supported"]);
     session.press("a");
     session.wait_for("guess first");
     for _ in 0..4 {
@@ -72,7 +45,7 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
     session.wait_for("at the floor");
     session.wait_for("NOTHING MISSING");
     // The guess was at what was missing then.
-    assert!(!session.text().contains("you: "), "{}", session.text());
+    lacks(&session.text(), &["you: "]);
     session.press("w");
     session.wait_for("model written to");
     session.press(UP);
@@ -92,16 +65,16 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
             "nothing is missing",
         ],
     );
-    assert!(!left.contains("missing: stribeck_friction"), "{left}");
+    lacks(&left, &["missing: stribeck_friction"]);
     session.expect_terminal_as_it_was();
-    let model = std::fs::read_to_string(folder.path().join("found.toml")).unwrap();
-    assert!(model.contains("id = \"stribeck_friction\""), "{model}");
+    let model = fs::read_to_string(folder.path("found.toml")).unwrap();
+    has(&model, &["id = \"stribeck_friction\""]);
 }
 
 #[test]
 fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = diagnose(&[], folder.path(), (60, 20));
+    let folder = Desk::new();
+    let mut session = diagnose("", folder.folder(), (60, 20));
     session.wait_for(ADD);
     let shown = session.text();
     let row = shown.lines().find(|row| row.contains("▶")).unwrap();
@@ -127,14 +100,14 @@ fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
     // The answer stays behind in the terminal.
-    assert!(session.text().contains("rul"), "{}", session.text());
+    has(&session.text(), &["rul"]);
 }
 
 #[test]
 fn leaving_in_the_middle_of_a_search_gives_the_terminal_back() {
     for key in ["q", "\u{3}"] {
-        let folder = tempfile::tempdir().unwrap();
-        let mut session = diagnose(&[], folder.path(), (100, 30));
+        let folder = Desk::new();
+        let mut session = diagnose("", folder.folder(), (100, 30));
         session.wait("the screen", vt100::Screen::alternate_screen);
         session.press(key);
         let status = session.end();
@@ -147,17 +120,9 @@ fn leaving_in_the_middle_of_a_search_gives_the_terminal_back() {
 
 #[test]
 fn d_goes_on_by_hand_after_a_commissioning() {
-    let folder = tempfile::tempdir().unwrap();
-    let arguments = [
-        "commission",
-        "--port",
-        "sim:",
-        "--seed",
-        "7",
-        "--out",
-        "runs",
-    ];
-    let mut session = Session::start(arguments, folder.path(), (120, 40));
+    let folder = Desk::new();
+    let arguments = line("commission --port sim: --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, folder.folder(), (120, 40));
     session.wait_for("d diagnosis by hand");
     session.press("d");
     session.wait_for("DIAGNOSIS");
@@ -172,46 +137,46 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     // The result is there all the same.
     assert_eq!(session.end(), 130, "{}", session.text());
     let left = session.text();
-    assert!(left.contains("stribeck_friction"), "{left}");
+    has(&left, &["stribeck_friction"]);
     has(&left, &["interrupted in the diagnosis by hand"]);
     session.expect_terminal_as_it_was();
 }
 
 #[test]
 fn a_model_that_was_asked_for_is_in_its_file_when_q_has_left() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = diagnose(&["--output", "kept.toml"], folder.path(), (100, 30));
+    let folder = Desk::new();
+    let mut session = diagnose("--output kept.toml", folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.press("a");
     // The answer is there, and the worker looks for the next run.
     session.wait_for("NOTHING MISSING");
     session.press("wq");
     assert_eq!(session.end(), 0, "{}", session.text());
-    let model = std::fs::read_to_string(folder.path().join("kept.toml")).unwrap();
-    assert!(model.contains("id = \"stribeck_friction\""), "{model}");
+    let model = fs::read_to_string(folder.path("kept.toml")).unwrap();
+    has(&model, &["id = \"stribeck_friction\""]);
 }
 
 #[test]
 fn ctrl_c_right_behind_w_leaves_a_whole_model_or_none() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = diagnose(&["--output", "kept.toml"], folder.path(), (100, 30));
+    let folder = Desk::new();
+    let mut session = diagnose("--output kept.toml", folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.press("a");
     session.wait_for("NOTHING MISSING");
     session.press("w\u{3}");
     assert_eq!(session.end(), 130, "{}", session.text());
     session.expect_terminal_as_it_was();
-    if let Ok(text) = std::fs::read_to_string(folder.path().join("kept.toml")) {
-        assert!(text.contains("id = \"stribeck_friction\""), "{text}");
+    if let Ok(text) = fs::read_to_string(folder.path("kept.toml")) {
+        has(&text, &["id = \"stribeck_friction\""]);
         assert!(text.ends_with('\n'), "{text}");
-        assert!(text.contains("[[history.fitted]]"), "{text}");
+        has(&text, &["[[history.fitted]]"]);
     }
 }
 
 #[test]
 fn a_signal_after_the_screen_ends_the_program() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = diagnose(&["--html", "page.html"], folder.path(), (100, 30));
+    let folder = Desk::new();
+    let mut session = diagnose("--html page.html", folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.press("a");
     session.wait_for("NOTHING MISSING");
@@ -219,6 +184,6 @@ fn a_signal_after_the_screen_ends_the_program() {
     session.wait("the end of the screen", |screen| !screen.alternate_screen());
     session.signal(Signal::SIGTERM);
     assert_eq!(session.end(), 130, "{}", session.text());
-    assert!(session.text().contains("interrupted"), "{}", session.text());
-    assert!(!folder.path().join("page.html").exists());
+    has(&session.text(), &["interrupted"]);
+    assert!(!folder.path("page.html").exists());
 }

@@ -1,7 +1,13 @@
 //! An unknown motor, a broken bench and a nameplate that does not fit; through the real binary, in virtual time.
 
-use crate::kit::{BENCH, call, has, json_of, only_folder, parameter, read_json};
-use serde_json::Value;
+use crate::kit::prelude::*;
+
+/// The default bench without the lines that begin with these words.
+fn bench_without(keys: &str) -> String {
+    let is_kept = |line: &&str| !keys.split(' ').any(|key| line.starts_with(key));
+    let kept = BENCH.lines().filter(is_kept);
+    kept.flat_map(|line| [line, "\n"]).collect()
+}
 
 #[track_caller]
 fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
@@ -28,16 +34,16 @@ fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
             "open phase, or the motor is not connected: 27.50 V",
         ),
     ] {
-        let out = tempfile::tempdir().expect("a temporary folder");
-        let text = format!("run --escalate --port sim: --json --emulator {emulator} --out {{}}");
-        let done = call(&text, &[out.path()]).expect(3);
+        let out = Desk::new();
+        let options = format!("--escalate --emulator {emulator}");
+        let done = out.simulate("run", &options, &[]).expect(3);
         assert_eq!(done.json()["outcome"], name);
-        assert!(done.error().contains(sentence), "{}", done.stderr);
+        has(&done.error(), &[sentence]);
         // Every stage is on the disk with what came of it.
         let folder = done.json()["stages"][0]["folder"]
             .as_str()
             .map(str::to_owned);
-        let result = std::path::Path::new(&folder.unwrap_or_default()).join("result.json");
+        let result = Path::new(&folder.unwrap_or_default()).join("result.json");
         assert!(result.exists(), "{}", result.display());
     }
 }
@@ -46,43 +52,33 @@ fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
 fn noise_never_passes_for_the_current_of_an_open_phase() {
     // With these seeds it once did, and the voltage went to four times the safe one.
     for seed in [8, 28, 53] {
-        let out = tempfile::tempdir().expect("a temporary folder");
-        let text = format!(
-            "run --escalate --port sim: --json --emulator zk-22fc-open --seed {seed} --out {{}}"
-        );
-        let done = call(&text, &[out.path()]).expect(3);
+        let out = Desk::new();
+        let options = format!("--escalate --emulator zk-22fc-open --seed {seed}");
+        let done = out.simulate("run", &options, &[]).expect(3);
         assert_eq!(done.json()["outcome"], "open phase", "seed {seed}");
     }
 }
 
 #[test]
 fn the_slew_limit_of_the_bench_holds_in_every_stage() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let bench = out.path().join("bench.toml");
+    let out = Desk::new();
     let limit_v_per_s = 20.0;
     let text = BENCH.replace(
         "slew_v_per_s = 150.0",
         &format!("slew_v_per_s = {limit_v_per_s:.1}"),
     );
     assert_ne!(text, BENCH);
-    std::fs::write(&bench, text).expect("a bench file");
-    let runs = out.path().join("runs");
-    let options = "run {} --escalate --port sim: --json --emulator zk-22fc-plain --out {}";
-    let done = call(options, &[&bench, &runs]);
+    let bench = out.put("bench.toml", &text);
+    let options = "{} --escalate --emulator zk-22fc-plain";
+    let done = out.simulate("run", options, &[&bench]);
     let found = done.json();
     let stages = found["escalation"]["stages"].as_array();
     let stages = stages.or_else(|| found["stages"].as_array());
     let mut judged = 0;
     for stage in stages.expect("stages") {
         let folder = stage["folder"].as_str().expect("a folder");
-        let text = std::fs::read_to_string(format!("{folder}/samples.csv")).expect("samples");
-        let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<_>>());
-        let header = rows.next().expect("a header");
-        let column = |name| header.iter().position(|h| *h == name).expect("a column");
-        let (time, volts) = (column("time_s"), column("voltage_cmd_v"));
-        let commands: Vec<(f64, f64)> = rows
-            .filter_map(|row| Some((row[time].parse().ok()?, row[volts].parse().ok()?)))
-            .collect();
+        let text = fs::read_to_string(format!("{folder}/samples.csv")).expect("samples");
+        let commands = points(&text, "voltage_cmd_v");
         for pair in commands.windows(2) {
             // A command is stamped when the drive applies it: a period may be some milliseconds short.
             let slew = (pair[1].1 - pair[0].1).abs() / (pair[1].0 - pair[0].0).max(0.01);
@@ -98,27 +94,11 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
 
 #[test]
 fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is_made_to_fit() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let bench = out.path().join("bench.toml");
-    let unknown: String = BENCH
-        .lines()
-        .filter(|line| {
-            ![
-                "resistance_ohm",
-                "inductance_h",
-                "back_emf",
-                "inertia_kg",
-                "load_torque",
-            ]
-            .iter()
-            .any(|key| line.starts_with(key))
-        })
-        .flat_map(|line| [line, "\n"])
-        .collect();
-    std::fs::write(&bench, unknown).expect("a temporary file");
-    let runs = out.path().join("runs");
-    let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let done = call(text, &[&bench, &runs]).expect(0);
+    let out = Desk::new();
+    let keys = "resistance_ohm inductance_h back_emf inertia_kg load_torque";
+    let bench = out.put("bench.toml", &bench_without(keys));
+    let options = "{} --emulator small-servo-behind-zk-22fc";
+    let done = out.simulate("run", options, &[&bench]).expect(0);
     let found = done.json();
     assert_eq!(found["escalation"]["outcome"], "found");
     assert!(
@@ -132,7 +112,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     // The specimen lies within 10 % of the file; Ke to within the last per cent from both.
     let parameters = &found["escalation"]["parameters"];
     assert!((ratio(parameters, "back_emf_v_s_per_rad", 0.05) - 1.0).abs() < 0.1);
-    let folder = std::path::PathBuf::from(found["folder"].as_str().unwrap_or_default());
+    let folder = PathBuf::from(found["folder"].as_str().unwrap_or_default());
     let batch = json_of("identify {} --json", &[&folder]);
     for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
         let value = parameter(&batch, key).unwrap_or(f64::NAN);
@@ -149,14 +129,8 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
 
 #[test]
 fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let bench = out.path().join("bench.toml");
-    let without: String = BENCH
-        .lines()
-        .filter(|line| !line.starts_with("load_torque_n_m"))
-        .flat_map(|line| [line, "\n"])
-        .collect();
-    std::fs::write(&bench, without).expect("a temporary file");
+    let out = Desk::new();
+    let bench = out.put("bench.toml", &bench_without("load_torque_n_m"));
     let plan = json_of("plan {} --json", &[&bench]);
     assert!(
         plan["peak_current_a"]
@@ -170,7 +144,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
     );
     let unknown = BENCH.replacen("# unknown = false", "unknown = true", 1);
     assert!(unknown.contains("\nunknown = true"));
-    std::fs::write(&bench, unknown).expect("a temporary file");
+    let bench = out.put("bench.toml", &unknown);
     let plan = json_of("plan {} --json", &[&bench]);
     assert_eq!(plan["escalation"]["first"]["kind"], "feel");
     assert!(plan["peak_current_a"].is_null());
@@ -178,9 +152,9 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
 
 #[test]
 fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_not() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let servo = "run --escalate --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let refused = call(servo, &[out.path()]).expect(2);
+    let out = Desk::new();
+    let servo = "--escalate --emulator small-servo-behind-zk-22fc";
+    let refused = out.simulate("run", servo, &[]).expect(2);
     has(
         &refused.stderr,
         &[
@@ -193,34 +167,34 @@ fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_
         ],
     );
 
-    let bench = out.path().join("bench.toml");
     let told = BENCH.replace("# unknown = false", "unknown = true");
-    std::fs::write(&bench, told).expect("a temporary file");
-    let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let done = call(text, &[&bench, out.path()]).expect(0);
+    let bench = out.put("bench.toml", &told);
+    let options = "{} --emulator small-servo-behind-zk-22fc";
+    let done = out.simulate("run", options, &[&bench]).expect(0);
     assert_eq!(done.json()["escalation"]["nameplate"]["fits"], false);
     assert_eq!(done.json()["nameplate"]["fits"], false);
 }
 
 #[test]
 fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let text = "commission --escalate --port sim: --json --emulator zk-22fc-hidden --out {}";
-    let done = call(text, &[out.path()]).expect(0);
+    let out = Desk::new();
+    let options = "--escalate --emulator zk-22fc-hidden";
+    let done = out.simulate("commission", options, &[]).expect(0);
     let result = done.json();
     assert_eq!(result["escalation"]["outcome"], "found");
     assert_eq!(result["nameplate"]["fits"], true);
     assert_eq!(result["truth"]["named_correctly"], true);
-    assert!(done.stderr.contains("find the motor"), "{}", done.stderr);
+    has(&done.stderr, &["find the motor"]);
 }
 
 #[test]
 fn an_ordinary_run_is_compared_with_its_plate_too() {
-    let out = tempfile::tempdir().expect("a temporary folder");
-    let text = "run --port sim: --json --emulator zk-22fc-plain --out {}";
-    let done = call(text, &[out.path()]).expect(0);
+    let out = Desk::new();
+    let done = out
+        .simulate("run", "--emulator zk-22fc-plain", &[])
+        .expect(0);
     assert_eq!(done.json()["nameplate"]["fits"], true);
-    let kept = read_json(only_folder(out.path()).join("result.json"));
+    let kept = read_json(out.run().join("result.json"));
     assert_eq!(kept["nameplate"], done.json()["nameplate"]);
     assert!(kept["excitation"]["inertia_kg_m2"].as_f64() > Some(0.9));
 }

@@ -1,22 +1,44 @@
 //! The test kit: the real binary run to its end, a folder for the files of a test, and readers of what a run leaves.
 //!
 //! ```text
-//! process.rs   the binary as a process that is watched and ended, the emulator among them
+//! process.rs   the binary as a process that is watched and ended, the emulator among them; a machine that stands still
 //! terminal.rs  the binary in a pseudo-terminal: the screen as a person sees it, keys as a person presses them
+//! lab.rs       a bench file and its drive in a process of its own, for runs in real time
 //! motor_log.rs a record of a motor as a foreign program would write it, with noise
 //! ```
 #![allow(dead_code, reason = "each test binary uses its part")]
+#![allow(unused_imports, reason = "each test file uses its part")]
 
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-
-use serde_json::Value;
-use tempfile::TempDir;
-
+pub(crate) mod lab;
 pub(crate) mod motor_log;
 pub(crate) mod process;
 pub(crate) mod terminal;
+
+/// What nearly every test uses.
+pub(crate) mod prelude {
+    pub(crate) use std::fmt::Write as _;
+    pub(crate) use std::fs;
+    pub(crate) use std::path::{Path, PathBuf};
+
+    pub(crate) use nix::sys::signal::Signal;
+    pub(crate) use serde_json::{Value, json};
+
+    pub(crate) use super::process::{Emulator, Process, in_real_time, wait_for};
+    pub(crate) use super::terminal::Session;
+    pub(crate) use super::{
+        BENCH, BINARY, Desk, Done, HIDDEN, PLAIN, Recorded, Runs, call, capture, column,
+        drivebench, expect_near, has, json_of, lacks, line, number, only_folder, parameter, points,
+        read_json, recorded, refusal, refusals, word,
+    };
+}
+
+use std::ffi::OsStr;
+use std::ops::Deref;
+use std::process::{Command, Output, Stdio};
+use std::sync::LazyLock;
+
+use prelude::*;
+use tempfile::TempDir;
 
 /// The default bench, its drive, and the same drive that hides nothing.
 pub(crate) const BENCH: &str = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
@@ -41,13 +63,43 @@ impl Desk {
 
     pub(crate) fn put(&self, name: &str, text: &str) -> PathBuf {
         let path = self.path(name);
-        std::fs::write(&path, text).expect("written");
+        fs::write(&path, text).expect("written");
         path
     }
 
     /// Model file of the motor that `motor_log` records.
     pub(crate) fn nameplate(&self) -> PathBuf {
         self.put("nameplate.toml", &motor_log::nameplate())
+    }
+
+    /// The folder of the runs.
+    pub(crate) fn out(&self) -> PathBuf {
+        self.path("runs")
+    }
+
+    /// The only run.
+    #[track_caller]
+    pub(crate) fn run(&self) -> PathBuf {
+        only_folder(&self.out())
+    }
+
+    /// A file of the only run.
+    #[track_caller]
+    pub(crate) fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.run().join(name)).expect("the run has the file")
+    }
+
+    #[track_caller]
+    pub(crate) fn manifest(&self) -> Value {
+        read_json(self.run().join("manifest.json"))
+    }
+
+    /// `command` in virtual time, in which no machine stands still: `{}` in the options are the paths.
+    pub(crate) fn simulate(&self, command: &str, options: &str, paths: &[&Path]) -> Done {
+        let mut arguments = line(&format!("{command} --port sim: --json --out"), &[]);
+        arguments.push(self.out());
+        arguments.extend(line(options, paths));
+        drivebench(arguments)
     }
 
     /// Runs a command on a file of this text.
@@ -60,6 +112,7 @@ impl Desk {
 pub(crate) const BINARY: &str = env!("CARGO_BIN_EXE_drivebench");
 
 /// What a finished command left behind.
+#[derive(Default)]
 pub(crate) struct Done {
     pub(crate) status: i32,
     pub(crate) stdout: String,
@@ -68,12 +121,21 @@ pub(crate) struct Done {
 
 impl Done {
     pub(crate) fn of(output: &Output) -> Self {
+        let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
         Self {
             // A process ended by a signal has no status of its own.
             status: output.status.code().unwrap_or(-1),
-            stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
-            stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+            stdout: text(&output.stdout),
+            stderr: text(&output.stderr),
         }
+    }
+
+    /// The command ended with this status and an error that says all of it.
+    #[track_caller]
+    pub(crate) fn fails(self, status: i32, parts: &[&str]) -> Self {
+        let done = self.expect(status);
+        has(&done.error(), parts);
+        done
     }
 
     #[track_caller]
@@ -135,28 +197,64 @@ pub(crate) fn drivebench<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(arguments: 
     )
 }
 
-const ATTEMPTS: u32 = 3;
+/// The folder of a run, which goes with it.
+pub(crate) struct Recorded {
+    run: PathBuf,
+    _desk: Desk,
+}
 
-/// What the program says of a machine that stood still for longer than the silence that host or drive allows.
-const STOOD_STILL: [&str; 3] = [
-    "link silent",
-    "host stood still",
-    "no command came within the watchdog time",
-];
+impl Deref for Recorded {
+    type Target = Path;
 
-/// A command in real time, with what it left behind. Where the machine stands still it ends as it must, at zero output:
-/// that says nothing of what is tested, so it is told and tried again.
-pub(crate) fn in_real_time<T>(mut attempt: impl FnMut() -> (Done, T)) -> (Done, T) {
-    for number in 1..ATTEMPTS {
-        let (done, left) = attempt();
-        if done.status == 0 || !STOOD_STILL.iter().any(|words| done.stderr.contains(words)) {
-            return (done, left);
-        }
-        // Past the capture of the test harness, which keeps the output of a test that passes to itself.
-        let told = format!("attempt {number} of {ATTEMPTS}: {}\n", done.stderr);
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
+    fn deref(&self) -> &Path {
+        &self.run
     }
-    attempt()
+}
+
+/// A run in virtual time; `{}` in the options are the paths.
+#[track_caller]
+pub(crate) fn recorded(options: &str, paths: &[&Path]) -> Recorded {
+    let desk = Desk::new();
+    desk.simulate("run --headless", options, paths).expect(0);
+    Recorded {
+        run: desk.run(),
+        _desk: desk,
+    }
+}
+
+/// Two runs of one emulated motor, for fit and hold-out; made once, the tests only read them.
+pub(crate) struct Runs {
+    pub(crate) fit: Recorded,
+    pub(crate) holdout: Recorded,
+    /// The five-parameter model that `run` wrote.
+    pub(crate) model: PathBuf,
+}
+
+impl Runs {
+    fn of(emulator: &str) -> Self {
+        let [fit, holdout] = [1, 2].map(|seed| {
+            let options = format!("--emulator {emulator} --seed 7 --run-seed {seed}");
+            recorded(&options, &[])
+        });
+        let model = fit.join("model.toml");
+        Self {
+            fit,
+            holdout,
+            model,
+        }
+    }
+
+    /// Stribeck friction is hidden in it.
+    pub(crate) fn hidden() -> &'static Self {
+        static RUNS: LazyLock<Runs> = LazyLock::new(|| Runs::of("zk-22fc-hidden"));
+        &RUNS
+    }
+
+    /// The five-parameter model is the truth.
+    pub(crate) fn plain() -> &'static Self {
+        static RUNS: LazyLock<Runs> = LazyLock::new(|| Runs::of("zk-22fc-plain"));
+        &RUNS
+    }
 }
 
 /// Each part stands in the text.
@@ -165,6 +263,21 @@ pub(crate) fn has(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "{part:?} is not in {text}");
     }
+}
+
+/// No part stands in the text.
+#[track_caller]
+pub(crate) fn lacks(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(!text.contains(part), "{part:?} is in {text}");
+    }
+}
+
+/// The value is there and within this share of the truth.
+#[track_caller]
+pub(crate) fn expect_near(name: &str, value: Option<f64>, truth: f64, share: f64) {
+    let near = value.is_some_and(|value| (value / truth - 1.0).abs() < share);
+    assert!(near, "{name}: {value:?}, not {truth}");
 }
 
 /// Arguments from one line; paths are put in as `{}` in order, so that they may hold spaces.
@@ -198,10 +311,25 @@ pub(crate) fn refusal(text: &str, paths: &[&Path]) -> String {
     call(text, paths).expect(2).error()
 }
 
+/// A table of commands that are refused, one a line: `command => part of its error & another part`. Nothing is printed.
+#[track_caller]
+pub(crate) fn refusals(table: &str, paths: &[&Path]) {
+    for row in table.lines().map(str::trim).filter(|row| !row.is_empty()) {
+        let (text, parts) = row.split_once(" => ").unwrap_or((row, ""));
+        let done = call(text, paths);
+        assert_eq!(done.status, 2, "{row}: {}", done.stderr);
+        assert_eq!(done.stdout, "", "{row}");
+        let error = done.error();
+        for part in parts.split(" & ") {
+            assert!(error.contains(part.trim()), "{row}: {error}");
+        }
+    }
+}
+
 /// The only folder inside `out`.
 #[track_caller]
 pub(crate) fn only_folder(out: &Path) -> PathBuf {
-    let found: Vec<PathBuf> = std::fs::read_dir(out)
+    let found: Vec<PathBuf> = fs::read_dir(out)
         .expect("the folder of runs is there")
         .map(|entry| entry.expect("an entry can be read").path())
         .collect();
@@ -210,14 +338,8 @@ pub(crate) fn only_folder(out: &Path) -> PathBuf {
 }
 
 pub(crate) fn read_json(path: impl AsRef<Path>) -> Value {
-    let text = std::fs::read_to_string(path).expect("the file is there");
+    let text = fs::read_to_string(path).expect("the file is there");
     serde_json::from_str(&text).expect("JSON")
-}
-
-/// That of the only run inside `out`.
-#[track_caller]
-pub(crate) fn manifest(out: &Path) -> Value {
-    read_json(only_folder(out).join("manifest.json"))
 }
 
 #[track_caller]
@@ -239,22 +361,30 @@ pub(crate) fn parameter(found: &Value, key: &str) -> Option<f64> {
     found["parameters"][key]["value"].as_f64()
 }
 
-/// The numbers of one column; torn and empty cells are left out.
-pub(crate) fn column(csv: &str, name: &str) -> Vec<f64> {
-    let mut lines = csv.lines();
-    let names = lines.next().unwrap_or_default();
-    let place = names.split(',').position(|cell| cell == name);
-    let cells = lines.filter_map(|row| row.split(',').nth(place?)?.parse().ok());
-    cells.collect()
+/// Link type and records of a capture file.
+pub(crate) fn capture(file: &Path) -> (u32, Vec<Vec<u8>>) {
+    let bytes = fs::read(file).expect("the capture is there");
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
+    assert_eq!(word(0), 0xA1B2_3C4D);
+    let (mut at, mut found) = (24, Vec::new());
+    while at < bytes.len() {
+        let length = word(at + 8) as usize;
+        found.push(bytes[at + 16..at + 16 + length].to_vec());
+        at += 16 + length;
+    }
+    (word(20), found)
 }
 
-/// The record of the newest run inside `out` shows a speed beyond this.
-pub(crate) fn turns(out: &Path, faster_than_rad_s: f64) -> bool {
-    let samples = || {
-        let runs = std::fs::read_dir(out).ok()?;
-        let newest = runs.filter_map(|run| Some(run.ok()?.path())).max()?;
-        std::fs::read_to_string(newest.join("samples.csv")).ok()
-    };
-    let is_fast = |speed: &f64| *speed > faster_than_rad_s;
-    samples().is_some_and(|text| column(&text, "speed_rad_s").iter().any(is_fast))
+/// Time and value of each row in which the column has a number; torn and empty cells are left out.
+pub(crate) fn points(csv: &str, name: &str) -> Vec<(f64, f64)> {
+    let mut rows = csv.lines().map(|row| row.split(',').collect::<Vec<_>>());
+    let names = rows.next().unwrap_or_default();
+    let place = names.iter().position(|cell| *cell == name);
+    rows.filter_map(|row| Some((row[0].parse().ok()?, row.get(place?)?.parse().ok()?)))
+        .collect()
+}
+
+/// The numbers of one column.
+pub(crate) fn column(csv: &str, name: &str) -> Vec<f64> {
+    points(csv, name).into_iter().map(|point| point.1).collect()
 }

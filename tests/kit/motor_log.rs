@@ -56,21 +56,31 @@ impl Bench {
             }
             let torque = self.ke * i;
             i += step_s * (u - self.resistance_ohm * i - self.ke * w) / L_H;
-            if !self.free || (w == 0.0 && torque.abs() <= MC) {
-                continue;
+            if self.free {
+                let next = coulomb_step(w, torque, [MC, 0.0, J], step_s);
+                angle += 0.5 * step_s * (w + next);
+                w = next;
             }
-            let direction = if w == 0.0 {
-                torque.signum()
-            } else {
-                w.signum()
-            };
-            let next = w + step_s * (torque - MC * direction) / J;
-            let next = if w * next < 0.0 { 0.0 } else { next };
-            angle += 0.5 * step_s * (w + next);
-            w = next;
         }
         rows
     }
+}
+
+/// Speed after a step under a force or torque, against dry and viscous friction of a mass or inertia; through zero it stops
+/// before it turns.
+pub(crate) fn coulomb_step(
+    speed: f64,
+    drive: f64,
+    [dry, viscous, mass]: [f64; 3],
+    step_s: f64,
+) -> f64 {
+    let rests = speed == 0.0;
+    if rests && drive.abs() <= dry {
+        return 0.0;
+    }
+    let direction = if rests { drive } else { speed }.signum();
+    let next = speed + step_s * (drive - dry * direction - viscous * speed) / mass;
+    if speed * next < 0.0 { 0.0 } else { next }
 }
 
 /// After half a second at rest another voltage every second.

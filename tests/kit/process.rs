@@ -1,18 +1,18 @@
 //! Processes of the real binary that a test watches and ends, and the waiting for what they do in real time.
 
+use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::{Signal, kill};
+use nix::sys::signal::kill;
 use nix::unistd::Pid;
-
 use tokio_modbus::client::{Context, rtu::attach_slave};
 use tokio_modbus::prelude::{Reader, Slave};
 
-use super::{Done, command, line};
+use super::command;
+use super::prelude::*;
 
 /// Whatever is waited for must have come by then; only a hung program takes so long.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -63,18 +63,16 @@ impl Process {
         let status = wait_for("the end of a process", || {
             self.0.try_wait().expect("a child can be waited for")
         });
-        let mut done = Done {
-            status: status.code().unwrap_or(-1),
-            stdout: String::new(),
-            stderr: String::new(),
+        let read = |pipe: Option<&mut dyn Read>| {
+            let mut bytes = Vec::new();
+            pipe.map(|pipe| pipe.read_to_end(&mut bytes).expect("the pipe can be read"));
+            bytes
         };
-        if let Some(mut stdout) = self.0.stdout.take() {
-            stdout.read_to_string(&mut done.stdout).expect("text");
-        }
-        if let Some(mut stderr) = self.0.stderr.take() {
-            stderr.read_to_string(&mut done.stderr).expect("text");
-        }
-        done
+        Done::of(&Output {
+            status,
+            stdout: read(self.0.stdout.as_mut().map(|pipe| pipe as _)),
+            stderr: read(self.0.stderr.as_mut().map(|pipe| pipe as _)),
+        })
     }
 }
 
@@ -99,7 +97,12 @@ impl Emulator {
     /// `{}` in the arguments are the paths.
     #[track_caller]
     pub(crate) fn start(arguments: &str, paths: &[&Path]) -> Self {
-        let mut process = Process::start(&line(arguments, paths));
+        Self::of(Process::start(&line(arguments, paths)))
+    }
+
+    /// A process that says on its first line where the drive is.
+    #[track_caller]
+    pub(crate) fn of(mut process: Process) -> Self {
         let stdout = process.0.stdout.as_mut().expect("it is a pipe");
         let mut ready = String::new();
         // It prints nothing after this line, so that nothing can be lost in the reader's buffer.
@@ -133,6 +136,86 @@ impl Emulator {
             self.address.clone()
         }
     }
+}
+
+/// How long the threads of processes have been kept waiting for a processor, ns: nothing that they could help.
+#[derive(Default)]
+pub(crate) struct KeptWaiting(HashMap<PathBuf, u64>);
+
+impl KeptWaiting {
+    /// The longest wait of a thread that has ended since the last look, s.
+    pub(crate) fn since_last_look_s(&mut self, process: u32) -> f64 {
+        let tasks = fs::read_dir(format!("/proc/{process}/task"));
+        let mut longest = 0;
+        for task in tasks.into_iter().flatten().flatten() {
+            let waited = fs::read_to_string(task.path().join("schedstat")).ok();
+            let waited = waited.and_then(|text| text.split(' ').nth(1)?.parse().ok());
+            if let Some(waited) = waited {
+                let before = self.0.insert(task.path(), waited);
+                longest = longest.max(waited.saturating_sub(before.unwrap_or(waited)));
+            }
+        }
+        longest as f64 * 1e-9
+    }
+
+    /// The same of all processes that this one has started.
+    fn of_children_s(&mut self) -> f64 {
+        let tasks = fs::read_dir("/proc/self/task").expect("Linux lists our threads");
+        let children = tasks.flatten().filter_map(|task| {
+            let text = fs::read_to_string(task.path().join("children")).ok()?;
+            Some(text.split(' ').filter_map(|id| id.parse().ok()).collect())
+        });
+        let children: Vec<Vec<u32>> = children.collect();
+        let waits = children
+            .concat()
+            .into_iter()
+            .map(|id| self.since_last_look_s(id));
+        waits.fold(0.0, f64::max)
+    }
+}
+
+/// A machine that kept a thread of a test's processes from running for this long has stood still, s: less than any silence
+/// that a drive's watchdog or a bench file allows here, more than a busy machine takes to give everybody a turn.
+const STOOD_STILL_S: f64 = 0.1;
+/// Statuses of a link that was lost and of a trip: what a machine that stands still ends in, as it must.
+const LOST: [i32; 2] = [3, 4];
+const ATTEMPTS: u32 = 3;
+
+/// A command in real time, with what it left behind. It is repeated only where it lost its link and the machine is seen to
+/// have stood still meanwhile, which says nothing of what is tested; whatever else goes wrong stands.
+pub(crate) fn in_real_time<T>(mut attempt: impl FnMut() -> (Done, T)) -> (Done, T) {
+    for number in 1..ATTEMPTS {
+        let ((done, left), stood_still_s) = watched(&mut attempt);
+        if !LOST.contains(&done.status) || stood_still_s < STOOD_STILL_S {
+            return (done, left);
+        }
+        // Past the capture of the test harness, which keeps the output of a test that passes to itself.
+        let told = format!(
+            "attempt {number} of {ATTEMPTS}: the machine stood still for {stood_still_s:.3} s\n{}\n",
+            done.stderr
+        );
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
+    }
+    attempt()
+}
+
+/// What something gives, and the longest time for which it or a child of ours was kept waiting meanwhile, s.
+fn watched<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let (over, is_over) = std::sync::mpsc::channel::<()>();
+    std::thread::scope(|scope| {
+        let watch = scope.spawn(move || {
+            let (mut kept, mut longest_s, mut before) = (KeptWaiting::default(), 0.0_f64, now());
+            while is_over.recv_timeout(POLL) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
+                let late = before.elapsed().saturating_sub(2 * POLL);
+                longest_s = longest_s.max(late.as_secs_f64()).max(kept.of_children_s());
+                before = now();
+            }
+            longest_s
+        });
+        let given = work();
+        drop(over);
+        (given, watch.join().expect("the watch ends"))
+    })
 }
 
 /// Another program's request to the drive; nothing where the port or the drive does not answer.

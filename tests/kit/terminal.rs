@@ -8,10 +8,44 @@ use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use portable_pty::{Child, CommandBuilder, PtySize, native_pty_system};
+use portable_pty::{Child, CommandBuilder, MasterPty, PtyPair, PtySize, native_pty_system};
 
 /// Generous, because tests share the machine; nothing here waits for time to pass.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A pseudo-terminal of `(columns, rows)`.
+pub(crate) fn open((cols, rows): (u16, u16)) -> PtyPair {
+    let (pixel_width, pixel_height) = (0, 0);
+    let size = PtySize {
+        rows,
+        cols,
+        pixel_width,
+        pixel_height,
+    };
+    native_pty_system()
+        .openpty(size)
+        .expect("a pseudo-terminal")
+}
+
+/// What stands on a screen of `(columns, rows)`.
+pub(crate) fn parser((columns, rows): (u16, u16)) -> vt100::Parser {
+    let [rows, columns] = [rows, columns].map(|count| count.try_into().expect("more than none"));
+    vt100::Parser::new(rows, columns, 0)
+}
+
+/// A program in the terminal.
+pub(crate) fn spawn(
+    pair: &PtyPair,
+    program: &str,
+    arguments: impl IntoIterator<Item = impl AsRef<OsStr>>,
+    folder: &Path,
+) -> Box<dyn Child + Send + Sync> {
+    let mut command = CommandBuilder::new(program);
+    command.args(arguments);
+    command.cwd(folder);
+    command.env("TERM", "xterm-256color");
+    pair.slave.spawn_command(command).expect("it starts")
+}
 
 pub(crate) struct Session {
     pub(crate) screen: vt100::Parser,
@@ -22,7 +56,7 @@ pub(crate) struct Session {
     child: Box<dyn Child + Send + Sync>,
     /// Modes of the terminal before the program was started.
     modes: String,
-    master: Box<dyn portable_pty::MasterPty + Send>,
+    master: Box<dyn MasterPty + Send>,
 }
 
 impl Session {
@@ -32,19 +66,9 @@ impl Session {
         folder: &Path,
         (columns, rows): (u16, u16),
     ) -> Self {
-        let size = PtySize {
-            rows,
-            cols: columns,
-            pixel_width: 0,
-            pixel_height: 0,
-        };
-        let pair = native_pty_system().openpty(size).unwrap();
-        let mut command = CommandBuilder::new(super::BINARY);
-        command.args(arguments);
-        command.cwd(folder);
-        command.env("TERM", "xterm-256color");
+        let pair = open((columns, rows));
         let modes = modes(pair.master.as_ref());
-        let child = pair.slave.spawn_command(command).unwrap();
+        let child = spawn(&pair, super::BINARY, arguments, folder);
         drop(pair.slave);
         let mut reader = pair.master.try_clone_reader().unwrap();
         let keys = pair.master.take_writer().unwrap();
@@ -57,9 +81,8 @@ impl Session {
                 }
             }
         });
-        let (rows, columns) = (rows.try_into().unwrap(), columns.try_into().unwrap());
         Self {
-            screen: vt100::Parser::new(rows, columns, 0),
+            screen: parser((columns, rows)),
             sent: Vec::new(),
             output,
             keys,
@@ -143,6 +166,6 @@ impl Session {
     }
 }
 
-fn modes(master: &dyn portable_pty::MasterPty) -> String {
+fn modes(master: &dyn MasterPty) -> String {
     format!("{:?}", master.get_termios().unwrap())
 }

@@ -1,21 +1,14 @@
 //! A burst that the drive records by itself: armed by the run, kept beside its samples, and taken as a run of its own.
 
-use std::fs;
-use std::path::Path;
+use crate::kit::prelude::*;
 
-use crate::kit::{BENCH, call, column, has, in_real_time, json_of, only_folder, parameter};
 /// The default bench with a burst at its second part, over `protocol`.
-fn bench(folder: &Path, protocol: &str) -> std::path::PathBuf {
-    let text = BENCH
+fn bench(protocol: &str) -> String {
+    let link = format!("protocol = {protocol:?}");
+    BENCH
         .replace("# burst_at = 2", "burst_at = 2")
-        .replace(
-            "protocol = \"modbus-rtu\"",
-            &format!("protocol = {protocol:?}"),
-        )
-        .replace("zk-22fc-hidden", "zk-22fc-plain");
-    let path = folder.join("bench.toml");
-    fs::write(&path, text).expect("a file");
-    path
+        .replace("protocol = \"modbus-rtu\"", &link)
+        .replace("zk-22fc-hidden", "zk-22fc-plain")
 }
 
 /// Rows of the capture, and its first and last time.
@@ -32,7 +25,7 @@ fn capture(run: &Path) -> (usize, f64, f64) {
 /// When the drive applied the command that started the burst: the row of `samples.csv` that carries its number.
 fn armed_at_s(run: &Path) -> f64 {
     let events = fs::read_to_string(run.join("events.jsonl")).expect("there are events");
-    let armed: serde_json::Value = events
+    let armed: Value = events
         .lines()
         .filter(|line| line.contains("burst_armed"))
         .map(|line| serde_json::from_str(line).expect("an event"))
@@ -43,13 +36,12 @@ fn armed_at_s(run: &Path) -> f64 {
 
 #[test]
 fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let bench = bench(folder.path(), "modbus-rtu");
-    let out = folder.path().join("runs");
-    let text = "run {} --port sim: --headless --seed 3 --out {}";
-    let done = call(text, &[&bench, &out]).expect(0);
+    let desk = Desk::new();
+    let bench = desk.put("bench.toml", &bench("modbus-rtu"));
+    let done = desk.simulate("run --headless", "{} --seed 3", &[&bench]);
+    let done = done.expect(0);
     has(&done.stderr, &["burst capture: 4095 samples at 10000 Hz"]);
-    let run = only_folder(&out);
+    let run = desk.run();
     let (rows, first_s, last_s) = capture(&run);
     assert_eq!(rows, 4095);
     assert!((last_s - first_s - 0.4094).abs() < 1e-6);
@@ -78,9 +70,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
 #[test]
 fn a_burst_is_fetched_over_every_wire() {
     for protocol in ["modbus-rtu", "stream", "modbus-tcp"] {
-        let folder = tempfile::tempdir().expect("a folder");
-        let bench = bench(folder.path(), protocol);
-        let text = fs::read_to_string(&bench).expect("it was written");
+        let text = bench(protocol);
         let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
         // Slow and patient: what is asked here is not how punctual this machine is.
         let head = head
@@ -88,53 +78,39 @@ fn a_burst_is_fetched_over_every_wire() {
             .replace("link_silence_s = 0.45", "link_silence_s = 1.5");
         let short = "[[sequence]]\nstandstill = { seconds = 0.3 }\n[[sequence]]\n\
                      steps = { levels_v = [20.0], hold_s = 0.4 }\n";
-        fs::write(&bench, format!("{head}{short}")).expect("a file");
-        let out = folder.path().join("runs");
-        let text = "run {} --port emulator --headless --out {}";
-        let (done, ()) = in_real_time(|| {
-            let _ = fs::remove_dir_all(&out);
-            (call(text, &[&bench, &out]), ())
+        let (done, desk) = in_real_time(|| {
+            let desk = Desk::new();
+            let bench = format!("{head}{short}");
+            (desk.at_port("run", &bench, "emulator", "--headless"), desk)
         });
         let done = done.expect(0);
-        let (rows, ..) = capture(&only_folder(&out));
+        let (rows, ..) = capture(&desk.run());
         assert_eq!(rows, 4095, "{protocol}: {}", done.stderr);
     }
 }
 
 #[test]
 fn a_part_that_is_not_there_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = bench(folder.path(), "modbus-rtu");
-    let text = fs::read_to_string(&path).expect("it was written");
-    fs::write(&path, text.replace("burst_at = 2", "burst_at = 99")).expect("a file");
-    let refused = call("plan {}", &[&path]).expect(2);
-    assert!(
-        refused.error().contains("runs.burst_at = 99"),
-        "{}",
-        refused.stderr
-    );
+    let desk = Desk::new();
+    let text = bench("modbus-rtu").replace("burst_at = 2", "burst_at = 99");
+    let path = desk.put("bench.toml", &text);
+    call("plan {}", &[&path]).fails(2, &["runs.burst_at = 99"]);
 }
 
 #[test]
 fn a_commissioning_takes_a_burst_by_itself_where_the_loop_is_slower_than_the_current() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let out = folder.path().join("runs");
+    let desk = Desk::new();
     // 25 Hz against an L/R of 9 ms: the transient is over between two samples.
     let text = BENCH
         .replace("rate_hz = 100.0", "rate_hz = 25.0")
         .replace("zk-22fc-hidden", "zk-22fc-brushes");
-    let bench = folder.path().join("bench.toml");
-    fs::write(&bench, text).expect("a file");
-    let text = "commission {} --port sim: --headless --seed 5 --json --out {}";
-    let done = json_of(text, &[&bench, &out]);
+    let bench = desk.put("bench.toml", &text);
+    let done = desk.simulate("commission --headless", "{} --seed 5", &[&bench]);
+    let done = done.expect(0).json();
     let burst = &done["burst"];
     assert_eq!(burst["rate_hz"].as_f64().map(f64::round), Some(10_000.0));
-    assert_eq!(
-        burst["effects"],
-        serde_json::json!(["voltage_drop"]),
-        "{burst}"
-    );
-    let of = |list: &serde_json::Value| {
+    assert_eq!(burst["effects"], json!(["voltage_drop"]), "{burst}");
+    let of = |list: &Value| {
         let entries = list.as_array().expect("a list").iter();
         let mut found = entries.filter(|entry| entry["key"] == "inductance_h");
         found.next().and_then(|entry| entry["value"].as_f64())

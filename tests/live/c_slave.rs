@@ -4,130 +4,63 @@
 #[path = "../../firmware-protocol/tests/c_compiler/mod.rs"]
 mod c_compiler;
 
-use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::os::fd::AsFd;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::mpsc::channel;
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use crate::kit::process::Process;
-use crate::kit::{Desk, Done, call, json_of, manifest, only_folder, parameter};
+use crate::kit::lab::{BenchFile, LIMITS};
+use crate::kit::prelude::*;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// A machine that stands still for longer than the drive's watchdog loses the link, and nobody is to blame.
-const ATTEMPTS: usize = 3;
-const LINK_LOST: i32 = 3;
 /// Whatever is waited for must have come by then.
 const PATIENCE: Duration = Duration::from_secs(240);
 const POLL: Duration = Duration::from_millis(20);
 
 /// The motor as in `firmware-protocol/c/example/motor_drive.c`; the tests identify it, so the bench knows only the plate.
-const BENCH: &str = r#"
-name = "c-drive"
-[drive]
-profile = "own"
-[link]
-port = "/dev/given-by-port"
-protocol = "PROTOCOL"
-unit = 1
-rate_hz = 50.0
-deadline_ms = 400.0
-[motor]
-name = "ZK-22FC"
-rated_voltage_v = 110.0
-rated_current_a = 5.7
-rated_speed_rad_s = 293.2
-resistance_ohm = 1.1
-inductance_h = 0.0099
-back_emf_v_s_per_rad = 0.3538
-inertia_kg_m2 = 0.0045
-load_torque_n_m = 0.455
-[limits]
-current_a = 11.0
-speed_rad_s = 340.0
-voltage_v = 110.0
-slew_v_per_s = 200.0
-link_silence_s = 0.75
-[speed]
-controller = "addc"
-[[speed.reference]]
-square = { low_rad_s = 60.0, high_rad_s = 90.0, half_period_s = 1.5, periods = 1 }
-[[sequence]]
-standstill = { seconds = 0.5 }
-[[sequence]]
-steps = { levels_v = [40.0, -40.0, 0.0], hold_s = 0.5 }
-"#;
+fn bench(link: &str) -> String {
+    BenchFile {
+        link: format!("protocol = {link:?}\nrate_hz = 50.0\ndeadline_ms = 400.0"),
+        limits: &LIMITS.replace("0.95", "0.75"),
+        speed: "[speed]\ncontroller = \"addc\"\n[[speed.reference]]\n\
+                square = { low_rad_s = 60.0, high_rad_s = 90.0, half_period_s = 1.5, periods = 1 }",
+        ..BenchFile::short(link)
+    }
+    .text()
+}
 
 /// The drive in its own process.
-struct Drive {
-    _process: Process,
-    desk: Desk,
-    port: PathBuf,
-    ready: String,
+fn drive(desk: &Desk, link: &str) -> Emulator {
+    let binary = c_compiler::build("example/motor_drive.c", desk.folder());
+    let port = desk.path("drive");
+    let mut command = Command::new(binary);
+    command.args(["--link", link, "--pty"]).arg(&port);
+    let drive = Emulator::of(Process::of(command));
+    let port = port.display();
+    let wanted = format!("ready {link} {port} unit=1 baud=115200 profile=own\n");
+    assert_eq!(drive.ready, wanted);
+    drive
 }
 
-impl Drive {
-    /// `None` where the tests were told to do without a C compiler.
-    fn start(link: &str) -> Option<Self> {
+/// Runs a command of the program against the C drive; gives what it said and where its run is.
+#[track_caller]
+fn done(command: &str, link: &str) -> (Done, Desk) {
+    let (done, desk) = in_real_time(|| {
         let desk = Desk::new();
-        let binary = c_compiler::build("example/motor_drive.c", desk.folder())?;
-        let port = desk.path("drive");
-        let mut command = Command::new(binary);
-        command.args(["--link", link, "--pty"]).arg(&port);
-        let mut process = Process::of(command);
-        let mut ready = String::new();
-        BufReader::new(process.0.stdout.as_mut().expect("it is a pipe"))
-            .read_line(&mut ready)
-            .expect("a line of text");
-        Some(Self {
-            _process: process,
-            desk,
-            port,
-            ready,
-        })
-    }
-}
-
-/// Runs a command of the program against the C drive until the link holds; gives what it said and the folder of its run.
-#[track_caller]
-fn attempt(command: &str, link: &str, bench: &str) -> Option<(Done, PathBuf, Drive)> {
-    for number in 1.. {
-        let drive = Drive::start(link)?;
-        let wanted = format!(
-            "ready {link} {} unit=1 baud=115200 profile=own\n",
-            drive.port.display()
-        );
-        assert_eq!(drive.ready, wanted);
-        let file = drive
-            .desk
-            .put("bench.toml", &bench.replace("PROTOCOL", link));
-        let out = drive.desk.path("runs");
-        let paths: [&Path; 3] = [&file, &drive.port, &out];
-        let text = format!("{command} {{}} --port {{}} --out {{}} --json");
-        let done = call(&text, &paths);
-        if done.status == LINK_LOST && number < ATTEMPTS {
-            c_compiler::aloud(&format!(
-                "the link was lost (attempt {number} of {ATTEMPTS}), trying again:\n{}",
-                done.stderr
-            ));
-            continue;
-        }
-        let done = done.expect(0);
-        return Some((done, only_folder(&out), drive));
-    }
-    None
+        let drive = drive(&desk, link);
+        let done = desk.at_port(command, &bench(link), &drive.port(), "--json");
+        (done, desk)
+    });
+    (done.expect(0), desk)
 }
 
 #[track_caller]
-fn is_identified(link: &'static str) {
-    let Some((done, folder, drive)) = attempt("run --headless", link, BENCH) else {
-        return;
-    };
+fn is_identified(link: &str) {
+    let (done, desk) = done("run --headless", link);
     assert_eq!(done.json()["outcome"], "done", "{}", done.stdout);
-    let manifest = manifest(&drive.desk.path("runs"));
+    let manifest = desk.manifest();
     assert_eq!(manifest["finished"], true);
     assert_eq!(manifest["outcome"], "passed", "{manifest:#}");
     // Only this drive calls itself so; over the stream nobody has a name.
@@ -137,18 +70,14 @@ fn is_identified(link: &'static str) {
             "{manifest:#}"
         );
     }
-    let found = json_of("identify {} --json", &[&folder]);
+    let found = json_of("identify {} --json", &[&desk.run()]);
     for (key, truth, tolerance) in [
         ("resistance_ohm", 1.1, 0.1),
         ("back_emf_v_s_per_rad", 0.3538, 0.05),
         ("inertia_kg_m2", 0.0045, 0.15),
         ("load_torque_n_m", 0.455, 0.25),
     ] {
-        let value = parameter(&found, key);
-        assert!(
-            value.is_some_and(|value| (value / truth - 1.0).abs() < tolerance),
-            "{key}: {found:#}"
-        );
+        expect_near(key, parameter(&found, key), truth, tolerance);
     }
 }
 
@@ -163,10 +92,8 @@ fn the_c_drive_is_identified_over_the_stream() {
 }
 
 #[track_caller]
-fn keeps_its_speed(link: &'static str) {
-    let Some((done, _, _drive)) = attempt("speed", link, BENCH) else {
-        return;
-    };
+fn keeps_its_speed(link: &str) {
+    let (done, _desk) = done("speed", link);
     let found = done.json();
     assert_eq!(found["outcome"], "done", "{found:#}");
     let steps = found["loop"]["steps"].as_array().expect("steps");
@@ -188,16 +115,10 @@ fn the_c_drive_keeps_its_speed_over_the_stream() {
 
 #[test]
 fn a_host_that_speaks_the_other_protocol_is_told_so() {
-    let Some(drive) = Drive::start("modbus-rtu") else {
-        return;
-    };
-    let file = drive
-        .desk
-        .put("bench.toml", &BENCH.replace("PROTOCOL", "stream"));
-    let out = drive.desk.path("runs");
-    let paths: [&Path; 3] = [&file, &drive.port, &out];
-    let text = "run {} --port {} --out {} --headless";
-    call(text, &paths).expect(LINK_LOST).error();
+    let desk = Desk::new();
+    let drive = drive(&desk, "modbus-rtu");
+    let done = desk.at_port("run", &bench("stream"), &drive.port(), "--headless");
+    done.expect(3).error();
 }
 
 /// Function code 08 and back; `None` where the pseudo-terminal is just being replaced.
@@ -226,10 +147,9 @@ fn echoes(port: &Path) -> Option<()> {
 
 #[test]
 fn the_c_drive_serves_one_host_after_another() {
-    let Some(drive) = Drive::start("modbus-rtu") else {
-        return;
-    };
-    let port = drive.port.clone();
+    let desk = Desk::new();
+    let drive = drive(&desk, "modbus-rtu");
+    let port = PathBuf::from(drive.port());
     let (sender, done) = channel();
     // It may wait for an answer for ever; the test does not.
     spawn(move || {

@@ -1,11 +1,6 @@
 //! `init` through the real binary: from nothing but profile, port and nameplate to a run.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use crate::kit::process::Emulator;
-use crate::kit::{Desk, call, has, json_of, manifest, parameter, refusal};
-use serde_json::Value;
+use crate::kit::prelude::*;
 
 const PLATE: &str = "bench-configs/motors/zk-22fc.toml";
 
@@ -23,7 +18,7 @@ fn our_own_drive_is_set_up_planned_and_run() {
     // The next steps as they can be pasted.
     for next in ["plan", "run"] {
         let command = format!("  drivebench {next} {}", file.display());
-        assert!(done.stderr.contains(&command), "{}", done.stderr);
+        has(&done.stderr, &[&command]);
     }
     let text = fs::read_to_string(&file).unwrap();
     has(
@@ -33,10 +28,10 @@ fn our_own_drive_is_set_up_planned_and_run() {
         ],
     );
     let plan = json_of("plan {} --json", &[&file]);
-    assert_eq!(plan["refusals"], serde_json::json!([]));
+    assert_eq!(plan["refusals"], json!([]));
     let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
     let found = json_of(run, &[&file, &runs]);
-    assert_eq!(manifest(&runs)["outcome"], "passed");
+    assert_eq!(desk.manifest()["outcome"], "passed");
     for (key, truth) in [("resistance_ohm", 1.1), ("inertia_kg_m2", 0.0045)] {
         let value = parameter(&found, key).unwrap();
         assert!((value / truth - 1.0).abs() < 0.2, "{key} {value}");
@@ -44,8 +39,7 @@ fn our_own_drive_is_set_up_planned_and_run() {
     let speed = "speed {} --headless --json --emulator zk-22fc-plain --out {}";
     call(speed, &[&file, &desk.path("loops")]).expect(0);
     // A second time there is a file.
-    let again = call(options, &[&plate(), &file]).expect(2);
-    assert!(again.error().contains("exists already"), "{}", again.stderr);
+    call(options, &[&plate(), &file]).fails(2, &["exists already"]);
     assert_eq!(fs::read_to_string(&file).unwrap(), text);
 }
 
@@ -56,17 +50,12 @@ fn a_drive_of_another_make_that_takes_a_speed_is_set_up_and_run() {
     let options = "init --drive epulse50-dc --port sim: --motor {} --out {}";
     let done = call(options, &[&plate(), &file]).expect(0);
     has(&done.stderr, &["takes no voltage command"]);
-    assert!(!done.stderr.contains("drivebench run"), "{}", done.stderr);
+    lacks(&done.stderr, &["drivebench run"]);
     call("plan {}", &[&file]).expect(0);
     let speed = "speed {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";
     json_of(speed, &[&file, &runs]);
-    assert_eq!(manifest(&runs)["outcome"], "passed");
-    let refused = call("run {} --headless", &[&file]).expect(2);
-    assert!(
-        refused.error().contains("takes no voltage command"),
-        "{}",
-        refused.stderr
-    );
+    assert_eq!(desk.manifest()["outcome"], "passed");
+    call("run {} --headless", &[&file]).fails(2, &["takes no voltage command"]);
 }
 
 #[test]
@@ -75,7 +64,7 @@ fn a_profile_from_a_file_that_takes_voltages_is_set_up_and_run() {
     let text = drivebench::drive::DriveProfile::text("roboteq-dc").unwrap();
     let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
     let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
-    assert!(text.contains(from));
+    has(text, &[from]);
     let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
     let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
     let options = "init --drive {} --port sim: --motor {} --out {}";
@@ -83,7 +72,7 @@ fn a_profile_from_a_file_that_takes_voltages_is_set_up_and_run() {
     call("plan {}", &[&file]).expect(0);
     let run = "run {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";
     json_of(run, &[&file, &runs]);
-    assert_eq!(manifest(&runs)["outcome"], "passed");
+    assert_eq!(desk.manifest()["outcome"], "passed");
 }
 
 #[test]
@@ -114,8 +103,7 @@ fn limits_are_read_from_the_drive_and_only_offline_does_without() {
     call("plan {}", &[&bench]).expect(0);
 
     drop(emulator);
-    let gone = call(options, &[&desk.path("none"), &plate()]).expect(3);
-    assert!(gone.error().contains("--offline"), "{}", gone.stderr);
+    let gone = call(options, &[&desk.path("none"), &plate()]).fails(3, &["--offline"]);
     assert!(gone.stdout.is_empty(), "{}", gone.stdout);
     let offline = "init --drive own --port {} --motor {} --offline --json";
     let made = json_of(offline, &[&pty, &plate()]);
@@ -129,15 +117,9 @@ fn a_wrong_drive_is_not_believed_and_a_frequency_converter_refused_with_its_reas
     let pty = desk.path("v20.pty");
     let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     let options = "init --drive own --port {} --motor {}";
-    let done = call(options, &[&pty, &plate()]).expect(3);
-    assert!(done.error().contains("drivebench probe"), "{}", done.stderr);
+    call(options, &[&pty, &plate()]).fails(3, &["drivebench probe"]);
     let options = "init --drive siemens-v20 --port {} --motor {}";
-    let done = call(options, &[&pty, &plate()]).expect(2);
-    assert!(
-        done.error().contains("takes no armature voltage"),
-        "{}",
-        done.stderr
-    );
+    call(options, &[&pty, &plate()]).fails(2, &["takes no armature voltage"]);
 }
 
 #[test]
@@ -150,8 +132,8 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_by_the_run() {
     let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
     let options = "init --drive own --port sim: --motor {} --out {}";
     let done = call(options, &[&plate, &file]).expect(0);
-    assert!(done.stderr.contains("small steps"), "{}", done.stderr);
-    assert!(!done.stderr.contains("drivebench plan"), "{}", done.stderr);
+    has(&done.stderr, &["small steps"]);
+    lacks(&done.stderr, &["drivebench plan"]);
     let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
     let found = json_of(run, &[&file, &runs]);
     assert_eq!(found["escalation"]["outcome"], "found");
@@ -166,15 +148,9 @@ fn a_plate_or_an_argument_that_is_wrong_is_named_and_nothing_is_written() {
         "name = \"x\"\nrated_voltage_v = 110.0\nrated_current_a = 0.0\nrated_speed_rad_s = 293.2\n",
     );
     let options = "init --drive own --port sim: --motor {} --out {}";
-    let done = call(options, &[&zero, &file]).expect(2);
-    assert!(
-        done.error().contains("rated_current_a = 0 is not allowed"),
-        "{}",
-        done.stderr
-    );
+    call(options, &[&zero, &file]).fails(2, &["rated_current_a = 0 is not allowed"]);
     let typo = desk.put("typo.toml", "name = \"x\"\nrated_volts = 110.0\n");
-    let done = call(options, &[&typo, &file]).expect(2);
-    assert!(done.error().contains("typo.toml:2"), "{}", done.stderr);
+    call(options, &[&typo, &file]).fails(2, &["typo.toml:2"]);
     for text in [
         "init --drive siemens-v30 --port sim: --motor {}",
         "init --drive own --port tcp:x --motor {}",
@@ -194,7 +170,6 @@ fn without_a_screen_hardware_wants_the_word_even_where_init_made_the_file() {
     let options = "init --drive epulse50-dc --port {} --motor {} --out {}";
     call(options, &[&pty, &plate(), &file]).expect(0);
     let run = "speed {} --headless --waive-watchdog --out {}";
-    let done = call(run, &[&file, &runs]).expect(3);
-    assert!(done.error().contains("pass --hardware"), "{}", done.stderr);
+    call(run, &[&file, &runs]).fails(3, &["pass --hardware"]);
     assert!(!runs.exists() || fs::read_dir(&runs).unwrap().next().is_none());
 }

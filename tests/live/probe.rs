@@ -1,13 +1,9 @@
 //! `probe` through the real binary, against the software drive in the guise of every built-in profile in a process of
 //! its own. What went over the wire is looked at in the capture: nothing is ever written.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use crate::kit::process::Emulator;
-use crate::kit::{Desk, Done, call, drivebench, has, line, refusal};
+use crate::kit::prelude::*;
+use crate::witness::codec::framed;
 use drivebench::drive::DriveProfile;
-use serde_json::Value;
 
 /// On a pseudo-terminal of the desk, as the profile.
 fn emulator_of(desk: &Desk, profile: &str) -> Emulator {
@@ -23,45 +19,21 @@ fn probe(emulator: &Emulator, options: &str, paths: &[&Path]) -> Done {
     drivebench(arguments)
 }
 
-/// Whether bytes end with the checksum of those before it (MODBUS over Serial Line V1.02, 6.2.2).
-fn is_frame(bytes: &[u8]) -> bool {
-    let Some((body, [low, high])) = bytes.split_last_chunk::<2>() else {
-        return false;
-    };
-    let shift = |crc: u16| {
-        if crc & 1 == 1 {
-            (crc >> 1) ^ 0xA001
-        } else {
-            crc >> 1
-        }
-    };
-    let crc = body.iter().fold(0xFFFF, |crc: u16, byte| {
-        (0..8).fold(crc ^ u16::from(*byte), |crc, _| shift(crc))
-    });
-    body.len() > 1 && crc == u16::from_le_bytes([*low, *high])
-}
-
 /// Function codes of the RTU frames of a capture, those of refusals without their mark. What was sent is always whole; a
 /// reply may have come in pieces, and those are left out.
-fn functions(capture: &Path) -> Vec<u8> {
-    let bytes = fs::read(capture).unwrap();
-    let mut found: Vec<u8> = Vec::new();
-    let mut at = 24;
-    while at < bytes.len() {
-        let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap()) as usize;
-        let frame = &bytes[at + 16..at + 16 + length];
-        if is_frame(frame) {
-            found.push(frame[1] & 0x7F);
-        }
-        at += 16 + length;
-    }
-    found
+fn functions(file: &Path) -> Vec<u8> {
+    let records = capture(file).1;
+    let bodies = records.iter().filter_map(|frame| {
+        let (body, _) = frame.split_last_chunk::<2>()?;
+        (body.len() > 1 && framed(body) == *frame).then_some(body)
+    });
+    bodies.map(|body| body[1] & 0x7F).collect()
 }
 
 /// Nothing but reads, echoes and questions for names went over the wire.
 #[track_caller]
-fn is_read_only(capture: &Path) {
-    let asked = functions(capture);
+fn is_read_only(tap: &Path) {
+    let asked = functions(tap);
     let reads = |function: &u8| [3, 4, 8, 43].contains(function);
     assert!(asked.len() > 4 && asked.iter().all(reads), "{asked:?}");
 }
@@ -91,9 +63,9 @@ fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written()
             continue;
         };
         let emulator = emulator_of(&desk, name);
-        let capture = desk.path(format!("{name}.pcap"));
+        let tap = desk.path(format!("{name}.pcap"));
         let options = format!("--drive {name} --json --tap {{}}");
-        let report = probe(&emulator, &options, &[&capture]).expect(0).json();
+        let report = probe(&emulator, &options, &[&tap]).expect(0).json();
         assert_eq!(report["verdict"], "plausible", "{name}");
         let signals = report["signals"].as_array().unwrap();
         assert_eq!(signals.len(), map.signals.len(), "{name}");
@@ -114,7 +86,7 @@ fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written()
             map.functions.contains(&8),
             "{name}"
         );
-        is_read_only(&capture);
+        is_read_only(&tap);
         tried += 1;
     }
     assert!(tried >= 11, "{tried}");
@@ -128,13 +100,8 @@ fn an_address_base_that_is_off_by_one_is_named() {
     let wrong = text.replace("address_base = 0", "address_base = 1");
     assert_ne!(wrong, text);
     let profile = desk.put("off-by-one.toml", &wrong);
-    let capture = desk.path("wrong.pcap");
-    let done = probe(
-        &emulator,
-        "--drive {} --json --tap {}",
-        &[&profile, &capture],
-    )
-    .expect(1);
+    let tap = desk.path("wrong.pcap");
+    let done = probe(&emulator, "--drive {} --json --tap {}", &[&profile, &tap]).expect(1);
     let report = done.json();
     assert_eq!(report["verdict"], "implausible");
     let best = report["hypotheses"][0]["change"].as_str().unwrap();
@@ -150,8 +117,8 @@ fn an_address_base_that_is_off_by_one_is_named() {
         .iter()
         .find(|candidate| candidate["change"].as_str().unwrap().contains("one higher"));
     is_120_v(higher.expect("the address that is one higher"));
-    assert!(done.error().contains("bus"), "{}", done.stderr);
-    is_read_only(&capture);
+    has(&done.error(), &["bus"]);
+    is_read_only(&tap);
     let told = probe(&emulator, "--drive {}", &[&profile]).expect(1).stdout;
     has(
         &told,
@@ -168,7 +135,7 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
     let bus = |order: &str| {
         let text = DriveProfile::text("roboteq-dc").unwrap();
         let from = "[missing]";
-        assert!(text.contains(from));
+        has(text, &[from]);
         text.replace(
             from,
             &format!(
@@ -225,7 +192,7 @@ fn our_own_drive_is_looked_at_over_every_link() {
     let text = call("probe --port emulator --drive own", &[])
         .expect(0)
         .stdout;
-    assert!(text.contains("those of a drive at rest"), "{text}");
+    has(&text, &["those of a drive at rest"]);
 }
 
 #[test]
@@ -243,15 +210,15 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
     assert_eq!(stream["fit"], "not_tried");
 
     let v20 = emulator_of(&desk, "siemens-v20");
-    let capture = desk.path("survey.pcap");
-    let survey = probe(&v20, "--json --tap {}", &[&capture]).expect(0).json();
+    let tap = desk.path("survey.pcap");
+    let survey = probe(&v20, "--json --tap {}", &[&tap]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
     let of = |name: &str| tried.iter().find(|t| t["profile"] == name).unwrap();
     assert_eq!(of("siemens-v20")["fit"], "cannot_be_told");
     assert_eq!(of("own")["fit"], "no");
     let refused = of("vacon10")["reason"].as_str().unwrap();
-    assert!(refused.contains("exception"), "{refused}");
-    is_read_only(&capture);
+    has(refused, &["exception"]);
+    is_read_only(&tap);
 }
 
 #[test]
@@ -260,33 +227,23 @@ fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
     let emulator = emulator_of(&desk, "siemens-v20");
     let another = probe(&emulator, "--drive own --json", &[]).expect(3);
     assert_eq!(another.json()["verdict"], "wrong_drive");
-    assert!(
-        another.error().contains("register 64"),
-        "{}",
-        another.stderr
-    );
+    has(&another.error(), &["register 64"]);
     let mut arguments = line(
         "probe --drive siemens-v20 --unit 9 --timeout-ms 50 --port",
         &[],
     );
     arguments.push(PathBuf::from(&emulator.address));
-    let nobody = drivebench(arguments).expect(3);
-    assert!(
-        nobody.error().contains("no reply within 50 ms"),
-        "{}",
-        nobody.stderr
-    );
+    let nobody = drivebench(arguments).fails(3, &["no reply within 50 ms"]);
     assert!(nobody.stdout.is_empty());
     call("probe --drive own --port /dev/drivebench-none", &[])
         .expect(3)
         .error();
-    for text in [
-        "probe --drive own",
-        "probe --port sim: --drive own",
-        "probe --port emulator",
-        "probe --port x --drive siemens-v30",
-        "probe --port x --drive own --unit 0",
-    ] {
-        refusal(text, &[]);
-    }
+    refusals(
+        "probe --drive own
+         probe --port sim: --drive own
+         probe --port emulator
+         probe --port x --drive siemens-v30
+         probe --port x --drive own --unit 0",
+        &[],
+    );
 }

@@ -1,27 +1,20 @@
 //! Drives of other makes through the real binary: an emulator process answers as the drive over a real pseudo-terminal,
 //! another process uses it with the profile.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, drivebench, has, line, manifest, only_folder, refusal};
+use crate::kit::lab::BenchFile;
+use crate::kit::prelude::*;
 
 /// A bench whose motor is the emulated one, at a rate that a loaded machine keeps.
 fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
-    let text = format!(
-        "name = \"foreign\"\n\
-         [drive]\nprofile = \"{profile}\"\n\
-         [link]\nport = \"sim:\"\nrate_hz = {rate_hz}.0\ndeadline_ms = 2000.0\n\
-         [motor]\nname = \"ZK-22FC\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n\
-         resistance_ohm = 1.1\ninductance_h = 0.0099\nback_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.0045\n\
-         load_torque_n_m = 0.455\n\
-         [limits]\nlink_silence_s = 20.0\ntime_s = 60.0\n\
-         {reference}\n\
-         [[sequence]]\nstandstill = {{ seconds = 0.5 }}\n\
-         [[sequence]]\nsteps = {{ levels_v = [12.0, 0.0], hold_s = 1.5 }}\n"
-    );
-    desk.put("bench.toml", &text)
+    let bench = BenchFile {
+        profile,
+        link: format!("rate_hz = {rate_hz}.0\ndeadline_ms = 2000.0"),
+        limits: "link_silence_s = 20.0\ntime_s = 60.0",
+        speed: reference,
+        sequence: "standstill = { seconds = 0.5 }\nsteps = { levels_v = [12.0, 0.0], hold_s = 1.5 }",
+        ..BenchFile::short("")
+    };
+    desk.put("bench.toml", &bench.text())
 }
 
 const SPEED: &str = "[speed]\ncontroller = \"pi\"\ndrive_lag_s = 0.1\n\
@@ -53,13 +46,11 @@ fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent
     let runs = desk.path("runs");
     let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     let bench = bench(&desk, "siemens-v20", 4, "");
-    let arguments = line(
+    call(
         "run {} --port {} --headless --hardware --out {}",
         &[&bench, &pty, &runs],
-    );
-    let error = drivebench(arguments).expect(2).error();
-    assert!(error.contains("takes no armature voltage"), "{error}");
-    assert!(error.contains("docs/adding-a-drive.md"), "{error}");
+    )
+    .fails(2, &["takes no armature voltage", "docs/adding-a-drive.md"]);
 }
 
 #[test]
@@ -72,14 +63,14 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
         &[&pty],
     );
     let bench = bench(&desk, "epulse50-dc", 10, SPEED);
-    let arguments = line(
+    let done = call(
         "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
         &[&bench, &pty, &runs],
-    );
-    let done = drivebench(arguments).expect(0);
+    )
+    .expect(0);
     has(&done.stderr, &["drive profile epulse50-dc"]);
-    assert!(done.stderr.contains("trust manual"), "{}", done.stderr);
-    let manifest = manifest(&runs);
+    has(&done.stderr, &["trust manual"]);
+    let manifest = desk.manifest();
     let configs = &manifest["configs"];
     assert!(
         configs["drive"]
@@ -101,22 +92,20 @@ fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
     let desk = Desk::new();
     let runs = desk.path("runs");
     let bench = bench(&desk, "epulse50-dc", 10, SPEED);
-    let arguments = line(
+    call(
         "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}",
         &[&bench, &runs],
-    );
-    drivebench(arguments).expect(0);
-    assert_eq!(manifest(&runs)["identity"]["is_emulator"], true);
+    )
+    .expect(0);
+    assert_eq!(desk.manifest()["identity"]["is_emulator"], true);
 }
 
 #[test]
 fn a_command_that_the_drive_does_not_take_leads_to_its_setpoints() {
     let desk = Desk::new();
     let bench = bench(&desk, "epulse50-dc", 10, SPEED);
-    let arguments = line("speed {} --actuator voltage --headless", &[&bench]);
-    let error = drivebench(arguments).expect(2).error();
-    assert!(error.contains("takes no voltage command"), "{error}");
-    assert!(error.contains("[setpoints]"), "{error}");
+    call("speed {} --actuator voltage --headless", &[&bench])
+        .fails(2, &["takes no voltage command", "[setpoints]"]);
 }
 
 /// The example of the manual page, as a file of a newcomer.
@@ -130,9 +119,8 @@ fn example(desk: &Desk) -> PathBuf {
 fn the_example_with_its_identity_is_plausible_at_its_own_emulator() {
     let desk = Desk::new();
     let profile = example(&desk);
-    let arguments = line("probe --port emulator --drive {}", &[&profile]);
-    let done = drivebench(arguments).expect(0);
-    assert!(!done.stdout.contains("FAILED"), "{}", done.stdout);
+    let done = call("probe --port emulator --drive {}", &[&profile]).expect(0);
+    lacks(&done.stdout, &["FAILED"]);
 }
 
 #[test]
@@ -144,7 +132,7 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/roboteq-dc.toml");
     let text = fs::read_to_string(folder).unwrap();
     let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
-    assert!(text.contains(from));
+    has(&text, &[from]);
     let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
     let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
     let _emulator = Emulator::start(
@@ -152,14 +140,15 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
         &[&profile, &pty],
     );
     let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
-    let arguments = line(
+    call(
         "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
         &[&bench, &pty, &runs],
-    );
-    drivebench(arguments).expect(0).json();
-    let manifest = manifest(&runs);
+    )
+    .expect(0)
+    .json();
+    let manifest = desk.manifest();
     assert_eq!(manifest["outcome"], "passed");
-    let samples = fs::read_to_string(only_folder(&runs).join("samples.csv")).unwrap();
+    let samples = desk.read("samples.csv");
     assert!(samples.lines().count() > 10, "{samples}");
 }
 
@@ -175,8 +164,7 @@ fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
     let beyond = desk.put("beyond.toml", &bench);
     for command in ["plan {}", "run {} --port sim: --headless"] {
         let error = refusal(command, &[&beyond]);
-        assert!(error.contains("limits.current_a = 13"), "{error}");
-        assert!(error.contains("allows at most 6"), "{error}");
+        has(&error, &["limits.current_a = 13", "allows at most 6"]);
     }
     // Where the bench gives none, the profile's is the limit: the sequence would draw 6.7 A.
     let silent = desk.put("silent.toml", &bench.replace("current_a = 13.0", ""));
@@ -200,7 +188,7 @@ fn a_defect_in_a_profile_is_an_error_with_its_line() {
         &error,
         &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")],
     );
-    assert!(error.contains("did you mean `quantity`?"), "{error}");
+    has(&error, &["did you mean `quantity`?"]);
     let unknown = refusal("emulate --profile siemens-v30", &[]);
     assert!(unknown.contains("did you mean `siemens-v20`?"), "{unknown}");
 }

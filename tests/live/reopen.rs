@@ -1,91 +1,76 @@
 //! A drive that is lost in motion, over real pseudo-terminals and TCP: the run ends, the program finds the drive again,
 //! brings it to rest and arms nothing.
 
-use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use super::run::{BenchFile, EMULATOR};
-use crate::kit::process::{Emulator, Process, wait_for};
-use crate::kit::{Desk, call, has, line, manifest, only_folder, turns};
+use crate::kit::lab::BenchFile;
+use crate::kit::prelude::*;
 use nix::fcntl::OFlag;
 use nix::pty::{PtyMaster, posix_openpt};
-use nix::sys::signal::Signal;
-use serde_json::Value;
 
-/// A folder with a bench file whose motor turns for a long time; the drive's watchdog leaves a loaded machine some time.
-struct Lab(Desk);
+/// A folder for a bench file whose motor turns for a long time, its drives and its run.
+struct Lab {
+    desk: Desk,
+    protocol: &'static str,
+}
 
 impl Lab {
     fn new(protocol: &'static str) -> Self {
         let desk = Desk::new();
-        desk.put("emulator.toml", EMULATOR);
-        desk.put("bench.toml", &BenchFile::long(protocol).text());
-        Self(desk)
+        Self { desk, protocol }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path(name)
-    }
-
-    fn drive(&self, link: &str, seed: u32) -> Emulator {
-        let arguments = format!("{{}} --seed {seed}");
-        let config = self.path("emulator.toml");
-        Emulator::on(link, &self.path("drive"), &arguments, &[&config])
+    fn drive(&self, seed: u32) -> Emulator {
+        self.desk.drive(self.protocol, &format!("--seed {seed}"))
     }
 
     /// Starts a run and returns once the motor turns fast.
     fn run_until_turning(&self, port: &str, options: &str) -> Process {
-        let text = format!("run {{}} --port {{}} --out {{}} --headless --json {options}");
-        let paths = [
-            &*self.path("bench.toml"),
-            Path::new(port),
-            &*self.path("runs"),
-        ];
-        let run = Process::start(&line(&text, &paths));
-        wait_for("a motor that turns", || {
-            turns(&self.path("runs"), 60.0).then_some(())
-        });
-        run
+        let bench = BenchFile::long(self.protocol).text();
+        self.desk.until_turning(&bench, port, options)
     }
 
     /// A drive and a run over `protocol` in which the motor turns fast.
     fn turning(protocol: &'static str, options: &str) -> (Self, Emulator, Process) {
         let lab = Self::new(protocol);
-        let drive = lab.drive(protocol, 1);
-        let run = lab.run_until_turning(&drive.address, options);
+        let drive = lab.drive(1);
+        let run = lab.run_until_turning(&drive.port(), options);
         (lab, drive, run)
+    }
+
+    /// The same with everything that goes over the wire in a capture, which is given.
+    fn turning_tapped(protocol: &'static str) -> (Self, Emulator, Process, PathBuf) {
+        let lab = Self::new(protocol);
+        let drive = lab.drive(1);
+        let tap = lab.desk.path("tap.pcap");
+        let options = format!("--reopen-s 60 --tap {}", tap.display());
+        let run = lab.run_until_turning(&drive.port(), &options);
+        (lab, drive, run, tap)
     }
 
     /// The same over TCP through a proxy.
     fn turning_behind_a_proxy() -> (Self, Emulator, Proxy, Process) {
         let lab = Self::new("modbus-tcp");
-        let drive = lab.drive("modbus-tcp", 1);
+        let drive = lab.drive(1);
         let proxy = Proxy::new(&drive.address);
         let run = lab.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
         (lab, drive, proxy, run)
     }
 
     fn events(&self) -> Vec<Value> {
-        let path = only_folder(&self.path("runs")).join("events.jsonl");
-        let text = fs::read_to_string(path).expect("events");
+        let text = self.desk.read("events.jsonl");
         text.lines()
             .map(|line| serde_json::from_str(line).expect("JSON"))
             .collect()
     }
 
+    /// The first of this kind, which may be to come.
     fn event(&self, kind: &str) -> Value {
-        let mut events = self.events().into_iter();
-        let found = events.find(|event| event["event"] == kind);
-        found.expect(kind)
-    }
-
-    fn wait_for_event(&self, kind: &str) -> Value {
         wait_for(kind, || {
             let mut events = self.events().into_iter();
             events.find(|event| event["event"] == kind)
@@ -94,7 +79,7 @@ impl Lab {
 
     /// The run is kept as lost, in one folder with what came after it.
     fn is_kept_as_lost(&self) {
-        let manifest = manifest(&self.path("runs"));
+        let manifest = self.desk.manifest();
         let outcome = manifest["outcome"].as_str().unwrap_or_default();
         assert!(outcome.starts_with("link lost"), "{manifest:#}");
         assert_eq!(manifest["finished"], true);
@@ -147,22 +132,17 @@ const fn energises(control: u16) -> bool {
 #[test]
 fn a_drive_that_comes_back_under_another_number_is_brought_to_rest_and_not_started() {
     for link in ["modbus-rtu", "stream"] {
-        let lab = Lab::new(link);
-        let drive = lab.drive(link, 1);
-        let tap = lab.path("tap.pcap");
-        let options = format!("--reopen-s 60 --tap {}", tap.display());
-        let run = lab.run_until_turning(&drive.address, &options);
+        let (lab, drive, run, tap) = Lab::turning_tapped(link);
         let before = fs::read_link(&drive.address).expect("a symlink");
         drive.process.signal(Signal::SIGKILL);
         drop(drive);
         sleep(Duration::from_millis(950));
         let _taken = take(&before);
-        let again = lab.drive(link, 1);
+        let again = lab.drive(1);
         assert_ne!(fs::read_link(&again.address).expect("a symlink"), before);
-        let done = run.end().expect(3);
-        let error = done.error();
-        assert!(error.contains("link lost"), "{error}");
-        has(&error, &["stop confirmed; nothing is armed"]);
+        let done = run
+            .end()
+            .fails(3, &["link lost", "stop confirmed; nothing is armed"]);
         let told = &done.json()["reopened"];
         assert_eq!(told["ending"], "stopped", "{told:#}");
         assert!(told["downtime_s"].as_f64() > Some(0.5), "{told:#}");
@@ -184,17 +164,13 @@ fn a_drive_that_comes_back_under_another_number_is_brought_to_rest_and_not_start
 
 #[test]
 fn another_drive_under_the_same_name_is_only_read() {
-    let lab = Lab::new("modbus-rtu");
-    let drive = lab.drive("modbus-rtu", 1);
-    let tap = lab.path("tap.pcap");
-    let options = format!("--reopen-s 60 --tap {}", tap.display());
-    let run = lab.run_until_turning(&drive.address, &options);
+    let (lab, drive, run, tap) = Lab::turning_tapped("modbus-rtu");
     drive.process.signal(Signal::SIGKILL);
     drop(drive);
-    let _other = lab.drive("modbus-rtu", 2);
+    let _other = lab.drive(2);
     let done = run.end().expect(3);
     let error = done.error();
-    assert!(error.contains("identity mismatch"), "{error}");
+    has(&error, &["identity mismatch"]);
     has(&error, &["serial number is \"2\", before it was \"1\""]);
     assert_eq!(done.json()["reopened"]["ending"], "another_drive");
     let commands = commands(&tap);
@@ -208,11 +184,10 @@ fn another_drive_under_the_same_name_is_only_read() {
 fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
     let (lab, drive, run) = Lab::turning("modbus-rtu", "--reopen-s 60");
     drive.process.signal(Signal::SIGSTOP);
-    lab.wait_for_event("link_lost");
+    lab.event("link_lost");
     sleep(Duration::from_secs(1));
     drive.process.signal(Signal::SIGCONT);
-    let done = run.end().expect(3);
-    assert!(done.error().contains("link silent"), "{}", done.stderr);
+    let done = run.end().fails(3, &["link silent"]);
     assert_eq!(done.json()["reopened"]["ending"], "stopped");
     lab.is_kept_as_lost();
 }
@@ -221,7 +196,7 @@ fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
 fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
     let (lab, drive, run) = Lab::turning("modbus-rtu", "");
     drop(drive);
-    lab.wait_for_event("link_lost");
+    lab.event("link_lost");
     // 1 s of watchdog and 10 s would be its time.
     assert_eq!(lab.event("link_lost")["reopens_for_s"], 11.0);
     run.signal(Signal::SIGINT);
@@ -243,11 +218,12 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
 
 #[test]
 fn a_time_that_cannot_be_is_refused() {
-    for wrong in ["-1", "soon", "1e9"] {
-        let done = call(&format!("run --headless --reopen-s={wrong}"), &[]);
-        let error = done.expect(2).error();
-        assert!(error.contains("--reopen-s"), "{error}");
-    }
+    refusals(
+        "run --headless --reopen-s=-1   => --reopen-s
+         run --headless --reopen-s=soon => --reopen-s
+         run --headless --reopen-s=1e9  => --reopen-s",
+        &[],
+    );
 }
 
 /// How the proxy treats a connection: bytes go through, go nowhere, or the connection is cut.
@@ -320,7 +296,7 @@ fn carry(host: &TcpStream, drive: &TcpStream, mode: &AtomicU8) {
 fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
     let (lab, _drive, proxy, run) = Lab::turning_behind_a_proxy();
     proxy.set(CUT);
-    let gone = lab.wait_for_event("link_gone");
+    let gone = lab.event("link_gone");
     proxy.set(THROUGH);
     is_stopped(run);
     let lost = lab.event("link_lost")["time_s"].as_f64();
@@ -333,11 +309,11 @@ fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
 fn a_connection_that_carries_nothing_is_lost_after_the_silence_that_is_allowed() {
     let (lab, _drive, proxy, run) = Lab::turning_behind_a_proxy();
     proxy.set(NOWHERE);
-    let trip = lab.wait_for_event("trip");
+    let trip = lab.event("trip");
     assert_eq!(trip["trip"]["kind"], "link_silence", "{trip:#}");
     // 0.95 s are allowed; a loaded machine looks a little later. TCP itself would take minutes.
     assert!(trip["trip"]["value"].as_f64() < Some(3.0), "{trip:#}");
-    lab.wait_for_event("link_lost");
+    lab.event("link_lost");
     proxy.set(THROUGH);
     is_stopped(run);
     lab.is_kept_as_lost();

@@ -1,35 +1,23 @@
 //! The whole program in a real pseudo-terminal: the screen as a person sees it, keys as a person presses them.
 
-use std::fs;
-use std::path::Path;
-
-use crate::kit::terminal::Session;
-use crate::kit::{BENCH, HIDDEN, column, manifest, only_folder};
+use crate::kit::prelude::*;
 
 const SIZE: (u16, u16) = (120, 40);
 
 /// The default bench and its drive, both of which let a loaded machine stand still for a while.
-fn start(command: &str, folder: &Path) -> Session {
+fn start(command: &str, desk: &Desk) -> Session {
     let bench = BENCH.replace("link_silence_s = 0.45", "link_silence_s = 0.95");
     let emulator = HIDDEN.replace("watchdog_ms = 500", "watchdog_ms = 1000");
-    for (name, text) in [("bench.toml", bench), ("drive.toml", emulator)] {
-        fs::write(folder.join(name), text).unwrap();
-    }
-    let line = [
-        command,
-        "bench.toml",
-        "--port",
-        "emulator",
-        "--emulator",
-        "drive.toml",
-    ];
-    Session::start(line, folder, SIZE)
+    desk.put("bench.toml", &bench);
+    desk.put("drive.toml", &emulator);
+    let text = format!("{command} bench.toml --port emulator --emulator drive.toml");
+    Session::start(line(&text, &[]), desk.folder(), SIZE)
 }
 
 #[test]
 fn space_stops_the_run_and_q_gives_the_terminal_back() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = start("run", folder.path());
+    let folder = Desk::new();
+    let mut session = start("run", &folder);
     session.wait_for(" SIM  RUNNING");
     assert!(session.screen.screen().alternate_screen());
     assert!(session.screen.screen().hide_cursor());
@@ -58,25 +46,23 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
     session.press("q");
     assert_eq!(session.end(), 130, "{}", session.text());
     session.expect_terminal_as_it_was();
-    assert!(session.text().contains("stopped"), "{}", session.text());
+    has(&session.text(), &["stopped"]);
 }
 
 /// The commanded volts of the record as far as it is written.
-fn commands(folder: &Path) -> Vec<f64> {
-    let run = only_folder(&folder.join("runs"));
-    let samples = fs::read_to_string(run.join("samples.csv")).unwrap();
-    column(&samples, "voltage_cmd_v")
+fn commands(desk: &Desk) -> Vec<f64> {
+    column(&desk.read("samples.csv"), "voltage_cmd_v")
 }
 
-fn is_driven(folder: &Path) -> bool {
+fn is_driven(folder: &Desk) -> bool {
     commands(folder).iter().any(|volts| volts.abs() > 1.0)
 }
 
 /// The output is zero when the record ends, and the record says how it ended.
-fn expect_stopped(folder: &Path) {
+fn expect_stopped(folder: &Desk) {
     assert!(is_driven(folder));
     assert_eq!(commands(folder).last(), Some(&0.0));
-    let manifest = manifest(&folder.join("runs"));
+    let manifest = folder.manifest();
     assert_eq!(manifest["finished"], true, "{manifest:#}");
     assert_eq!(manifest["outcome"], "interrupted", "{manifest:#}");
 }
@@ -84,14 +70,14 @@ fn expect_stopped(folder: &Path) {
 #[test]
 fn ctrl_c_stops_and_leaves_by_itself() {
     for command in ["run", "commission"] {
-        let folder = tempfile::tempdir().unwrap();
-        let mut session = start(command, folder.path());
+        let folder = Desk::new();
+        let mut session = start(command, &folder);
         session.wait_for(" SIM  RUNNING");
-        session.wait("a voltage", |_| is_driven(folder.path()));
+        session.wait("a voltage", |_| is_driven(&folder));
         // With a mark on its way into the record.
         session.press("m\u{3}");
         assert_eq!(session.end(), 130, "{}", session.text());
         session.expect_terminal_as_it_was();
-        expect_stopped(folder.path());
+        expect_stopped(&folder);
     }
 }

@@ -1,23 +1,16 @@
 //! The speed loop through the real binary: in virtual time, and over a real pseudo-terminal.
 
-use std::fmt::Write as _;
-use std::fs;
-use std::path::Path;
-
-use crate::kit::{
-    Desk, Done, column, drivebench, in_real_time, line, manifest, only_folder, read_json,
-};
-use serde_json::Value;
+use crate::kit::prelude::*;
 
 const BENCH: &str = include_str!("../../bench-configs/benches/zk-22fc-changing.toml");
 const EMULATOR: &str = include_str!("../../bench-configs/emulators/zk-22fc-changing.toml");
 
 impl Desk {
+    /// `speed` in virtual time.
     fn speed(&self, bench: &str, options: &str, paths: &[&Path]) -> Done {
         let bench = self.put("bench.toml", bench);
-        let mut arguments = line("speed {} --json --out {}", &[&bench, &self.path("runs")]);
-        arguments.extend(line(options, paths));
-        drivebench(arguments)
+        let options = format!("{{}} {options}");
+        self.simulate("speed", &options, &[&[&*bench], paths].concat())
     }
 }
 
@@ -40,13 +33,12 @@ fn acceleration_s(inertia: f64, from: f64, to: f64) -> f64 {
 fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_one_does_not() {
     let desk = Desk::new();
     // Of seed 1 one sample of noise lies at 5.5 % of a step, beyond the band of settling, shortly before the next step.
-    let done = desk.speed(BENCH, "--port sim: --seed 2", &[]).expect(0);
+    let done = desk.speed(BENCH, "--seed 2", &[]).expect(0);
     let found = done.json();
     // One exchange per cycle: what is computed from a reply leaves with the next request.
     let cycles = number(&found["delay_at_rest"], "median_cycles");
     assert!((cycles - 1.0).abs() < 0.05, "{cycles}");
-    assert!(done.stderr.contains("1.00 cycles"), "{}", done.stderr);
-    assert!(done.stderr.contains("no --model"), "{}", done.stderr);
+    has(&done.stderr, &["1.00 cycles", "no --model"]);
     let steps = found["loop"]["steps"].as_array().expect("steps").clone();
     assert_eq!(steps.len(), 16);
     // Motor's L/R, half a period and the delay.
@@ -69,9 +61,7 @@ fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_on
     let changes = found["loop"]["gain_changes"].as_array().expect("changes");
     assert!(!changes.is_empty());
     let fixed = Desk::new();
-    let done = fixed
-        .speed(BENCH, "--port sim: --controller pi", &[])
-        .expect(0);
+    let done = fixed.speed(BENCH, "--controller pi", &[]).expect(0);
     let fixed = done.json();
     let steps = fixed["loop"]["steps"].as_array().expect("steps").clone();
     assert!(
@@ -90,7 +80,7 @@ fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_on
 }
 
 fn the_record_is_whole(desk: &Desk, found: &Value) {
-    let folder = only_folder(&desk.path("runs"));
+    let folder = desk.run();
     assert_eq!(found["folder"], folder.display().to_string());
     let read = |name: &str| fs::read_to_string(folder.join(name)).expect("the file is there");
     let samples = read("samples.csv");
@@ -105,7 +95,7 @@ fn the_record_is_whole(desk: &Desk, found: &Value) {
     assert!(of(110.0) > 1500 && of(90.0) > 1500);
     // It starts at the speed that is there.
     assert!(references[0].abs() < 2.0, "{}", references[0]);
-    let manifest = manifest(&desk.path("runs"));
+    let manifest = desk.manifest();
     assert_eq!(manifest["signals"]["reference_rad_s"], "commanded");
     assert_eq!(manifest["speed_loop"]["controller"], "addc");
     for when in ["delay_at_rest", "delay_while_running"] {
@@ -146,8 +136,11 @@ fn the_loop_runs_over_a_pseudo_terminal_and_states_the_delay_of_its_link() {
     let (done, _) = in_real_time(|| {
         let desk = Desk::new();
         let emulator = desk.put("emulator.toml", &patient_emulator());
-        let options = "--port emulator --emulator {}";
-        (desk.speed(&patient_bench(), options, &[&emulator]), desk)
+        let options = format!("--json --emulator {}", emulator.display());
+        (
+            desk.at_port("speed", &patient_bench(), "emulator", &options),
+            desk,
+        )
     });
     let found = done.expect(0).json();
     assert_eq!(found["outcome"], "done");
@@ -178,25 +171,20 @@ fn a_broken_encoder_trips_and_the_run_is_kept() {
         let desk = Desk::new();
         let text = format!("{EMULATOR}\n[faults]\n{fault}\n");
         let emulator = desk.put("emulator.toml", &text);
-        let done = desk
+        desk
             // The pulse before the run would find them out.
-            .speed(
-                BENCH,
-                "--port sim: --waive-direction --emulator {}",
-                &[&emulator],
-            )
-            .expect(4);
-        assert!(done.error().contains(reason), "{}", done.stderr);
-        let events = fs::read_to_string(only_folder(&desk.path("runs")).join("events.jsonl"));
-        assert!(events.expect("events").contains("\"trip\""));
+            .speed(BENCH, "--waive-direction --emulator {}", &[&emulator])
+            .fails(4, &[reason]);
+        let events = desk.read("events.jsonl");
+        has(&events, &["\"trip\""]);
     }
 }
 
-/// A model file of the motor with an effect.
-fn model_with(inertia: f64, effect: &str) -> String {
+/// A model file of the motor, and what follows its table.
+fn model_with(effect: &str) -> String {
     format!(
         "[motor]\nname = \"ZK-22FC\"\nresistance_ohm = 1.1\ninductance_h = 0.0099\n\
-         back_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = {inertia}\nload_torque_n_m = 0.455\n\n{effect}"
+         back_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.02276\nload_torque_n_m = 0.455\n\n{effect}"
     )
 }
 
@@ -210,9 +198,9 @@ fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
     );
     let model = desk.put(
         "model.toml",
-        &model_with(0.02276, &format!("[[effect]]\nid = \"{delay}")),
+        &model_with(&format!("[[effect]]\nid = \"{delay}")),
     );
-    let options = "--port sim: --emulator {} --model {}";
+    let options = "--emulator {} --model {}";
     let found = desk
         .speed(BENCH, options, &[&emulator, &model])
         .expect(0)
@@ -223,7 +211,7 @@ fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
         assert!(number(step, "overshoot_percent") < 10.0, "{step}");
     }
     let fixed = Desk::new();
-    let options = "--port sim: --emulator {} --model {} --controller pi";
+    let options = "--emulator {} --model {} --controller pi";
     let found = fixed
         .speed(BENCH, options, &[&emulator, &model])
         .expect(0)
@@ -254,7 +242,7 @@ fn a_minute_at_a_constant_reference_leaves_the_estimate_alone() {
             .replace("periods = 8 }", &constant)
             .replace("time_s = 60.0", "time_s = 90.0");
         let found = desk
-            .speed(&bench, "--port sim: --emulator {}", &[&emulator])
+            .speed(&bench, "--emulator {}", &[&emulator])
             .expect(0)
             .json();
         let told = found["loop"]["gains"][0].as_str().expect("text").to_owned();
@@ -282,7 +270,7 @@ fn what_is_given_forward_is_compared_in_one_run() {
     );
     let model = desk.put(
         "model.toml",
-        &model_with(0.02276, &format!("[[effect]]\nid = \"{drop}")),
+        &model_with(&format!("[[effect]]\nid = \"{drop}")),
     );
     let (before, _) = BENCH
         .split_once("[[speed.reference]]")
@@ -291,16 +279,15 @@ fn what_is_given_forward_is_compared_in_one_run() {
     let bench = format!(
         "{before}[[speed.reference]]\npolyline = {{ points = [[0.0, 15.0], [2.0, -15.0], [4.0, 15.0]] }}\n\n[[sequence]]{sequence}"
     );
-    let options = "--port sim: --emulator {} --model {} --feed-forward compare";
+    let options = "--emulator {} --model {} --feed-forward compare";
     let done = desk.speed(&bench, options, &[&emulator, &model]).expect(0);
     let found = done.json();
     let passes = found["loop"]["tracking"].as_array().expect("passes");
     assert_eq!(passes.len(), 2);
     let rms = |pass: &Value| number(pass, "rms_rad_s");
     assert!(rms(&passes[1]) < 0.8 * rms(&passes[0]), "{passes:?}");
-    let page =
-        fs::read_to_string(only_folder(&desk.path("runs")).join("report.html")).expect("a page");
-    assert!(page.contains("Speed loop") && page.contains("feed-forward"));
+    let page = desk.read("report.html");
+    has(&page, &["Speed loop", "feed-forward"]);
 }
 
 #[test]
@@ -319,9 +306,7 @@ fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
         ),
     ] {
         let desk = Desk::new();
-        let done = desk
-            .speed(&bench(section), &format!("--port sim: {options}"), &[])
-            .expect(0);
+        let done = desk.speed(&bench(section), options, &[]).expect(0);
         let found = done.json();
         assert_eq!(found["loop"]["actuator"], actuator);
         for step in &found["loop"]["steps"].as_array().expect("steps")[1..] {
@@ -333,91 +318,61 @@ fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
         }
     }
     let desk = Desk::new();
-    let done = desk
-        .speed(BENCH, "--port sim: --actuator speed", &[])
-        .expect(2);
-    assert!(
-        done.error().contains("does not act with a speed"),
-        "{}",
-        done.stderr
-    );
+    desk.speed(BENCH, "--actuator speed", &[])
+        .fails(2, &["does not act with a speed"]);
 }
 
 #[test]
 fn what_cannot_be_regulated_is_refused_before_anything_is_opened() {
-    let model = |key: &str, value: &str| {
-        let mut text = String::from("[motor]\n");
-        for (known, plate) in [
-            ("name", "\"ZK-22FC\""),
-            ("resistance_ohm", "1.1"),
-            ("inductance_h", "0.0099"),
-            ("back_emf_v_s_per_rad", "0.3538"),
-            ("inertia_kg_m2", "0.02276"),
-            ("load_torque_n_m", "0.455"),
-        ] {
-            let value = if known == key { value } else { plate };
-            let _ = writeln!(text, "{known} = {value}");
-        }
-        text
+    let refused = |bench: &str, options: &str, model: &[&Path], expected: &str| {
+        let desk = Desk::new();
+        desk.speed(bench, options, model).fails(2, &[expected]);
+        assert!(!desk.out().exists(), "a run folder was made: {expected}");
     };
-    for (key, value, expected) in [
-        ("inertia_kg_m2", "-0.02", "inertia_kg_m2 = -0.02"),
+    for (from, to, expected) in [
+        ("= 0.02276", "= -0.02", "inertia_kg_m2 = -0.02"),
         (
-            "resistance_ohm",
-            "11.0",
+            "ohm = 1.1",
+            "ohm = 11.0",
             "resistance_ohm = 11 is that of another motor",
         ),
-        ("name", "\"other\"", "the model is of the motor \"other\""),
+        ("ZK-22FC", "other", "the model is of the motor \"other\""),
     ] {
-        let desk = Desk::new();
-        let file = desk.put("model.toml", &model(key, value));
-        let done = desk
-            .speed(BENCH, "--port sim: --model {}", &[&file])
-            .expect(2);
-        assert!(done.error().contains(expected), "{}", done.stderr);
-        assert!(!desk.path("runs").exists(), "a run folder was made");
+        let model = Desk::new();
+        let file = model.put("model.toml", &model_with("").replace(from, to));
+        refused(BENCH, "--model {}", &[&file], expected);
     }
-    for (from, to, options, expected) in [
+    let gains =
+        "controller = \"pi\"\ngains = { proportional_v_s_per_rad = 20.0, integral_time_s = 0.2 }";
+    for (from, to, expected) in [
         (
             "high_rad_s = 110.0",
             "high_rad_s = 350.0",
-            "",
             "high_rad_s = 350",
         ),
         (
             "current_limit_a = 10.0",
             "current_limit_a = 20.0",
-            "",
             "speed.current_limit_a = 20",
         ),
         (
             "controller = \"addc\"",
-            "controller = \"pi\"\ngains = { proportional_v_s_per_rad = 20.0, integral_time_s = 0.2 }",
-            "",
+            gains,
             "speed.gains.proportional_v_s_per_rad = 20",
         ),
         (
             "controller = \"addc\"",
             "bandwidth_rad_s = 900.0",
-            "",
             "bandwidth 900",
         ),
-        ("name", "name", "--escalate", "--escalate"),
-        ("name", "name", "--controller pid", "pid"),
     ] {
         assert!(BENCH.contains(from), "{from}");
-        let desk = Desk::new();
-        let bench = BENCH.replacen(from, to, 1);
-        let done = desk
-            .speed(&bench, &format!("--port sim: {options}"), &[])
-            .expect(2);
-        assert!(done.error().contains(expected), "{}", done.stderr);
-        assert!(!desk.path("runs").exists(), "a run folder was made");
+        refused(&BENCH.replacen(from, to, 1), "", &[], expected);
     }
-    let desk = Desk::new();
+    refused(BENCH, "--escalate", &[], "--escalate");
+    refused(BENCH, "--controller pid", &[], "pid");
     let (before, after) = BENCH.split_once("[speed]").expect("a section");
     let (_, sequence) = after.split_once("[[sequence]]").expect("a sequence");
     let bench = format!("{before}[[sequence]]{sequence}");
-    let done = desk.speed(&bench, "--port sim:", &[]).expect(2);
-    assert!(done.error().contains("has no [speed]"), "{}", done.stderr);
+    refused(&bench, "", &[], "has no [speed]");
 }

@@ -1,12 +1,7 @@
 //! The everyday tools through the real binary, against the software drive in a process of its own over a
 //! pseudo-terminal and TCP.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, Done, call, drivebench, has, json_of, line, refusal};
-use serde_json::Value;
+use crate::kit::prelude::*;
 
 /// A software drive that never outlives its test.
 struct Drive {
@@ -38,31 +33,9 @@ impl Drive {
 #[track_caller]
 fn balances(counters: &Value) {
     let of = |name: &str| counters[name].as_u64().expect("a count");
-    let classes = [
-        "ok",
-        "timeout",
-        "crc",
-        "stale",
-        "mismatch",
-        "exception",
-        "aborted",
-    ];
-    let sum: u64 = classes.into_iter().map(of).sum();
+    let classes = "ok timeout crc stale mismatch exception aborted";
+    let sum: u64 = classes.split(' ').map(of).sum();
     assert_eq!(of("sent"), sum, "{counters}");
-}
-
-/// The records of a capture file, after its link type.
-fn records(file: &Path) -> (u32, Vec<Vec<u8>>) {
-    let bytes = fs::read(file).expect("the capture is there");
-    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-    assert_eq!(word(0), 0xA1B2_3C4D);
-    let (mut at, mut found) = (24, Vec::new());
-    while at < bytes.len() {
-        let length = word(at + 8) as usize;
-        found.push(bytes[at + 16..at + 16 + length].to_vec());
-        at += 16 + length;
-    }
-    (word(20), found)
 }
 
 #[test]
@@ -74,8 +47,8 @@ fn registers_are_read_as_the_contract_says() {
         let reads = result["reads"].as_array().expect("a list");
         assert_eq!(reads.len(), 2);
         assert_eq!(reads[0]["address"], 64);
-        assert_eq!(reads[0]["values"], serde_json::json!([0x4442, 1]));
-        assert_eq!(reads[1]["values"], serde_json::json!([0x4442]));
+        assert_eq!(reads[0]["values"], json!([0x4442, 1]));
+        assert_eq!(reads[1]["values"], json!([0x4442]));
         assert!(reads[0].get("error").is_none());
         for key in ["rate_hz", "p50_us", "p99_us"] {
             assert!(
@@ -89,7 +62,7 @@ fn registers_are_read_as_the_contract_says() {
         );
         balances(&result["counters"]);
         let text = drive.ask("registers read 64:2", &[]).expect(0).stdout;
-        assert!(text.contains("17474") && text.contains("4442"), "{text}");
+        has(&text, &["17474", "4442"]);
     }
 }
 
@@ -97,11 +70,11 @@ fn registers_are_read_as_the_contract_says() {
 fn a_silence_below_the_standard_is_allowed_and_said() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("registers read 64:2 --gap 0", &[]).expect(0);
-    assert!(done.stdout.contains("17474"), "{}", done.stdout);
+    has(&done.stdout, &["17474"]);
     let warning = "0 ms of silence before a request is below the standard's 1.75 ms at 115200 8N1";
-    assert!(done.stderr.contains(warning), "{}", done.stderr);
+    has(&done.stderr, &[warning]);
     let done = drive.ask("registers read 64:2 --gap 2", &[]).expect(0);
-    assert!(!done.stderr.contains("silence"), "{}", done.stderr);
+    lacks(&done.stderr, &["silence"]);
 }
 
 #[test]
@@ -109,11 +82,11 @@ fn a_read_that_is_refused_is_named_beside_those_that_are_not() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("registers read 64 60000:2 --json", &[]).expect(3);
     let result = done.json();
-    assert_eq!(result["reads"][0]["values"], serde_json::json!([0x4442]));
+    assert_eq!(result["reads"][0]["values"], json!([0x4442]));
     assert_eq!(result["reads"][1]["address"], 60_000);
     let error = result["reads"][1]["error"].as_str().expect("a text");
-    assert!(error.contains("0x02 illegal data address"), "{error}");
-    assert!(done.error().contains("60000"), "{}", done.stderr);
+    has(error, &["0x02 illegal data address"]);
+    has(&done.error(), &["60000"]);
     balances(&result["counters"]);
 }
 
@@ -129,39 +102,29 @@ fn nobody_at_the_other_end_is_exit_status_3_with_the_json() {
     let result = done.json();
     assert!(result["rate_hz"].is_null() && result["p50_us"].is_null());
     assert_eq!(result["counters"]["timeout"], 2);
-    assert!(
-        done.error().contains("no reply within 50 ms"),
-        "{}",
-        done.stderr
-    );
-    let done = call("registers read 1 --port /dev/drivebench-none", &[]).expect(3);
-    assert!(
-        done.error().contains("it does not exist"),
-        "{}",
-        done.stderr
-    );
+    has(&done.error(), &["no reply within 50 ms"]);
+    call("registers read 1 --port /dev/drivebench-none", &[]).fails(3, &["it does not exist"]);
 }
 
 #[test]
 fn wrong_arguments_are_usage_errors() {
-    for text in [
-        "registers read 1",
-        "registers read --port x",
-        "registers read 1:126 --port x",
-        "registers read 70000 --port x",
-        "registers read 1 --port x --host y:1",
-        "registers read 1 --port x --framing 7E1",
-        "registers read 1 --port x --unit 0",
-        "registers read 1 --port x --gap -1",
-        "registers read 1 --port x --gap 1 --gap-us 1000",
-        "registers write 1 70000 --port x",
-        "registers write 1 --port x",
-        "doctor",
-        "doctor --port x --units 9-3",
-        "run --headless --port sim: --tap x.pcap",
-    ] {
-        refusal(text, &[]);
-    }
+    refusals(
+        "registers read 1
+         registers read --port x
+         registers read 1:126 --port x
+         registers read 70000 --port x
+         registers read 1 --port x --host y:1
+         registers read 1 --port x --framing 7E1
+         registers read 1 --port x --unit 0
+         registers read 1 --port x --gap -1
+         registers read 1 --port x --gap 1 --gap-us 1000
+         registers write 1 70000 --port x
+         registers write 1 --port x
+         doctor
+         doctor --port x --units 9-3
+         run --headless --port sim: --tap x.pcap",
+        &[],
+    );
 }
 
 #[test]
@@ -169,7 +132,7 @@ fn a_write_is_shown_guarded_and_read_back() {
     let drive = Drive::start("modbus-rtu");
     let refused = drive.ask("registers write 73 640", &[]).expect(2);
     has(&refused.stderr, &["-> 640 (0x0280)"]);
-    assert!(refused.error().contains("--yes"), "{}", refused.stderr);
+    has(&refused.error(), &["--yes"]);
     let before = drive.ask("registers read 73 --json", &[]).expect(0).json();
     assert_ne!(before["reads"][0]["values"][0], 640);
     // Our emulator says what it is, so --hardware is not needed.
@@ -178,7 +141,7 @@ fn a_write_is_shown_guarded_and_read_back() {
         .expect(0)
         .json();
     assert_eq!(result["before"], before["reads"][0]["values"]);
-    assert_eq!(result["after"], serde_json::json!([640]));
+    assert_eq!(result["after"], json!([640]));
     assert_eq!(
         (&result["confirmed"], &result["is_emulator"]),
         (&true.into(), &true.into())
@@ -189,13 +152,13 @@ fn a_write_is_shown_guarded_and_read_back() {
         .ask("registers write 73 1 --yes --json", &[])
         .expect(3);
     assert_eq!(done.json()["confirmed"], false);
-    assert_eq!(done.json()["after"], serde_json::json!([640]));
-    assert!(done.error().contains("0x03"), "{}", done.stderr);
+    assert_eq!(done.json()["after"], json!([640]));
+    has(&done.error(), &["0x03"]);
 }
 
 #[test]
 fn what_does_not_say_that_it_is_an_emulator_counts_as_hardware() {
-    use std::io::{Read, Write};
+    use std::io::{Read as _, Write as _};
     // A Modbus TCP unit that answers every read with zeros and echoes writes.
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("bound").to_string();
@@ -221,13 +184,9 @@ fn what_does_not_say_that_it_is_an_emulator_counts_as_hardware() {
     });
     let mut arguments = line("registers write 5 7 --yes --timeout-ms 20000 --host", &[]);
     arguments.push(PathBuf::from(&address));
-    let done = drivebench(arguments).expect(2);
-    assert!(done.error().contains("--hardware"), "{}", done.stderr);
-    assert_eq!(
-        unit.join().expect("the unit ends"),
-        0,
-        "something was written"
-    );
+    drivebench(arguments).fails(2, &["--hardware"]);
+    let writes = unit.join().expect("the unit ends");
+    assert_eq!(writes, 0, "something was written");
 }
 
 #[test]
@@ -236,22 +195,15 @@ fn a_tap_holds_every_frame_and_is_never_overwritten() {
     let file = drive.desk.path("read.pcap");
     let read = "registers read 64:2 64:3 --json --tap {}";
     let result = drive.ask(read, &[&file]).expect(0).json();
-    let (link_type, frames) = records(&file);
+    let (link_type, frames) = capture(&file);
     assert_eq!(link_type, 147);
     let sent = result["counters"]["sent"].as_u64().expect("a count");
     assert_eq!(frames.len() as u64, 2 * sent);
     assert_eq!(frames[0][..6], [1, 3, 0, 64, 0, 2]);
     assert_eq!(frames[1][..7], [1, 3, 4, 0x44, 0x42, 0, 1]);
-    let again = drive.ask(read, &[&file]).expect(2);
-    assert!(again.error().contains("exists already"), "{}", again.stderr);
-    let nowhere = drive
-        .ask(read, &[&drive.desk.path("no/such/folder.pcap")])
-        .expect(2);
-    assert!(
-        nowhere.error().contains("cannot write"),
-        "{}",
-        nowhere.stderr
-    );
+    drive.ask(read, &[&file]).fails(2, &["exists already"]);
+    let nowhere = drive.desk.path("no/such/folder.pcap");
+    drive.ask(read, &[&nowhere]).fails(2, &["cannot write"]);
 }
 
 #[test]
@@ -259,7 +211,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     let drive = Drive::start("modbus-tcp");
     let file = drive.desk.path("tcp.pcap");
     drive.ask("registers read 64 --tap {}", &[&file]).expect(0);
-    let (link_type, packets) = records(&file);
+    let (link_type, packets) = capture(&file);
     assert_eq!((link_type, packets.len()), (101, 2));
     assert_eq!(packets[0][0], 0x45);
     assert_eq!(packets[0][packets[0].len() - 5..], [3, 0, 64, 0, 1]);
@@ -272,7 +224,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     let address = PathBuf::from(&drive.emulator.address);
     let out = drive.desk.path("runs");
     call(arguments, &[&bench, &out, &file, &address]);
-    let (link_type, frames) = records(&file);
+    let (link_type, frames) = capture(&file);
     assert_eq!(link_type, 148);
     assert!(frames.len() > 10, "{}", frames.len());
     assert!(frames.iter().all(|frame| frame.ends_with(&[0])));
@@ -308,8 +260,8 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
     let mut arguments = line("doctor --unit 9 --timeout-ms 50 --port", &[]);
     arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);
-    assert!(done.stdout.contains("nothing answered"), "{}", done.stdout);
-    assert!(done.error().contains("no reply"), "{}", done.stderr);
+    has(&done.stdout, &["nothing answered"]);
+    has(&done.error(), &["no reply"]);
 }
 
 #[test]

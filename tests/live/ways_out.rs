@@ -1,18 +1,12 @@
 //! Every way out of a run with its motor on, over real pseudo-terminals: the drive in a process of its own is the witness.
 //! It was told to stop, and its watchdog did not have to act.
 
-use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use crate::kit::process::{
-    Emulator, Process, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry, wait_for,
-};
-use crate::kit::terminal::Session;
-use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, call, has, only_folder, turns};
-use nix::sys::signal::Signal;
+use crate::kit::prelude::*;
+use crate::kit::process::{RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
 struct Lab {
@@ -71,9 +65,9 @@ impl Lab {
         session
     }
 
-    /// A run whose motor turns. Where the machine stands still the checks refuse it: that is told and tried again.
+    /// A run whose motor turns. Where the machine stands still the checks refuse it.
     fn headless(&self) -> Process {
-        for _ in 0..3 {
+        let (done, run) = in_real_time(|| {
             let mut command = Command::new(BINARY);
             command.args(self.arguments("run")).arg("--headless");
             let mut run = self.spawn(command);
@@ -82,11 +76,12 @@ impl Lab {
                 (over || self.turns()).then_some(!over)
             });
             if turns {
-                return run;
+                (Done::default(), Some(run))
+            } else {
+                (run.end(), None)
             }
-            eprintln!("{}", run.end().stderr);
-        }
-        panic!("no run began");
+        });
+        run.unwrap_or_else(|| panic!("no run began: {}", done.stderr))
     }
 
     fn spawn(&self, mut command: Command) -> Process {
@@ -95,7 +90,7 @@ impl Lab {
     }
 
     fn turns(&self) -> bool {
-        turns(&self.desk.path("runs"), 60.0)
+        self.desk.turns(60.0)
     }
 
     /// By the drive's own word, some time after its watchdog would have acted.
@@ -122,10 +117,8 @@ fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
         assert_eq!(status, 130, "{command}");
         lab.expect_stopped(command);
         if command == "run" {
-            let run = only_folder(&lab.path().join("runs"));
-            let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
-            assert!(manifest.contains("\"interrupted\""), "{manifest}");
-            assert!(manifest.contains("\"finished\": true"), "{manifest}");
+            let manifest = lab.desk.read("manifest.json");
+            has(&manifest, &["\"interrupted\"", "\"finished\": true"]);
         }
     }
 }
@@ -155,10 +148,9 @@ fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
     ] {
         let run = lab.headless();
         run.signal(signal);
-        let done = run.end().expect(130);
-        assert!(done.error().contains("stopped before"), "{}", done.stderr);
+        run.end().fails(130, &["stopped before"]);
         lab.expect_stopped(signal.as_str());
-        fs::remove_dir_all(lab.path().join("runs")).unwrap();
+        fs::remove_dir_all(lab.desk.out()).unwrap();
     }
 }
 
@@ -182,18 +174,16 @@ fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
     // Blocks of 512 bytes: the samples outgrow them.
     command.args(["-c", "ulimit -f 64; exec \"$0\" \"$@\"", BINARY]);
     command.args(lab.arguments("run")).arg("--headless");
-    let done: Done = lab.spawn(command).end().expect(6);
+    let done = lab.spawn(command).end().expect(6);
     let error = done.error();
-    assert!(error.contains("record could not be kept"), "{error}");
-    assert!(done.stderr.contains("the run goes on"), "{}", done.stderr);
-    assert!(done.stdout.contains("done: "), "{}", done.stdout);
-    assert!(done.stdout.contains("back_emf"), "{}", done.stdout);
+    has(&error, &["record could not be kept"]);
+    has(&done.stderr, &["the run goes on"]);
+    has(&done.stdout, &["done: ", "back_emf"]);
     lab.expect_stopped("a full disk");
-    let run: PathBuf = only_folder(&lab.path().join("runs"));
-    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
-    assert!(manifest.contains("\"finished\": false"), "{manifest}");
+    let manifest = lab.desk.read("manifest.json");
+    has(&manifest, &["\"finished\": false"]);
     // What there was room for is there, row by row.
-    let opened = call("identify {} --json", &[&run]);
+    let opened = call("identify {} --json", &[&lab.desk.run()]);
     assert!(
         opened.status == 0 || opened.status == 5,
         "{}",
@@ -207,15 +197,12 @@ fn a_folder_that_is_deleted_is_told_of_while_the_run_goes_on_and_made_again() {
     let run = lab.headless();
     // At once: while it is emptied file by file, the recorder may make it again.
     let gone = lab.path().join("gone");
-    fs::rename(only_folder(&lab.path().join("runs")), &gone).unwrap();
+    fs::rename(lab.desk.run(), &gone).unwrap();
     fs::remove_dir_all(gone).unwrap();
     let done = run.end().expect(0);
     has(&done.stderr, &["was deleted or renamed"]);
-    let run = only_folder(&lab.path().join("runs"));
-    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
-    assert!(manifest.contains("\"finished\": true"), "{manifest}");
-    let events = fs::read_to_string(run.join("events.jsonl")).unwrap();
-    assert!(events.contains("\"event\":\"record\""), "{events}");
-    assert!(events.contains("\"to\":\"armed\""), "{events}");
+    has(&lab.desk.read("manifest.json"), &["\"finished\": true"]);
+    let events = lab.desk.read("events.jsonl");
+    has(&events, &["\"event\":\"record\"", "\"to\":\"armed\""]);
     lab.expect_stopped("a folder that is gone");
 }

@@ -134,15 +134,7 @@ impl Way {
     }
 }
 
-/// The ways in which it can happen at all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Where {
-    Everywhere,
-    Screen,
-    Headless,
-}
-
-/// One line of the table.
+/// One line of the table: what goes wrong, and what has to follow.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fault {
     pub(crate) name: &'static str,
@@ -150,9 +142,8 @@ pub(crate) struct Fault {
     pub(crate) class: Class,
     /// Exit statuses that are documented for it.
     pub(crate) statuses: &'static [i32],
-    /// Each of these has to occur in what the program says; alternatives are parted by `|`.
-    pub(crate) words: &'static [&'static str],
-    pub(crate) place: Where,
+    /// One of these has to occur in what the program says; parted by `|`.
+    words: &'static str,
 }
 
 impl fmt::Display for Fault {
@@ -162,11 +153,14 @@ impl fmt::Display for Fault {
 }
 
 impl Fault {
+    /// Whether it can happen at all in this way of running.
     pub(crate) fn happens(&self, way: Way) -> bool {
-        match self.place {
-            Where::Everywhere => true,
-            Where::Screen => way.has_screen(),
-            Where::Headless => !way.has_screen(),
+        match self.act {
+            Act::Host(Host::Interrupt | Host::CloseOutput | Host::FolderGone) => !way.has_screen(),
+            Act::Host(Host::InterruptKey | Host::CloseTerminal | Host::StopKey | Host::QuitKey) => {
+                way.has_screen()
+            }
+            _ => true,
         }
     }
 
@@ -178,13 +172,10 @@ impl Fault {
     }
 
     /// What is worth telling is missing from the words, in words.
-    pub(crate) fn untold(&self, said: &str) -> Vec<String> {
+    pub(crate) fn untold(&self, said: &str) -> Option<String> {
         let said = said.to_lowercase();
-        let is_told = |wanted: &&&str| !wanted.split('|').any(|word| said.contains(word));
-        let untold = self.words.iter().filter(is_told);
-        untold
-            .map(|wanted| format!("nothing said of {wanted:?}"))
-            .collect()
+        let is_told = self.words.split('|').any(|word| said.contains(word));
+        (!is_told).then(|| format!("nothing said of {:?}", self.words))
     }
 }
 
@@ -193,60 +184,99 @@ const LINK: &[i32] = &[3];
 const TRIP: &[i32] = &[4];
 /// A drive that does not do as it is told is a failure of the device or a trip.
 const LINK_OR_TRIP: &[i32] = &[3, 4];
-const INTERRUPTED: &[i32] = &[130];
-/// The process has no status of its own.
-const KILLED: &[i32] = &[-1];
 /// The longer of 200 ms and 5 cycles, in which a measurement that cannot be is found out, s.
 const FOUND_OUT_S: f64 = 0.2;
 /// In which somebody else on the line shows in what they leave, s.
 const NOTICED_S: f64 = 1.0;
 
-const fn line(name: &'static str, act: Act, words: &'static [&'static str]) -> Fault {
-    fault(name, act, Class::GoesOn, DONE, words, Where::Everywhere)
+/// What has to follow: how soon the output is off, the exit statuses, and what is said.
+const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
+    use Class::{Cut, GoesOn, Ramp, Refused, Watchdog};
+    match act {
+        Act::Nothing | Act::Replies(..) | Act::PoorLine(..) | Act::Host(Host::QuitKey) => {
+            (GoesOn, DONE, "")
+        }
+        Act::LateOnce(_) => (GoesOn, DONE, "late repl|replies late|came late|stale"),
+        Act::ForeignFrames => (
+            GoesOn,
+            DONE,
+            "second master|another master|frames on the line",
+        ),
+        Act::SecondMaster => (Cut(NOTICED_S), LINK_OR_TRIP, "master|set-point|commanded"),
+        Act::Exception(2) => (Cut(0.0), LINK, "exception 0x02|illegal data address"),
+        Act::Exception(4) => (
+            Cut(0.0),
+            LINK,
+            "exception 0x04|device failure|server failure",
+        ),
+        Act::Exception(_) => (Cut(0.0), LINK, "busy|exception 0x06|no reply|silent"),
+        Act::Dead(f64::INFINITY) => (Watchdog, LINK, "no reply|silent|gone"),
+        Act::Dead(seconds) => (Cut(seconds), LINK, "no reply|silent|gone"),
+        Act::Mute => (Cut(0.0), LINK, "no reply|silent"),
+        Act::Unplugged => (Watchdog, LINK, "gone|unplugged|hung up|silent"),
+        Act::Busy(_) => (Cut(0.0), LINK, "no reply|silent|busy|late"),
+        Act::Speed(Sensor::Frozen) => (Cut(FOUND_OUT_S), TRIP, "encoder|speed|over-current"),
+        Act::Speed(Sensor::Scaled(by)) => {
+            let words = if by < 0.0 {
+                "encoder|speed|revers|over-current"
+            } else if by > 0.0 {
+                "encoder|speed|scale|over-current"
+            } else {
+                "encoder|speed|over-current"
+            };
+            (Cut(FOUND_OUT_S), TRIP, words)
+        }
+        Act::Current(_) => (Cut(FOUND_OUT_S), TRIP, "current"),
+        Act::SetPointsIgnored => (Cut(FOUND_OUT_S), TRIP, "set-point|setpoint|voltage"),
+        // Nor does it tell that it has stopped.
+        Act::FrozenRegisters => (
+            Cut(FOUND_OUT_S),
+            LINK_OR_TRIP,
+            "frozen|stuck|stands still|same|encoder|voltage|still runs|over-current",
+        ),
+        Act::InvalidCodes => (
+            Cut(0.0),
+            LINK_OR_TRIP,
+            "speed|not available|invalid|missing",
+        ),
+        Act::EnableIgnored => (
+            Refused,
+            LINK_OR_TRIP,
+            "does not run|not running|never ran|never runs",
+        ),
+        Act::Trip => (Cut(0.0), TRIP, "fault"),
+        Act::CommLoss => (Cut(0.0), TRIP, "watchdog|communication|comm_loss"),
+        Act::LocalControl => (Cut(0.0), TRIP, "local"),
+        Act::Blocked => (Cut(0.0), TRIP, "current"),
+        Act::Driven => (Cut(0.0), TRIP, "speed|over-current"),
+        Act::StopIgnored(_) => (
+            Watchdog,
+            &[3, 4, 130],
+            "not confirmed|still|did not stop|not stopped|unconfirmed|set-point not followed",
+        ),
+        Act::PowerLost(_) => (Cut(0.0), LINK_OR_TRIP, "silent|no reply|stopped|not run"),
+        Act::Host(Host::Suspend) => (
+            Watchdog,
+            LINK_OR_TRIP,
+            "stood still|suspend|watchdog|silent",
+        ),
+        // The process has no status of its own.
+        Act::Host(Host::Kill) => (Watchdog, &[-1], ""),
+        Act::Host(Host::CloseOutput) => (GoesOn, &[0, 2, 6, 141], ""),
+        Act::Host(Host::FolderGone) => (GoesOn, &[0, 2, 6], "record|written|no such file"),
+        Act::Host(Host::DiskFull) => (GoesOn, &[0, 2, 6], "record|written|too large|no space"),
+        Act::Host(_) => (Ramp, &[130], ""),
+    }
 }
 
-const fn cut(
-    name: &'static str,
-    act: Act,
-    statuses: &'static [i32],
-    words: &'static [&'static str],
-) -> Fault {
-    fault(
-        name,
-        act,
-        Class::Cut(0.0),
-        statuses,
-        words,
-        Where::Everywhere,
-    )
-}
-
-/// A measurement that cannot be.
-const fn odd(name: &'static str, act: Act, words: &'static [&'static str]) -> Fault {
-    let class = Class::Cut(FOUND_OUT_S);
-    fault(name, act, class, TRIP, words, Where::Everywhere)
-}
-
-const fn leave(name: &'static str, host: Host, place: Where) -> Fault {
-    let act = Act::Host(host);
-    fault(name, act, Class::Ramp, INTERRUPTED, &[], place)
-}
-
-const fn fault(
-    name: &'static str,
-    act: Act,
-    class: Class,
-    statuses: &'static [i32],
-    words: &'static [&'static str],
-    place: Where,
-) -> Fault {
+const fn fault(name: &'static str, act: Act) -> Fault {
+    let (class, statuses, words) = follows(act);
     Fault {
         name,
         act,
         class,
         statuses,
         words,
-        place,
     }
 }
 
@@ -256,243 +286,69 @@ const SOME: u32 = 20;
 
 pub(crate) const FAULTS: &[Fault] = &[
     // The line: a run goes on, and what is hidden in it is told.
-    line("nothing", Act::Nothing, &[]),
-    line(
-        "one late reply",
-        Act::LateOnce(0.07),
-        &["late repl|replies late|came late|stale"],
-    ),
-    line("late replies", Act::Replies(Reply::Late(0.03), FEW), &[]),
-    line("lost replies", Act::Replies(Reply::Lost, FEW), &[]),
-    line("doubled replies", Act::Replies(Reply::Doubled, FEW), &[]),
-    line(
+    fault("nothing", Act::Nothing),
+    fault("one late reply", Act::LateOnce(0.07)),
+    fault("late replies", Act::Replies(Reply::Late(0.03), FEW)),
+    fault("lost replies", Act::Replies(Reply::Lost, FEW)),
+    fault("doubled replies", Act::Replies(Reply::Doubled, FEW)),
+    fault(
         "garbage before replies",
         Act::Replies(Reply::GarbageBefore, SOME),
-        &[],
     ),
-    line(
+    fault(
         "garbage after replies",
         Act::Replies(Reply::GarbageAfter, SOME),
-        &[],
     ),
-    line("wrong check sums", Act::Replies(Reply::WrongCrc, SOME), &[]),
-    line(
-        "truncated replies",
-        Act::Replies(Reply::Truncated, SOME),
-        &[],
-    ),
-    line(
+    fault("wrong check sums", Act::Replies(Reply::WrongCrc, SOME)),
+    fault("truncated replies", Act::Replies(Reply::Truncated, SOME)),
+    fault(
         "replies of another unit",
         Act::Replies(Reply::OtherUnit, SOME),
-        &[],
     ),
-    line(
-        "foreign frames",
-        Act::ForeignFrames,
-        &["second master|another master|frames on the line"],
-    ),
-    fault(
-        "second master writes",
-        Act::SecondMaster,
-        Class::Cut(NOTICED_S),
-        LINK_OR_TRIP,
-        &["master|set-point|commanded"],
-        Where::Everywhere,
-    ),
-    cut(
-        "exception 02",
-        Act::Exception(2),
-        LINK,
-        &["exception 0x02|illegal data address"],
-    ),
-    cut(
-        "exception 04",
-        Act::Exception(4),
-        LINK,
-        &["exception 0x04|device failure|server failure"],
-    ),
-    cut(
-        "exception 06",
-        Act::Exception(6),
-        LINK,
-        &["busy|exception 0x06|no reply|silent"],
-    ),
-    fault(
-        "dead line",
-        Act::Dead(f64::INFINITY),
-        Class::Watchdog,
-        LINK,
-        &["no reply|silent|gone"],
-        Where::Everywhere,
-    ),
-    fault(
-        "dead for 0.3 s",
-        Act::Dead(0.3),
-        Class::Cut(0.3),
-        LINK,
-        &["no reply|silent|gone"],
-        Where::Everywhere,
-    ),
-    cut("mute drive", Act::Mute, LINK, &["no reply|silent"]),
-    fault(
-        "unplugged",
-        Act::Unplugged,
-        Class::Watchdog,
-        LINK,
-        &["gone|unplugged|hung up|silent"],
-        Where::Everywhere,
-    ),
-    cut(
-        "busy for 0.5 s",
-        Act::Busy(0.5),
-        LINK,
-        &["no reply|silent|busy|late"],
-    ),
+    fault("foreign frames", Act::ForeignFrames),
+    fault("second master writes", Act::SecondMaster),
+    fault("exception 02", Act::Exception(2)),
+    fault("exception 04", Act::Exception(4)),
+    fault("exception 06", Act::Exception(6)),
+    fault("dead line", Act::Dead(f64::INFINITY)),
+    fault("dead for 0.3 s", Act::Dead(0.3)),
+    fault("mute drive", Act::Mute),
+    fault("unplugged", Act::Unplugged),
+    fault("busy for 0.5 s", Act::Busy(0.5)),
     // The drive.
-    odd(
-        "encoder frozen",
-        Act::Speed(Sensor::Frozen),
-        &["encoder|speed|over-current"],
-    ),
-    odd(
-        "encoder reversed",
-        Act::Speed(Sensor::Scaled(-1.0)),
-        &["encoder|speed|revers|over-current"],
-    ),
-    odd(
-        "encoder stuck at zero",
-        Act::Speed(Sensor::Scaled(0.0)),
-        &["encoder|speed|over-current"],
-    ),
-    odd(
-        "encoder times 0.3",
-        Act::Speed(Sensor::Scaled(0.3)),
-        &["encoder|speed|scale|over-current"],
-    ),
-    odd(
-        "encoder times 3",
-        Act::Speed(Sensor::Scaled(3.0)),
-        &["encoder|speed|scale|over-current"],
-    ),
-    odd(
-        "current stuck at zero",
-        Act::Current(Sensor::Scaled(0.0)),
-        &["current"],
-    ),
-    odd("current frozen", Act::Current(Sensor::Frozen), &["current"]),
-    odd(
-        "current times 4",
-        Act::Current(Sensor::Scaled(4.0)),
-        &["current"],
-    ),
-    odd(
-        "set-points ignored",
-        Act::SetPointsIgnored,
-        &["set-point|setpoint|voltage"],
-    ),
-    fault(
-        "frozen registers",
-        Act::FrozenRegisters,
-        Class::Cut(FOUND_OUT_S),
-        // Nor does it tell that it has stopped.
-        LINK_OR_TRIP,
-        &["frozen|stuck|stands still|same|encoder|voltage|still runs|over-current"],
-        Where::Everywhere,
-    ),
-    cut(
-        "invalid codes",
-        Act::InvalidCodes,
-        LINK_OR_TRIP,
-        &["speed|not available|invalid|missing"],
-    ),
-    fault(
-        "enable ignored",
-        Act::EnableIgnored,
-        Class::Refused,
-        LINK_OR_TRIP,
-        &["does not run|not running|never ran|never runs"],
-        Where::Everywhere,
-    ),
-    cut("drive trips", Act::Trip, TRIP, &["fault"]),
-    cut(
-        "watchdog of the drive trips",
-        Act::CommLoss,
-        TRIP,
-        &["watchdog|communication|comm_loss"],
-    ),
-    cut("local control", Act::LocalControl, TRIP, &["local"]),
-    cut("over-current", Act::Blocked, TRIP, &["current"]),
-    cut("over-speed", Act::Driven, TRIP, &["speed|over-current"]),
-    fault(
-        "stop ignored",
-        Act::StopIgnored(Host::InterruptKey),
-        Class::Watchdog,
-        &[3, 4, 130],
-        &["not confirmed|still|did not stop|not stopped|unconfirmed|set-point not followed"],
-        Where::Everywhere,
-    ),
-    cut(
-        "power lost for 1 s",
-        Act::PowerLost(1.0),
-        LINK_OR_TRIP,
-        &["silent|no reply|stopped|not run"],
-    ),
+    fault("encoder frozen", Act::Speed(Sensor::Frozen)),
+    fault("encoder reversed", Act::Speed(Sensor::Scaled(-1.0))),
+    fault("encoder stuck at zero", Act::Speed(Sensor::Scaled(0.0))),
+    fault("encoder times 0.3", Act::Speed(Sensor::Scaled(0.3))),
+    fault("encoder times 3", Act::Speed(Sensor::Scaled(3.0))),
+    fault("current stuck at zero", Act::Current(Sensor::Scaled(0.0))),
+    fault("current frozen", Act::Current(Sensor::Frozen)),
+    fault("current times 4", Act::Current(Sensor::Scaled(4.0))),
+    fault("set-points ignored", Act::SetPointsIgnored),
+    fault("frozen registers", Act::FrozenRegisters),
+    fault("invalid codes", Act::InvalidCodes),
+    fault("enable ignored", Act::EnableIgnored),
+    fault("drive trips", Act::Trip),
+    fault("watchdog of the drive trips", Act::CommLoss),
+    fault("local control", Act::LocalControl),
+    fault("over-current", Act::Blocked),
+    fault("over-speed", Act::Driven),
+    fault("stop ignored", Act::StopIgnored(Host::InterruptKey)),
+    fault("power lost for 1 s", Act::PowerLost(1.0)),
     // The program.
-    leave("SIGINT", Host::Interrupt, Where::Headless),
-    leave("Ctrl-C", Host::InterruptKey, Where::Screen),
-    leave("SIGINT twice", Host::InterruptTwice, Where::Everywhere),
-    leave("SIGTERM", Host::Terminate, Where::Everywhere),
-    leave("SIGHUP", Host::HangUp, Where::Everywhere),
-    leave("SIGQUIT", Host::Quit, Where::Everywhere),
-    leave("SIGUSR1", Host::User1, Where::Everywhere),
-    leave("terminal closed", Host::CloseTerminal, Where::Screen),
-    leave("stop key", Host::StopKey, Where::Screen),
-    fault(
-        "suspended for 1 s",
-        Act::Host(Host::Suspend),
-        Class::Watchdog,
-        LINK_OR_TRIP,
-        &["stood still|suspend|watchdog|silent"],
-        Where::Everywhere,
-    ),
-    fault(
-        "SIGKILL",
-        Act::Host(Host::Kill),
-        Class::Watchdog,
-        KILLED,
-        &[],
-        Where::Everywhere,
-    ),
-    fault(
-        "output closed",
-        Act::Host(Host::CloseOutput),
-        Class::GoesOn,
-        &[0, 2, 6, 141],
-        &[],
-        Where::Headless,
-    ),
-    fault(
-        "q while it turns",
-        Act::Host(Host::QuitKey),
-        Class::GoesOn,
-        DONE,
-        &[],
-        Where::Screen,
-    ),
-    fault(
-        "record folder gone",
-        Act::Host(Host::FolderGone),
-        Class::GoesOn,
-        &[0, 2, 6],
-        &["record|written|no such file"],
-        Where::Headless,
-    ),
-    fault(
-        "disk full",
-        Act::Host(Host::DiskFull),
-        Class::GoesOn,
-        &[0, 2, 6],
-        &["record|written|too large|no space"],
-        Where::Everywhere,
-    ),
+    fault("SIGINT", Act::Host(Host::Interrupt)),
+    fault("Ctrl-C", Act::Host(Host::InterruptKey)),
+    fault("SIGINT twice", Act::Host(Host::InterruptTwice)),
+    fault("SIGTERM", Act::Host(Host::Terminate)),
+    fault("SIGHUP", Act::Host(Host::HangUp)),
+    fault("SIGQUIT", Act::Host(Host::Quit)),
+    fault("SIGUSR1", Act::Host(Host::User1)),
+    fault("terminal closed", Act::Host(Host::CloseTerminal)),
+    fault("stop key", Act::Host(Host::StopKey)),
+    fault("suspended for 1 s", Act::Host(Host::Suspend)),
+    fault("SIGKILL", Act::Host(Host::Kill)),
+    fault("output closed", Act::Host(Host::CloseOutput)),
+    fault("q while it turns", Act::Host(Host::QuitKey)),
+    fault("record folder gone", Act::Host(Host::FolderGone)),
+    fault("disk full", Act::Host(Host::DiskFull)),
 ];

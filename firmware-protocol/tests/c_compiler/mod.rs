@@ -32,28 +32,15 @@ pub(crate) fn folder() -> PathBuf {
     }
 }
 
-/// Set, it lets the tests pass where there is no C compiler; what they leave out is said aloud.
-const WITHOUT: &str = "DRIVEBENCH_WITHOUT_C";
-
-/// Leaves out what cannot be tested; it fails where nobody said that it may.
+/// Compiles the reference slave with a program of its folder into `out`.
 #[track_caller]
-pub(crate) fn left_out(missing: &str) {
-    let told = format!("no {missing}: the C reference slave is not tested");
-    assert!(
-        std::env::var_os(WITHOUT).is_some(),
-        "{told} (install gcc or clang with binutils, set CC, or set {WITHOUT}=1 to do without)"
-    );
-    aloud(&format!("SKIPPED: {told}"));
-}
-
-/// Compiles the reference slave with a program of its folder into `out`; `None` where it is left out.
-#[track_caller]
-pub(crate) fn build(program: &str, out: &Path) -> Option<PathBuf> {
+pub(crate) fn build(program: &str, out: &Path) -> PathBuf {
     let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".to_owned());
-    if Command::new(&compiler).arg("--version").output().is_err() {
-        left_out(&format!("C compiler {compiler:?}"));
-        return None;
-    }
+    let answers = Command::new(&compiler).arg("--version").output().is_ok();
+    assert!(
+        answers,
+        "no C compiler {compiler:?}: the C reference slave is not tested (Rust links with one; install gcc or clang, or set CC)"
+    );
     let sanitized = can_sanitize(&compiler, out);
     if !sanitized {
         aloud(&format!(
@@ -75,7 +62,7 @@ pub(crate) fn build(program: &str, out: &Path) -> Option<PathBuf> {
     let output = command.output().expect("the compiler can be started");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{command:?}\n{said}");
-    Some(binary)
+    binary
 }
 
 /// Whether a program with sanitizers can be built and run.
@@ -93,6 +80,6 @@ fn can_sanitize(compiler: &str, out: &Path) -> bool {
 }
 
 /// Past the test harness, which keeps what `eprintln!` says to itself.
-pub(crate) fn aloud(text: &str) {
+fn aloud(text: &str) {
     writeln!(std::io::stderr(), "{text}").expect("stderr is there");
 }

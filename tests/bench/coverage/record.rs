@@ -45,7 +45,7 @@ pub(crate) struct Trajectory {
 
 impl Trajectory {
     /// L/R from 0.5 to 50 ms, R J/Ke^2 from 10 ms to 1 s and 1 to 50 times L/R, noise 0.3 to 3 times that of
-    /// DISCOVERY.md, voltage steps at instants of their own.
+    /// a usual servo drive, voltage steps at instants of their own.
     pub(crate) fn random(seed: u64, sampling: Sampling, seconds: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut log_uniform =
@@ -158,22 +158,11 @@ impl Trajectory {
             }
         }
         let mut run = Run::new("seeded", rows.iter().map(|row| row.0).collect()).unwrap();
+        let column = |pick: fn(&(f64, f64, f64, f64)) -> f64| rows.iter().map(pick).collect();
         for (channel, origin, values) in [
-            (
-                Channel::VoltageCmd,
-                Origin::Commanded,
-                rows.iter().map(|r| r.1).collect::<Vec<f64>>(),
-            ),
-            (
-                Channel::Current,
-                Origin::Measured,
-                rows.iter().map(|r| r.2).collect(),
-            ),
-            (
-                Channel::Speed,
-                Origin::Measured,
-                rows.iter().map(|r| r.3).collect(),
-            ),
+            (Channel::VoltageCmd, Origin::Commanded, column(|r| r.1)),
+            (Channel::Current, Origin::Measured, column(|r| r.2)),
+            (Channel::Speed, Origin::Measured, column(|r| r.3)),
         ] {
             run.set_column(channel, values, origin).unwrap();
         }

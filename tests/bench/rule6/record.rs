@@ -1,5 +1,5 @@
 //! Messy records: the emulator's machine, whose forms are not the catalogue's, with a realistic background that no model
-//! of the tests has, under the excitation that DISCOVERY.md 2.0 asks for.
+//! of the tests has, under an excitation that moves everything.
 //!
 //! Background at level 1 (the study's): a coloured torque of 0.75 % of the rated one (remembered for 50 ms), a little
 //! drag, cogging of 7 periods, 0.4 ms of delay, 50 mohm of sag. Noise 0.15 rad/s and 30 mA, steps of 1 r/min and 10 mA.

@@ -1,25 +1,21 @@
 //! One trial in real time: the real binary, the witness on a pseudo-terminal, a fault, and the judgement.
 
-use std::collections::HashMap;
 use std::fmt;
-use std::fs;
-use std::io::{Read, Write as _};
-use std::num::NonZero;
-use std::os::unix::process::ExitStatusExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::io::Read;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use nix::sys::signal::{Signal, kill};
+use nix::sys::signal::kill;
 use nix::unistd::Pid;
-use portable_pty::{CommandBuilder, MasterPty, PtySize, native_pty_system};
-use serde_json::Value;
+use portable_pty::{Child, MasterPty};
 
 use super::line::{Line, STOOD_STILL_S};
-use crate::kit::BINARY;
+use crate::kit::prelude::*;
+use crate::kit::process::KeptWaiting;
+use crate::kit::terminal;
 use crate::witness::drive::{BENCH, Drive, PROFILE};
 use crate::witness::fault::{Act, Class, Fault, Host, Way};
 use crate::witness::judge::judge;
@@ -38,8 +34,8 @@ const AFTER_S: f64 = 0.7;
 const SIGMAS: f64 = 3.5;
 /// Attempts at a trial in which the witness stood still.
 const ATTEMPTS: u32 = 4;
-const ROWS: u16 = 40;
-const COLUMNS: u16 = 120;
+/// Columns and rows of the screen.
+const SIZE: (u16, u16) = (120, 40);
 /// Files may grow so far on a full disk, in blocks of 512 bytes.
 const FULL_BLOCKS: u32 = 60;
 
@@ -129,36 +125,42 @@ pub(crate) fn trial(fault: &'static Fault, way: Way, seed: u64) -> Trial {
 }
 
 /// The program and what it says: without a screen, or on one.
-enum Program {
-    Headless {
-        child: Child,
-        readers: Vec<JoinHandle<()>>,
-        said: Arc<Mutex<Vec<u8>>>,
-        /// The other end of its output is closed as soon as it says more.
-        is_closing: Arc<AtomicBool>,
-    },
-    Screen(Box<Screen>),
+struct Program {
+    child: Box<dyn Child + Send + Sync>,
+    terminal: Option<Terminal>,
+    readers: Vec<JoinHandle<()>>,
+    shown: Arc<Mutex<Shown>>,
+    /// The other end of its output is closed as soon as it says more.
+    is_closing: Arc<AtomicBool>,
 }
 
-struct Screen {
-    child: Box<dyn portable_pty::Child + Send + Sync>,
-    master: Option<Box<dyn MasterPty + Send>>,
-    keys: Option<Box<dyn std::io::Write + Send>>,
-    reader: Option<JoinHandle<()>>,
-    shown: Arc<Mutex<vt100::Parser>>,
-    is_closing: Arc<AtomicBool>,
+/// The other end of the program's screen.
+struct Terminal {
+    keys: Box<dyn std::io::Write + Send>,
+    /// The line hangs up when it goes.
+    _master: Box<dyn MasterPty + Send>,
+}
+
+/// What was said, or stands on the screen.
+enum Shown {
+    Text(Vec<u8>),
+    Screen(Box<vt100::Parser>),
 }
 
 /// Reads until the end, or until it is told to close.
 fn drain(
     mut from: impl Read + Send + 'static,
-    is_closing: Arc<AtomicBool>,
-    mut take: impl FnMut(&[u8]) + Send + 'static,
+    is_closing: &Arc<AtomicBool>,
+    shown: &Arc<Mutex<Shown>>,
 ) -> JoinHandle<()> {
+    let (is_closing, shown) = (Arc::clone(is_closing), Arc::clone(shown));
     std::thread::spawn(move || {
         let mut bytes = [0; 4096];
         while let Ok(count @ 1..) = from.read(&mut bytes) {
-            take(&bytes[..count]);
+            match &mut *shown.lock().expect("the test lives") {
+                Shown::Text(text) => text.extend(&bytes[..count]),
+                Shown::Screen(screen) => screen.process(&bytes[..count]),
+            }
             if is_closing.load(Ordering::Acquire) {
                 return;
             }
@@ -168,175 +170,118 @@ fn drain(
 
 impl Program {
     fn start(fault: &Fault, way: Way, folder: &Path) -> Self {
-        let mut arguments: Vec<String> = [way.command(), "bench.toml", "--hardware"]
-            .map(str::to_owned)
-            .to_vec();
-        arguments.extend(["--out", "runs", "--reopen-s", "1"].map(str::to_owned));
-        let is_closing = Arc::new(AtomicBool::new(false));
+        let command = way.command();
+        let mut arguments = line(
+            &format!("{command} bench.toml --hardware --out runs --reopen-s 1"),
+            &[],
+        );
+        let mut program = BINARY;
         if fault.act == Act::Host(Host::DiskFull) {
             // What a full disk does to a write, without one: the file does not grow any more.
             let shell = format!("trap '' XFSZ; ulimit -f {FULL_BLOCKS}; exec \"$0\" \"$@\"");
-            let before = ["-c".to_owned(), shell, BINARY.to_owned()];
-            arguments.splice(0..0, before);
+            arguments.splice(0..0, ["-c", &shell, BINARY].map(PathBuf::from));
+            program = "/bin/sh";
         }
-        let program = if fault.act == Act::Host(Host::DiskFull) {
-            "/bin/sh"
-        } else {
-            BINARY
-        };
+        let is_closing = Arc::new(AtomicBool::new(false));
         if way.has_screen() {
-            let size = PtySize {
-                rows: ROWS,
-                cols: COLUMNS,
-                pixel_width: 0,
-                pixel_height: 0,
-            };
-            let pair = native_pty_system().openpty(size).expect("a terminal");
-            let mut command = CommandBuilder::new(program);
-            command.args(&arguments);
-            command.cwd(folder);
-            command.env("TERM", "xterm-256color");
-            let child = pair.slave.spawn_command(command).expect("it starts");
-            drop(pair.slave);
-            let (rows, columns) = [ROWS, COLUMNS]
-                .map(|n| NonZero::new(n).expect("some"))
-                .into();
-            let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+            let pair = terminal::open(SIZE);
+            let child = terminal::spawn(&pair, program, arguments, folder);
+            let shown = Arc::new(Mutex::new(Shown::Screen(Box::new(terminal::parser(SIZE)))));
             let reader = pair.master.try_clone_reader().expect("a reader");
-            let shown = Arc::clone(&screen);
-            let reader = drain(reader, Arc::clone(&is_closing), move |bytes| {
-                shown.lock().expect("the test lives").process(bytes);
-            });
-            return Self::Screen(Box::new(Screen {
+            return Self {
                 child,
-                keys: pair.master.take_writer().ok(),
-                master: Some(pair.master),
-                reader: Some(reader),
-                shown: screen,
+                readers: vec![drain(reader, &is_closing, &shown)],
+                terminal: Some(Terminal {
+                    keys: pair.master.take_writer().expect("a writer"),
+                    _master: pair.master,
+                }),
+                shown,
                 is_closing,
-            }));
+            };
         }
-        arguments.push("--headless".to_owned());
         let mut child = Command::new(program)
-            .args(&arguments)
+            .args(arguments)
+            .arg("--headless")
             .current_dir(folder)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .expect("it starts");
-        let said = Arc::new(Mutex::new(Vec::new()));
-        let keep = |said: &Arc<Mutex<Vec<u8>>>| {
-            let said = Arc::clone(said);
-            move |bytes: &[u8]| said.lock().expect("the test lives").extend(bytes)
-        };
+        let shown = Arc::new(Mutex::new(Shown::Text(Vec::new())));
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let readers = vec![
-            drain(stdout.expect("piped"), Arc::clone(&is_closing), keep(&said)),
-            drain(stderr.expect("piped"), Arc::clone(&is_closing), keep(&said)),
+            drain(stdout.expect("piped"), &is_closing, &shown),
+            drain(stderr.expect("piped"), &is_closing, &shown),
         ];
-        Self::Headless {
-            child,
+        Self {
+            child: Box::new(child),
+            terminal: None,
             readers,
-            said,
+            shown,
             is_closing,
         }
     }
 
     fn id(&self) -> u32 {
-        match self {
-            Self::Headless { child, .. } => child.id(),
-            Self::Screen(screen) => screen.child.process_id().expect("a process id"),
-        }
+        self.child.process_id().expect("a process id")
     }
 
     fn signal(&self, signal: Signal) {
-        let id = i32::try_from(self.id()).expect("a process id");
-        let _ = kill(Pid::from_raw(id), signal);
+        let _ = kill(Pid::from_raw(self.id().cast_signed()), signal);
     }
 
     fn press(&mut self, key: &str) {
-        if let Self::Screen(screen) = self
-            && let Some(keys) = &mut screen.keys
-        {
-            let _ = keys.write_all(key.as_bytes());
-            let _ = keys.flush();
+        if let Some(terminal) = &mut self.terminal {
+            let _ = terminal.keys.write_all(key.as_bytes());
+            let _ = terminal.keys.flush();
         }
     }
 
     /// Nobody reads what it says from now on.
     fn close(&mut self) {
-        match self {
-            Self::Headless { is_closing, .. } => is_closing.store(true, Ordering::Release),
-            Self::Screen(screen) => {
-                screen.is_closing.store(true, Ordering::Release);
-                // It draws all the time, so this ends at once.
-                if let Some(reader) = screen.reader.take() {
-                    let _ = reader.join();
-                }
-                // The writer says goodbye with a line feed and an end of file, as its own drop has it.
-                screen.keys = None;
-                screen.master = None;
-            }
+        self.is_closing.store(true, Ordering::Release);
+        if self.terminal.is_some() {
+            // It draws all the time, so this ends at once. The writer says goodbye with a line feed and an end of file, as
+            // its own drop has it.
+            self.join();
+            self.terminal = None;
         }
     }
 
-    fn ended(&mut self) -> Option<i32> {
-        match self {
-            Self::Headless { child, .. } => {
-                let status = child.try_wait().expect("a child can be waited for")?;
-                Some(status.code().unwrap_or_else(|| {
-                    assert!(status.signal().is_some(), "{status:?}");
-                    -1
-                }))
-            }
-            Self::Screen(screen) => {
-                let status = screen
-                    .child
-                    .try_wait()
-                    .expect("a child can be waited for")?;
-                let by_signal = status.signal().is_some();
-                Some(if by_signal {
-                    -1
-                } else {
-                    i32::try_from(status.exit_code()).unwrap_or(-2)
-                })
-            }
+    fn join(&mut self) {
+        for reader in self.readers.drain(..) {
+            let _ = reader.join();
         }
+    }
+
+    /// -1: by a signal.
+    fn ended(&mut self) -> Option<i32> {
+        let status = self.child.try_wait().expect("a child can be waited for")?;
+        let by_signal = status.signal().is_some();
+        Some(if by_signal {
+            -1
+        } else {
+            i32::try_from(status.exit_code()).unwrap_or(-2)
+        })
     }
 
     fn end_by_force(&mut self) {
-        match self {
-            Self::Headless { child, .. } => {
-                let _ = child.kill();
-                let _ = child.wait();
-            }
-            Self::Screen(screen) => {
-                let _ = screen.child.kill();
-                let _ = screen.child.wait();
-            }
-        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 
     fn shown(&self) -> String {
-        match self {
-            Self::Headless { said, .. } => {
-                let said = said.lock().expect("the test lives");
-                String::from_utf8_lossy(&said).into_owned()
-            }
-            Self::Screen(screen) => {
-                let screen = screen.shown.lock().expect("the test lives");
-                screen.screen().contents()
-            }
+        match &*self.shown.lock().expect("the test lives") {
+            Shown::Text(text) => String::from_utf8_lossy(text).into_owned(),
+            Shown::Screen(screen) => screen.screen().contents(),
         }
     }
 
     /// Everything that it said; on a screen what stands there after the end, and what stood there before.
     fn said(&mut self) -> String {
-        if let Self::Headless { readers, .. } = self {
-            for reader in readers.drain(..) {
-                let _ = reader.join();
-            }
+        if self.terminal.is_none() {
+            self.join();
         } else {
             std::thread::sleep(Duration::from_millis(50));
         }
@@ -349,7 +294,6 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
     let pause = |ms| std::thread::sleep(Duration::from_millis(ms));
     let at_s = line.now_s();
     match host {
-        Host::Interrupt => program.signal(Signal::SIGINT),
         Host::InterruptTwice => {
             program.signal(Signal::SIGINT);
             pause(50);
@@ -372,10 +316,8 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
         Host::CloseOutput => program.close(),
         Host::StopKey => program.press(" "),
         Host::QuitKey => program.press("q"),
-        Host::InterruptKey => match program {
-            Program::Screen(_) => program.press("\u{3}"),
-            Program::Headless { .. } => program.signal(Signal::SIGINT),
-        },
+        Host::InterruptKey if program.terminal.is_some() => program.press("\u{3}"),
+        Host::Interrupt | Host::InterruptKey => program.signal(Signal::SIGINT),
         Host::FolderGone => {
             // At once: while it is emptied file by file, the recorder may make it again.
             let gone = folder.join("gone");
@@ -385,27 +327,6 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
         Host::DiskFull => {}
     }
     at_s
-}
-
-/// How long the threads of the program have been kept waiting for a processor, ns: nothing that it could help.
-#[derive(Default)]
-struct Kept(HashMap<PathBuf, u64>);
-
-impl Kept {
-    /// The longest wait that has ended since the last look, s.
-    fn waiting_s(&mut self, process: u32) -> f64 {
-        let tasks = fs::read_dir(format!("/proc/{process}/task"));
-        let mut longest = 0;
-        for task in tasks.into_iter().flatten().flatten() {
-            let waited = fs::read_to_string(task.path().join("schedstat")).ok();
-            let waited = waited.and_then(|text| text.split(' ').nth(1)?.parse().ok());
-            if let Some(waited) = waited {
-                let before = self.0.insert(task.path(), waited);
-                longest = longest.max(waited.saturating_sub(before.unwrap_or(waited)));
-            }
-        }
-        longest as f64 * 1e-9
-    }
 }
 
 /// Presses what a person would press, and does what the fault has it do; the status, when that was done, and the screens.
@@ -418,7 +339,7 @@ fn sit_through(
 ) -> (i32, Option<f64>, Vec<String>) {
     let (mut done_s, mut pressed_s, mut off_s) = (None, 0.0, None);
     let mut stood = Vec::new();
-    let mut kept = Kept::default();
+    let mut kept = KeptWaiting::default();
     let status = loop {
         if let Some(status) = program.ended() {
             break status;
@@ -428,7 +349,7 @@ fn sit_through(
             program.end_by_force();
             break -3;
         }
-        let waited_s = kept.waiting_s(program.id());
+        let waited_s = kept.since_last_look_s(program.id());
         let (from_s, is_on) = {
             let mut state = line.lock();
             if waited_s > STOOD_STILL_S {
@@ -466,12 +387,12 @@ fn sit_through(
 }
 
 fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let line = Line::open(Drive::new(fault.act, seed), folder.path().join("drive.pty"));
-    fs::write(folder.path().join("drive.toml"), PROFILE).expect("written");
-    fs::write(folder.path().join("bench.toml"), BENCH).expect("written");
-    let mut program = Program::start(fault, way, folder.path());
-    let (status, done_s, stood) = sit_through(fault, way, &mut program, folder.path(), &line);
+    let desk = Desk::new();
+    let line = Line::open(Drive::new(fault.act, seed), desk.path("drive.pty"));
+    desk.put("drive.toml", PROFILE);
+    desk.put("bench.toml", BENCH);
+    let mut program = Program::start(fault, way, desk.folder());
+    let (status, done_s, stood) = sit_through(fault, way, &mut program, desk.folder(), &line);
     let seconds = line.now_s();
     std::thread::sleep(Duration::from_secs_f64(AFTER_S));
     let mut said = program.said();
@@ -497,7 +418,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     if !fault.statuses.contains(&status) {
         wrong.push(format!("status {status} instead of {:?}", fault.statuses));
     }
-    let documents = documents(&folder.path().join("runs"));
+    let documents = documents(&desk.out());
     // A screen is full of words; what counts is what stands as an error, and what is kept.
     let mut told: String = documents.iter().map(|(text, _)| text.as_str()).collect();
     let is_told = |line: &&str| {
@@ -546,15 +467,15 @@ fn documents(runs: &Path) -> Vec<(String, Value)> {
         return Vec::new();
     };
     let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let read = |path: &Path| {
+    let read = |path: PathBuf| {
         let text = fs::read_to_string(path).unwrap_or_default();
         serde_json::from_str::<Value>(&text).unwrap_or_default()
     };
     folders
         .filter(|folder| folder.is_dir())
         .map(|folder| {
-            let manifest = read(&folder.join("manifest.json"));
-            let result = read(&folder.join("result.json"));
+            let manifest = read(folder.join("manifest.json"));
+            let result = read(folder.join("result.json"));
             let text = format!("\n{} {}", manifest["outcome"], result["notices"]);
             (text, result)
         })
