@@ -2,16 +2,17 @@
 
 use std::fmt::Write as _;
 
-use super::escalation::{escalate, escalation_failure};
-use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::controls::Controls;
+use super::failure::Failure;
+use super::files::model_file;
 use super::recorded::Recorded;
 use super::rig::{OpenRig, Rig, RigOptions};
-use super::strings::Strings;
-use super::{model_output, output, pages, progress, signals};
+use super::run::{BETWEEN_RUNS, escalate, escalation_failure};
+use super::{output, pages, progress, signals};
 use crate::bench::burst_part;
 use crate::drive::offer::Purpose;
 use crate::identification::nameplate::Comparison;
-use crate::plant::{Model, ModelFile, Scenario};
+use crate::plant::{FileHistory, Model, Scenario};
 use crate::recording::RunFile;
 use crate::workflow::{
     Commission, CommissionResult, Discovery, EscalationResult, Progress, Role, RunRecord, Task,
@@ -24,11 +25,8 @@ fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
     if let (Some(_), Some(record)) = (&next.bench, records.first()) {
         let path = record.folder.file(RunFile::NextBench);
         let _ = writeln!(text, "      drivebench run {}", path.display());
-        let _ = writeln!(
-            text,
-            "      {}",
-            next.diagnose_command(record.folder.path())
-        );
+        let diagnose = next.diagnose_command(record.folder.path());
+        let _ = writeln!(text, "      {diagnose}");
     }
     Some(text)
 }
@@ -49,31 +47,29 @@ pub struct CommissionDone {
 pub fn commission(
     options: RigOptions,
     open: OpenRig,
-    strings: &Strings,
+    controls: &Controls,
     mut publish: impl FnMut(&Progress),
 ) -> Result<CommissionDone, Failure> {
     let mut rig = open(options, None, Purpose::Voltages)?;
     let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
     if let Some(emulator) = &rig.emulator {
-        workflow.set_truth(
-            emulator
-                .hidden
-                .iter()
-                .map(|effect| effect.id().to_owned())
-                .collect(),
-        );
+        let hidden = emulator.hidden.iter();
+        workflow.set_truth(hidden.map(|effect| effect.id().to_owned()).collect());
     }
     workflow.set_bench(rig.bench.clone());
     let mut records: Vec<Recorded> = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
-        if strings.is_stopped() {
-            return Err(Failure::new(
-                INTERRUPTED,
-                "interrupted; nothing is energised, what was recorded is kept",
-            ));
+        if controls.is_stopped() {
+            return Err(Failure::interrupted(BETWEEN_RUNS));
         }
-        if let Err(failure) = step(&mut workflow, &mut rig, &mut records, strings, &mut publish) {
+        if let Err(failure) = step(
+            &mut workflow,
+            &mut rig,
+            &mut records,
+            controls,
+            &mut publish,
+        ) {
             workflow.failed(failure.headline());
             publish(&workflow.progress());
             return Err(failure);
@@ -83,20 +79,16 @@ pub fn commission(
     let result = workflow
         .result()
         .cloned()
-        .ok_or_else(|| Failure::new(INTERNAL, "the loop ended without a result"))?;
+        .ok_or_else(|| Failure::internal("the loop ended without a result"))?;
     let mut text = pages::commission(workflow.scenarios(), &result, &rig, &records)?.text;
-    for part in [
+    let burst = result.burst.as_ref();
+    let parts = [
         result.escalation.as_ref().map(EscalationResult::text),
-        result
-            .burst
-            .as_ref()
-            .map(|burst| format!("burst: {}\n", burst.text())),
+        burst.map(|burst| format!("burst: {}\n", burst.text())),
         result.nameplate.as_ref().map(Comparison::text),
         next_run(&result, &records),
-    ]
-    .into_iter()
-    .flatten()
-    {
+    ];
+    for part in parts.into_iter().flatten() {
         text.push('\n');
         text.push_str(&part);
     }
@@ -115,14 +107,14 @@ fn step(
     workflow: &mut Commission,
     rig: &mut Rig,
     records: &mut Vec<Recorded>,
-    strings: &Strings,
+    controls: &Controls,
     publish: &mut impl FnMut(&Progress),
 ) -> Result<(), Failure> {
     let runs = rig.bench.runs;
     match workflow.task() {
-        Task::Check => workflow.checked(&rig.check(strings)?),
+        Task::Check => workflow.checked(&rig.check(controls)?),
         Task::Escalate => {
-            let result = escalate(rig, strings, |line| {
+            let result = escalate(rig, controls, |line| {
                 workflow.escalating(line);
                 publish(&workflow.progress());
             })?;
@@ -148,7 +140,7 @@ fn step(
             if role == Role::Fit && runs.burst_at.is_none() && rig.records_bursts() {
                 rig.bench.runs.burst_at = burst_part(&rig.bench, &rig.nameplate()?);
             }
-            let mut recorded = rig.record(&name, seed, strings)?;
+            let mut recorded = rig.record(&name, seed, controls)?;
             rig.bench.runs.burst_at = runs.burst_at;
             if let Some(failure) = recorded.run_failure() {
                 return Err(failure);
@@ -170,17 +162,13 @@ fn step(
                 }
                 None => {}
             }
-            workflow.recorded(
-                role,
-                Scenario::from_run(&loaded.run)?,
-                record,
-                recorded.summary.estimates.clone(),
-            );
+            let scenario = Scenario::from_run(&loaded.run)?;
+            workflow.recorded(role, scenario, record, recorded.summary.estimates.clone());
             records.push(recorded);
         }
         Task::Analyse => {
             // Nothing is energised and everything recorded is on the disk. Beside a screen the signals are the screen's.
-            let _endable = if rig.is_headless() {
+            let _endable = if rig.asked.headless {
                 signals::endable()?
             } else {
                 signals::leavable()
@@ -198,25 +186,18 @@ fn step(
 
 /// Model, result and report into every run folder of the loop.
 fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<String, Failure> {
-    let result = workflow
-        .result()
-        .ok_or_else(|| Failure::new(INTERNAL, "nothing to save"))?;
-    let fit = &result.diagnosis.model;
-    let mut file = ModelFile {
-        model: fit.model.clone(),
-        ..ModelFile::default()
-    };
-    file.history.fitted_on = records
-        .iter()
-        .take(1)
-        .map(|record| record.folder.path().display().to_string())
-        .collect();
-    file.history.fitted = model_output::fitted(&fit.parameters);
-    file.history.ladder = result
-        .ladder
-        .iter()
-        .map(|rung| model_output::rung(rung, result.diagnosis.noise_floor_from))
-        .collect();
+    let nothing = || Failure::internal("nothing to save");
+    let result = workflow.result().ok_or_else(nothing)?;
+    let (found, none) = (&result.diagnosis, FileHistory::default());
+    let first = records.first().map(|record| record.folder.path());
+    let run = first.map(|folder| folder.display().to_string());
+    let file = model_file(
+        &found.model,
+        &none,
+        run,
+        &result.ladder,
+        found.noise_floor_from,
+    );
     let page = pages::commission(workflow.scenarios(), result, rig, records)?.html;
     let next = &result.diagnosis.next_experiment;
     let bench = next.as_ref().and_then(|next| next.bench.as_ref());
@@ -229,8 +210,6 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
         record.write_result(result);
         reports.extend(record.write(RunFile::Report, &page));
     }
-    Ok(reports.first().map_or_else(
-        || "not written".to_owned(),
-        |path| path.display().to_string(),
-    ))
+    let report = reports.first().map(|path| path.display().to_string());
+    Ok(report.unwrap_or_else(|| "not written".to_owned()))
 }

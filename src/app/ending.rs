@@ -16,11 +16,11 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use super::controls::{Controls, DriveWord, Ends};
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
-use super::strings::{DriveWord, Ends, Strings};
 use super::{output, signals};
 use crate::bench::{Level, Notice, SnapshotCell};
-use crate::tui::{Exit, ShowOptions, WorkerCell, is_gone, show};
+use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
 use crate::workflow::ProgressCell;
 
 /// How often it is looked whether the work is over.
@@ -67,9 +67,11 @@ impl Left {
             Self::Headless | Self::Screen(_) => None,
             Self::Gone(failure) | Self::Panicked(failure) => Some(failure),
         };
+        let ends_run = |failure: &Failure| matches!(failure.status, LINK | TRIP);
         match (run, of_screen) {
-            (Some(run), Some(screen)) if run.status == INTERRUPTED => Err(screen),
-            (Some(run), Some(screen)) if screen.status == INTERNAL && !ends_run(&run) => {
+            (Some(run), Some(screen))
+                if run.status == INTERRUPTED || screen.status == INTERNAL && !ends_run(&run) =>
+            {
                 Err(screen)
             }
             (Some(failure), _) | (None, Some(failure)) => Err(failure),
@@ -78,58 +80,52 @@ impl Left {
     }
 }
 
-const fn ends_run(failure: &Failure) -> bool {
-    matches!(failure.status, LINK | TRIP)
-}
-
 /// Does the work, shown on a screen or not, and sees to its end.
 ///
 /// # Errors
 /// The work's own failure; else that of a panic, after the drive was told to stop.
 pub fn conduct<T: Send + 'static>(
     audience: Audience,
-    work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
+    work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     match audience {
         Audience::Headless => {
             let (listener, notices) = channel();
-            let (strings, ends) = Strings::new(SnapshotCell::heard_by(listener));
+            let (controls, ends) = Controls::new(SnapshotCell::heard_by(listener));
             signals::pull(ends)?;
-            let work = alone(strings, notices, work)?;
+            let work = alone(controls, notices, work)?;
             Ok(Ended {
                 work,
                 left: Left::Headless,
             })
         }
         Audience::Screen(progress) => {
-            let (strings, ends) = Strings::new(SnapshotCell::default());
+            let (controls, ends) = Controls::new(SnapshotCell::default());
             signals::pull(ends.clone())?;
-            beside_screen(strings, &ends, progress, show, work)
+            let shown = |sources| show(LiveScreen::new(sources));
+            beside_screen(controls, &ends, progress, shown, work)
         }
     }
 }
 
 /// Without a screen: what has to be known at once is told on stderr, by a thread that may wait for it.
 fn alone<T>(
-    strings: Strings,
+    controls: Controls,
     notices: Receiver<Notice>,
-    work: impl FnOnce(&Strings) -> Result<T, Failure>,
+    work: impl FnOnce(&Controls) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
-    let drive = strings.drive.clone();
-    let teller = thread::Builder::new()
-        .name("notices".to_owned())
-        .spawn(move || {
-            let mut told: Vec<String> = Vec::new();
-            for notice in notices {
-                if notice.level != Level::Info && !told.contains(&notice.text) {
-                    output::message(&format!("warning: {}", notice.text));
-                    told.push(notice.text);
-                }
+    let drive = controls.drive.clone();
+    let teller = spawn("notices", move || {
+        let mut told: Vec<String> = Vec::new();
+        for notice in notices {
+            if notice.level != Level::Info && !told.contains(&notice.text) {
+                output::message(&format!("warning: {}", notice.text));
+                told.push(notice.text);
             }
-        })
-        .map_err(|error| cannot_start(&error))?;
-    let done = catch_unwind(AssertUnwindSafe(|| work(&strings)));
-    drop(strings);
+        }
+    })?;
+    let done = catch_unwind(AssertUnwindSafe(|| work(&controls)));
+    drop(controls);
     let done = done.unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
     // What was told stands above the result.
     let _ = teller.join();
@@ -141,14 +137,14 @@ fn alone<T>(
 /// # Errors
 /// As [`conduct`]; and where the work does not come to its end in time.
 pub fn beside_screen<T: Send + 'static>(
-    strings: Strings,
+    controls: Controls,
     ends: &Ends,
     progress: Option<ProgressCell>,
-    show: impl FnOnce(&ShowOptions) -> io::Result<Exit> + Send + 'static,
-    work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
+    show: impl FnOnce(LiveSources) -> io::Result<Exit> + Send + 'static,
+    work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
-    let options = ShowOptions {
+    let sources = LiveSources {
         snapshots: ends.snapshots.clone(),
         workflow: progress,
         intents: ends.intents.clone(),
@@ -158,29 +154,26 @@ pub fn beside_screen<T: Send + 'static>(
     };
     // A message in the middle of the screen would be in nobody's way but the screen's.
     let held = output::hold();
-    let thread = thread::Builder::new()
-        .name("bench".to_owned())
-        .spawn(move || {
-            let _finish = worker.finish_on_drop();
-            work(&strings)
-        })
-        .map_err(|error| cannot_start(&error))?;
+    let thread = spawn("bench", move || {
+        let _finish = worker.finish_on_drop();
+        work(&controls)
+    })?;
     let shown = watched(
-        move || show(&options),
+        move || show(sources),
         || ends.hang_up(),
         || thread.is_finished() && ends.leaving.load(Ordering::Acquire),
     )?;
     let left = match shown {
-        Shown::Left(exit) => Left::Screen(exit),
-        Shown::Failed(reason) => Left::Gone(Failure::with_help(
+        Watched::Left(exit) => Left::Screen(exit),
+        Watched::Failed(reason) => Left::Gone(Failure::with_help(
             INTERRUPTED,
             format!("the screen has failed: {reason}"),
             "the drive was told to stop; start the command again to repeat the run",
         )),
-        Shown::Panicked(said) => Left::Panicked(Failure::new(
-            INTERNAL,
-            format!("the screen has panicked ({said}); the run was ended"),
-        )),
+        Watched::Panicked(said) => {
+            let headline = format!("the screen has panicked ({said}); the run was ended");
+            Left::Panicked(Failure::internal(headline))
+        }
     };
     if !matches!(left, Left::Screen(_)) {
         ends.hang_up();
@@ -200,14 +193,15 @@ pub fn beside_screen<T: Send + 'static>(
         .unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
     match done {
         Ok(work) => Ok(Ended { work, left }),
-        Err(failure) => Err(left.conclude(Some(failure)).err().unwrap_or_else(|| {
-            Failure::new(INTERNAL, "the work failed and nothing was said of it")
-        })),
+        Err(failure) => Err(left
+            .conclude(Some(failure))
+            .err()
+            .unwrap_or_else(|| Failure::internal("the work failed and nothing was said of it"))),
     }
 }
 
 /// How a screen was left.
-pub(super) enum Shown {
+pub(super) enum Watched {
     Left(Exit),
     /// Why there is none any more.
     Failed(String),
@@ -222,12 +216,9 @@ pub(super) fn watched(
     show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
     gone: impl Fn(),
     must_leave: impl Fn() -> bool,
-) -> Result<Shown, Failure> {
+) -> Result<Watched, Failure> {
     let has_terminal = io::stdout().is_terminal();
-    let screen = thread::Builder::new()
-        .name("screen".to_owned())
-        .spawn(show)
-        .map_err(|error| cannot_start(&error))?;
+    let screen = spawn("screen", show)?;
     let (mut closed, mut waited_s) = (false, 0.0);
     while !screen.is_finished() {
         if has_terminal && !closed && is_closed() {
@@ -243,14 +234,14 @@ pub(super) fn watched(
             } else {
                 "the terminal takes nothing any more"
             };
-            return Ok(Shown::Failed(reason.to_owned()));
+            return Ok(Watched::Failed(reason.to_owned()));
         }
         thread::sleep(LOOK);
     }
     Ok(match screen.join() {
-        Ok(Ok(exit)) => Shown::Left(exit),
-        Ok(Err(error)) => Shown::Failed(error.to_string()),
-        Err(panic) => Shown::Panicked(said(panic.as_ref()).to_owned()),
+        Ok(Ok(exit)) => Watched::Left(exit),
+        Ok(Err(error)) => Watched::Failed(error.to_string()),
+        Err(panic) => Watched::Panicked(said(panic.as_ref()).to_owned()),
     })
 }
 
@@ -261,12 +252,17 @@ fn is_closed() -> bool {
 
 /// Whether the thread ends within so many seconds.
 fn is_over_within<T>(thread: &JoinHandle<T>, seconds: f64) -> bool {
+    wait_while(|waited_s| !thread.is_finished() && waited_s < seconds);
+    thread.is_finished()
+}
+
+/// Looks again and again, with the seconds that have passed, until there is nothing more to wait for.
+fn wait_while(is_to_wait: impl Fn(f64) -> bool) {
     let mut waited_s = 0.0;
-    while !thread.is_finished() && waited_s < seconds {
+    while is_to_wait(waited_s) {
         thread::sleep(LOOK);
         waited_s += LOOK.as_secs_f64();
     }
-    thread.is_finished()
 }
 
 /// Waits for the drive's confirmed stop as long as that may take, then for the record. Work with nothing energised and
@@ -280,11 +276,7 @@ fn is_over_after_stop<T>(thread: &JoinHandle<T>, ends: &Ends) -> bool {
         thread::sleep(LOOK);
         on_s += LOOK.as_secs_f64();
     }
-    let mut waited_s = 0.0;
-    while !thread.is_finished() && !signals::is_endable() && waited_s < RECORD_S {
-        thread::sleep(LOOK);
-        waited_s += LOOK.as_secs_f64();
-    }
+    wait_while(|waited_s| !thread.is_finished() && !signals::is_endable() && waited_s < RECORD_S);
     thread.is_finished()
 }
 
@@ -316,10 +308,10 @@ fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
             "the drive was told to stop; see that the motor stands still".to_owned()
         }
     };
-    Failure::new(
-        INTERNAL,
-        format!("the bench has panicked ({}); {stopped}", said(panic)),
-    )
+    Failure::internal(format!(
+        "the bench has panicked ({}); {stopped}",
+        said(panic)
+    ))
 }
 
 /// The words of a panic.
@@ -331,8 +323,14 @@ fn said(panic: &(dyn Any + Send)) -> &str {
         .unwrap_or("without a word")
 }
 
-fn cannot_start(error: &io::Error) -> Failure {
-    Failure::new(INTERNAL, format!("cannot start a thread: {error}"))
+/// A thread with a name.
+pub(super) fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, Failure> {
+    let thread = thread::Builder::new().name(name.to_owned());
+    let cannot = |error| Failure::internal(format!("cannot start a thread: {error}"));
+    thread.spawn(work).map_err(cannot)
 }
 
 #[cfg(test)]

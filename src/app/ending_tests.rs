@@ -129,13 +129,13 @@ impl Lab {
     fn work(
         &self,
         hook: impl FnMut() + Send + 'static,
-    ) -> impl FnOnce(&Strings) -> Result<RunDone, Failure> + Send + 'static {
+    ) -> impl FnOnce(&Controls) -> Result<RunDone, Failure> + Send + 'static {
         let request = RunRequest {
             rig: self.options(),
             run_seed: None,
         };
         let open = self.opener(hook);
-        move |strings| run(request, open, strings)
+        move |controls| run(request, open, controls)
     }
 
     /// By the drive's own word: off, without a fault, and not by its watchdog.
@@ -154,10 +154,10 @@ impl Lab {
     }
 }
 
-fn headless<T>(work: impl FnOnce(&Strings) -> Result<T, Failure>) -> Result<T, Failure> {
+fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, Failure> {
     let (listener, notices) = channel();
-    let (strings, _ends) = Strings::new(SnapshotCell::heard_by(listener));
-    alone(strings, notices, work)
+    let (controls, _ends) = Controls::new(SnapshotCell::heard_by(listener));
+    alone(controls, notices, work)
 }
 
 fn recorded(done: RunDone) -> Recorded {
@@ -182,10 +182,10 @@ fn a_bench_that_panics_stops_its_drive_and_is_status_6() {
 #[test]
 fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
     let lab = Lab::new();
-    let (strings, _ends) = Strings::new(SnapshotCell::default());
+    let (controls, _ends) = Controls::new(SnapshotCell::default());
     let mut rig =
         lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
-    rig.energises(&strings, 0.0);
+    rig.energises(&controls, 0.0);
     let unwound = catch_unwind(AssertUnwindSafe(move || {
         let command = Command {
             seq: 1,
@@ -195,7 +195,7 @@ fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
         panic!("on purpose");
     }));
     assert!(unwound.is_err());
-    assert_eq!(strings.drive.get(), DriveWord::Panicked(Ok(())));
+    assert_eq!(controls.drive.get(), DriveWord::Panicked(Ok(())));
     lab.expect_stopped();
 }
 
@@ -205,8 +205,8 @@ fn left_at_speed(
 ) -> (Lab, Result<Ended<RunDone>, Failure>) {
     let lab = Lab::new();
     let (at_speed, is_at_speed) = channel();
-    let (strings, ends) = Strings::new(SnapshotCell::default());
-    let asked = Arc::clone(&strings.interrupted);
+    let (controls, ends) = Controls::new(SnapshotCell::default());
+    let asked = Arc::clone(&controls.interrupted);
     let work = lab.work(move || {
         at_speed.send(()).unwrap();
         // Virtual time stands until the screen is gone.
@@ -215,7 +215,7 @@ fn left_at_speed(
         }
     });
     let ended = beside_screen(
-        strings,
+        controls,
         &ends,
         None,
         move |_| {
@@ -272,7 +272,7 @@ fn a_screen_that_does_not_come_back_is_left_alone() {
         }
     };
     let shown = watched(stuck, || (), || true);
-    assert!(matches!(shown, Ok(Shown::Failed(_))));
+    assert!(matches!(shown, Ok(Watched::Failed(_))));
 }
 
 #[test]
@@ -369,15 +369,15 @@ fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
 #[test]
 fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory() {
     let lab = Lab::new();
-    let (strings, _ends) = Strings::new(SnapshotCell::default());
+    let (controls, _ends) = Controls::new(SnapshotCell::default());
     let mut rig =
         lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
-    rig.check(&strings).unwrap();
-    let first = rig.record("one", 1, &strings).unwrap();
+    rig.check(&controls).unwrap();
+    let first = rig.record("one", 1, &controls).unwrap();
     assert!(first.failure().is_none());
     std::fs::remove_dir_all(lab.runs()).unwrap();
     std::fs::write(lab.runs(), "a file stands in the way").unwrap();
-    let mut second = rig.record("two", 2, &strings).unwrap();
+    let mut second = rig.record("two", 2, &controls).unwrap();
     assert_eq!(second.summary.outcome, Outcome::Done);
     assert!(second.run_failure().is_none());
     let failure = second.failure().unwrap();

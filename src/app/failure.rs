@@ -1,6 +1,13 @@
 //! Why a command ended without success: one headline, one help line, one exit status.
 
+use crate::bench::{BenchFileError, CheckError, InitError, RegulatorError};
 use crate::config_text::ConfigError;
+use crate::control::PlantError;
+use crate::control::tuning::TuningError;
+use crate::drive::{LinkError, ProfileError, TargetError};
+use crate::emulator::EmulatorConfigError;
+use crate::emulator::mystery::SealError;
+use crate::identification::kalman::LoadError;
 use crate::identification::output_error::FitError;
 use crate::identification::scheme::IdentifyError;
 use crate::plant::{ModelError, ScenarioError};
@@ -38,6 +45,37 @@ impl Failure {
         }
     }
 
+    /// With this next step, where there is one.
+    pub(crate) fn helped_by(self, help: Option<impl Into<String>>) -> Self {
+        let help = help.map(Into::into).or(self.help);
+        Self { help, ..self }
+    }
+
+    /// Usage or configuration, or more asked than plan or line allow.
+    pub fn usage(headline: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::with_help(USAGE, headline, help)
+    }
+
+    /// The link or the device behind it.
+    pub fn link(headline: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::with_help(LINK, headline, help)
+    }
+
+    /// The data do not carry what was asked for.
+    pub fn not_identifiable(headline: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::with_help(NOT_IDENTIFIABLE, headline, help)
+    }
+
+    /// A fault of this program, or a record that could not be kept.
+    pub fn internal(headline: impl Into<String>) -> Self {
+        Self::new(INTERNAL, headline)
+    }
+
+    /// By a person or a signal.
+    pub fn interrupted(headline: impl Into<String>) -> Self {
+        Self::new(INTERRUPTED, headline)
+    }
+
     pub fn headline(&self) -> &str {
         &self.headline
     }
@@ -66,50 +104,57 @@ impl Failure {
     }
 }
 
+/// Errors of the rooms below as failures: each with its own words, its own next step, and this status.
+macro_rules! failures {
+    ($($error:ty: $status:expr;)*) => {$(
+        impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                let status: fn(&$error) -> u8 = $status;
+                Self::with_help(status(&error), error.to_string(), error.help())
+            }
+        }
+    )*};
+}
+
+failures! {
+    BenchFileError: |_| USAGE;
+    EmulatorConfigError: |_| USAGE;
+    ModelError: |_| USAGE;
+    PlantError: |_| USAGE;
+    ProfileError: |_| USAGE;
+    RecordingError: |_| USAGE;
+    RegulatorError: |_| USAGE;
+    // A file without the columns, the rows or the time axis of a run: it, or how it is read, is to be changed.
+    ScenarioError: |_| USAGE;
+    SealError: |_| USAGE;
+    TargetError: |_| USAGE;
+    TuningError: |_| USAGE;
+    CheckError: |_| LINK;
+    LinkError: |_| LINK;
+    FitError: |error| usage_if(matches!(error, FitError::Model(_)), NOT_IDENTIFIABLE);
+    IdentifyError: |error| usage_if(error.is_usage(), NOT_IDENTIFIABLE);
+    LoadError: |error| usage_if(is_of_the_model(error), NOT_IDENTIFIABLE);
+}
+
+const fn usage_if(is_usage: bool, otherwise: u8) -> u8 {
+    if is_usage { USAGE } else { otherwise }
+}
+
+const fn is_of_the_model(error: &LoadError) -> bool {
+    matches!(
+        error,
+        LoadError::Incomplete { .. } | LoadError::Value { .. }
+    )
+}
+
 impl From<ConfigError> for Failure {
     fn from(error: ConfigError) -> Self {
-        Self::with_help(USAGE, error.to_string(), error.help)
+        Self::usage(error.to_string(), error.help)
     }
 }
 
-impl From<RecordingError> for Failure {
-    fn from(error: RecordingError) -> Self {
-        let help = error.help();
-        Self::with_help(USAGE, error.to_string(), help)
-    }
-}
-
-/// A file without the columns, the rows or the time axis of a run: it, or how it is read, is to be changed.
-impl From<ScenarioError> for Failure {
-    fn from(error: ScenarioError) -> Self {
-        Self::with_help(USAGE, error.to_string(), error.help())
-    }
-}
-
-impl From<ModelError> for Failure {
-    fn from(error: ModelError) -> Self {
-        Self::with_help(USAGE, error.to_string(), error.help())
-    }
-}
-
-impl From<FitError> for Failure {
-    fn from(error: FitError) -> Self {
-        let status = if matches!(error, FitError::Model(_)) {
-            USAGE
-        } else {
-            NOT_IDENTIFIABLE
-        };
-        Self::with_help(status, error.to_string(), error.help())
-    }
-}
-
-impl From<IdentifyError> for Failure {
-    fn from(error: IdentifyError) -> Self {
-        let status = if error.is_usage() {
-            USAGE
-        } else {
-            NOT_IDENTIFIABLE
-        };
-        Self::with_help(status, error.to_string(), error.help())
+impl From<InitError> for Failure {
+    fn from(error: InitError) -> Self {
+        Self::usage(error.reason, error.help)
     }
 }

@@ -3,50 +3,51 @@
 //! ```text
 //! RigOptions -> Rig (link, clock, emulator, files) --.
 //!                                                     '-> run | commission | speed -> Recorded -> the command's result
-//! signals, keys, the terminal -> Ends .. Strings --------^ (work, on a thread of its own beside a screen)
+//! signals, keys, the terminal -> Ends .. Controls --------^ (work, on a thread of its own beside a screen)
 //! ending: whatever returns, fails, panics or hangs up -> zero, disable, the drive's word -> status
 //! ```
 //!
-//! * `rig`, `opening`, `reopening`, `tap`: from a bench file to a link, and to the same drive once more.
-//! * `checks`, `escalation`, `run`, `commission`, `speed`: the order of work; a test gives a rig of its own.
-//! * `ending`, `signals`, `strings`: every way out. Nothing else may end a program whose motor turns.
-//! * `recorded`, `pages`, `speed_page`, `model_output`, `seal`: what is left in folders.
+//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `line`: drives that are only looked at.
+//! * `run`, `commission`, `speed`, `identify`, `replay`, `forecast`, `study`, `by_hand`: the order of work of each command; a
+//!   test of a live run gives a rig of its own.
+//! * `evidence`, `next_experiment`: runs and models that are judged, and the run that would tell more.
+//! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
+//! * `recorded`, `pages`, `files`: what is left in folders.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
-mod checks;
+pub(crate) mod by_hand;
 pub(crate) mod commission;
-pub(crate) mod discovery;
+mod controls;
 mod ending;
-mod escalation;
+pub(crate) mod evidence;
 pub(crate) mod failure;
 pub(crate) mod files;
-pub(crate) mod model_output;
+pub(crate) mod forecast;
+pub(crate) mod identify;
+pub(crate) mod line;
+pub(crate) mod next_experiment;
 pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
 mod recorded;
-mod reopening;
+pub(crate) mod replay;
 mod rig;
 mod run;
-pub(crate) mod seal;
 pub(crate) mod signals;
 mod speed;
-mod speed_page;
-mod strings;
-mod tap;
+pub(crate) mod study;
 
 pub use commission::{CommissionDone, commission};
+pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};
-pub use escalation::escalation_failure;
 pub use failure::Failure;
+pub use opening::Reopener;
+pub(crate) use opening::Tap;
 pub use recorded::Recorded;
-pub use reopening::Reopener;
 pub(crate) use rig::MYSTERY;
 pub use rig::{OpenRig, Rig, RigOptions};
 pub(crate) use run::run_result;
-pub use run::{RunDone, RunRequest, Whole, run};
+pub use run::{RunDone, RunRequest, Whole, escalation_failure, run};
 pub(crate) use speed::speed_result;
 pub use speed::{SpeedDone, SpeedRequest, SpeedResult, speed};
-pub use strings::{DriveCell, DriveWord, Ends, Strings};
-pub(crate) use tap::Tap;

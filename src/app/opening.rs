@@ -1,24 +1,29 @@
-//! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours.
+//! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours; the
+//! capture of what goes over the wire; the same link once more after a run that has lost its drive.
 
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::failure::{Failure, LINK, USAGE};
+use super::controls::Controls;
+use super::failure::Failure;
 use super::files::read_text;
 use super::output;
-use super::tap::Tap;
+use super::rig::{Rig, now};
 use crate::bench::{
-    BenchFile, BenchFileError, CheckError, DriveFacts, Port, Protocol, check_signals,
+    BenchFile, DriveFacts, Port, Protocol, ReopenBench, ReopenOptions, Reopened, RunSummary,
+    check_signals, reopen,
 };
 use crate::drive::{
-    DriveLink, DriveProfile, LinkError, ProfiledLink, Target as LinkTarget, TargetError, offer,
+    self, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target, offer,
     open_tapped,
 };
 use crate::emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, LinkKind, MemoryLink,
-    ServerHandle, SoftDrive, VirtualClock,
+    ServerHandle, SoftDrive, VirtualClock, spawn_as,
 };
+use crate::recording::Recorder;
 
 /// A drive profile by its built-in name, else from a file; with its text.
 pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
@@ -30,7 +35,7 @@ pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
         let text = read_text(path)?;
         DriveProfile::parse(name, &text).map(|read| (read, text))
     };
-    read.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+    Ok(read?)
 }
 
 /// What looks like a path is a file, and no name that might be built in.
@@ -38,8 +43,7 @@ fn refuse_missing(path: &Path) -> Result<(), Failure> {
     let text = path.to_string_lossy();
     let is_toml = path.extension().is_some_and(|end| end == "toml");
     if (is_toml || text.contains(['/', '\\'])) && !path.exists() {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             format!("{text}: no such file"),
             "check the path; built-in ones are named without a folder and without .toml",
         ));
@@ -52,16 +56,17 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     let (profile, text) = profile(&bench.drive.profile)?;
     bench.link.baud.get_or_insert(profile.link.baud);
     if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
-        return Err(Failure::with_help(
-            USAGE,
-            format!(
-                "{} does not speak the stream of our own drive",
-                profile.name
-            ),
-            "set link.protocol to modbus-rtu or modbus-tcp",
-        ));
+        let headline = not_the_stream(&profile);
+        let help = "set link.protocol to modbus-rtu or modbus-tcp";
+        return Err(Failure::usage(headline, help));
     }
     Ok((profile, text))
+}
+
+/// Why a foreign drive cannot be asked in our own words.
+pub(crate) fn not_the_stream(profile: &DriveProfile) -> String {
+    let name = &profile.name;
+    format!("{name} does not speak the stream of our own drive")
 }
 
 /// Refuses what the drive's signals cannot carry; says which profile is used and what to know about it.
@@ -79,7 +84,7 @@ pub(crate) fn suited(
         } else {
             help
         };
-        return Err(Failure::with_help(USAGE, signals.text, help));
+        return Err(Failure::usage(signals.text, help));
     }
     if headless {
         announce(profile);
@@ -107,7 +112,7 @@ pub(crate) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
     } else {
         EmulatorConfig::parse(name, &read_text(path)?)
     };
-    config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+    Ok(config?)
 }
 
 /// The software drive in memory, in the guise of another where the profile is one.
@@ -138,39 +143,42 @@ fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
 }
 
-/// Serves the emulator from a thread of this process, over the protocol that the bench file names.
+/// Serves the emulator from a thread of this process.
 pub(crate) fn serve(
-    config: &EmulatorConfig,
-    bench: &BenchFile,
+    protocol: drive::Protocol,
+    config: EmulatorConfig,
+    seed: u64,
     guise: Option<Guise>,
 ) -> Result<ServerHandle, Failure> {
-    let (kind, endpoint) = match bench.link.protocol {
-        Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
-        Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
-        Protocol::ModbusTcp => (
-            LinkKind::ModbusTcp,
-            Endpoint::Tcp(std::net::SocketAddr::from(([127, 0, 0, 1], 0))),
-        ),
+    let local = Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)));
+    let (kind, endpoint) = match protocol {
+        drive::Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
+        drive::Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
+        drive::Protocol::ModbusTcp => (LinkKind::ModbusTcp, local),
     };
-    let mut config = config.clone();
-    config.line.baud = bench.baud();
-    let handle = crate::emulator::spawn_as(guise, config, bench.emulator.seed, kind, endpoint)
-        .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
-    Ok(handle)
+    spawn_as(guise, config, seed, kind, endpoint)
+        .map_err(|error| Failure::link(error.to_string(), error.help()))
+}
+
+/// Where a served emulator is reached.
+pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
+    match protocol {
+        drive::Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
+        drive::Protocol::ModbusRtu | drive::Protocol::Stream => handle.address().to_owned(),
+    }
 }
 
 /// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
 pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (mut profile, text) = drive_profile(bench)?;
     profile.link.protocol = match bench.link.protocol {
-        Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
-        Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
-        Protocol::Stream => crate::drive::Protocol::Stream,
+        Protocol::ModbusRtu => drive::Protocol::ModbusRtu,
+        Protocol::ModbusTcp => drive::Protocol::ModbusTcp,
+        Protocol::Stream => drive::Protocol::Stream,
     };
     bench.drive_facts = DriveFacts::of(&profile);
     if let Some((key, value, most)) = bench.beyond_drive() {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             format!(
                 "{key} = {value}: the drive profile {} allows at most {most}",
                 profile.name
@@ -188,8 +196,7 @@ pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
 /// The capture of a run. Where no wire is involved there is nothing to tap.
 pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
     if path.is_some() && *port == Port::Sim {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             "--tap has nothing to record: sim: is a drive in memory",
             "give --port emulator, or a serial port, or tcp:HOST:PORT",
         ));
@@ -197,54 +204,154 @@ pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
     Tap::create(path)
 }
 
-/// The link of the bench file's protocol to this address.
-pub(crate) fn open(
-    address: &str,
-    bench: &BenchFile,
-    profile: &DriveProfile,
-    epoch: Instant,
-    tap: &Tap,
-) -> Result<Box<dyn DriveLink>, Failure> {
-    let target = target(address, bench)?;
-    Ok(open_tapped(&target, profile, epoch, tap.file())?)
-}
-
 /// The far end of the wire with the bench file's baud rate and unit.
-pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
-    let target: LinkTarget = address
-        .parse()
-        .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;
-    Ok(match target {
-        LinkTarget::Serial { path, .. } => LinkTarget::Serial {
-            path,
-            baud: Some(bench.baud()),
-            unit: Some(bench.link.unit),
-        },
-        LinkTarget::Tcp { host, port, .. } => LinkTarget::Tcp {
-            host,
-            port,
-            unit: Some(bench.link.unit),
-        },
+pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<Target, Failure> {
+    let (baud, unit) = (Some(bench.baud()), Some(bench.link.unit));
+    Ok(match address.parse()? {
+        Target::Serial { path, .. } => Target::Serial { path, baud, unit },
+        Target::Tcp { host, port, .. } => Target::Tcp { host, port, unit },
     })
 }
 
-impl From<LinkError> for Failure {
-    fn from(error: LinkError) -> Self {
-        let help = error.help();
-        Self::with_help(LINK, error.to_string(), help)
+/// The capture that a command was asked for, if it was.
+pub(crate) struct Tap(Option<TapFile>);
+
+impl Tap {
+    /// A new file, if one was asked for. Nothing is running yet, so one that cannot be made is refused.
+    pub(crate) fn create(path: Option<&Path>) -> Result<Self, Failure> {
+        let Some(path) = path else {
+            return Ok(Self(None));
+        };
+        output::refuse_existing(path, "--tap")?;
+        let file = TapFile::create(path, now().into());
+        Ok(Self(Some(
+            file.map_err(|e| output::cannot_write(path, &e))?,
+        )))
+    }
+
+    pub(crate) fn file(&self) -> Option<&TapFile> {
+        self.0.as_ref()
     }
 }
 
-impl From<CheckError> for Failure {
-    fn from(error: CheckError) -> Self {
-        let help = error.help();
-        Self::with_help(LINK, error.to_string(), help)
+impl Drop for Tap {
+    fn drop(&mut self) {
+        if let Some(Err(reason)) = self.0.take().map(TapFile::finish) {
+            output::message(&format!("warning: {reason}"));
+        }
     }
 }
 
-impl From<BenchFileError> for Failure {
-    fn from(error: BenchFileError) -> Self {
-        let help = error.help();
-        Self::with_help(USAGE, error.to_string(), help)
+/// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
+const PATIENCE_S: f64 = 10.0;
+
+/// How a link is opened once more.
+type Open = dyn Fn(&DriveProfile, Option<&TapFile>) -> Result<Box<dyn DriveLink>, LinkError> + Send;
+
+/// What it takes to open a link again.
+pub struct Reopener {
+    link: String,
+    limit_s: Option<f64>,
+    open: Box<Open>,
+}
+
+impl Reopener {
+    /// To be made when the link has just been opened.
+    pub(crate) fn of(target: &Target, epoch: Instant, limit_s: Option<f64>) -> Self {
+        let anchor = Anchor::of(Path::new("/"), target);
+        Self {
+            link: anchor.target().to_string(),
+            limit_s,
+            open: Box::new(move |profile, tap| {
+                if let Some(reason) = anchor.stranger(Path::new("/")) {
+                    return Err(LinkError::Identity(anchor.target().to_string(), reason));
+                }
+                open_tapped(anchor.target(), profile, epoch, tap)
+            }),
+        }
+    }
+
+    /// Over a link that is opened by `open`, for at most `limit_s`; `None`: as long as seems right.
+    pub fn with(
+        link: &str,
+        limit_s: Option<f64>,
+        open: impl Fn() -> Result<Box<dyn DriveLink>, LinkError> + Send + 'static,
+    ) -> Self {
+        Self {
+            link: link.to_owned(),
+            limit_s,
+            open: Box::new(move |_, _| open()),
+        }
+    }
+}
+
+impl Rig {
+    /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
+    pub(crate) fn get_back(
+        &mut self,
+        summary: &mut RunSummary,
+        recorder: &mut Recorder,
+        controls: &Controls,
+    ) {
+        let (Some(reopener), Some(check)) = (&self.reopener, &self.check) else {
+            return;
+        };
+        // Beside a screen somebody sits who ends it.
+        let default_s = self
+            .asked
+            .headless
+            .then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
+        let limit_s = reopener.limit_s.or(default_s);
+        if limit_s == Some(0.0) {
+            return;
+        }
+        self.link.close();
+        let link = reopener.link.as_str();
+        if self.asked.headless {
+            let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
+            output::message(&format!(
+                "link lost: looking for {link} again{time}; Ctrl-C ends that"
+            ));
+        }
+        let options = ReopenOptions {
+            link,
+            before: &check.identity,
+            end: summary.end,
+            seq: self.last_seq,
+            limit_s,
+            seed: std::process::id().into(),
+        };
+        let (profile, tap) = (&self.profile, self.tap.file());
+        let (reopened, link) = reopen(
+            ReopenBench {
+                clock: self.clock.as_mut(),
+                recorder,
+                interrupted: &controls.interrupted,
+                intents: controls.intents(),
+                snapshots: &controls.snapshots,
+            },
+            &options,
+            &mut || (reopener.open)(profile, tap),
+        );
+        if let Some(link) = link {
+            self.link = link;
+            self.last_seq += 1;
+        }
+        if self.asked.headless {
+            output::message(&self.told(&reopened));
+        }
+        summary.reopened = Some(reopened);
+    }
+
+    /// What was found, with what the profile says of a drive that has just been switched on.
+    fn told(&self, reopened: &Reopened) -> String {
+        let registers = self.profile.registers.as_ref();
+        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
+        let blind = if blind_s > 0.0 && reopened.identity.is_some() {
+            format!("; if it was switched off, its watchdog is blind for {blind_s} s")
+        } else {
+            String::new()
+        };
+        format!("{}{blind}", reopened.text)
     }
 }

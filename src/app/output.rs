@@ -1,7 +1,8 @@
 //! The only place that writes results to stdout and messages to stderr.
 
+use std::fmt::{Display, Write as _};
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufRead as _, IsTerminal as _, Write};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -9,7 +10,7 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
-use super::failure::{Failure, INTERNAL, USAGE};
+use super::failure::Failure;
 use super::{progress, signals};
 
 /// Prints a result as one JSON document, or as the text that `text` makes of it.
@@ -19,12 +20,18 @@ pub(crate) fn result<T: Serialize>(
     text: impl FnOnce(&T) -> String,
 ) -> Result<(), Failure> {
     if json {
-        let document = serde_json::to_string_pretty(value).map_err(|error| {
-            Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))
-        })?;
+        let document = serde_json::to_string_pretty(value)
+            .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
         line(&document)
     } else {
         line(text(value).trim_end())
+    }
+}
+
+/// Appends each item as a line of its own, with these words before it.
+pub(crate) fn lines<T: Display>(text: &mut String, lead: &str, items: impl IntoIterator<Item = T>) {
+    for item in items {
+        let _ = writeln!(text, "{lead}{item}");
     }
 }
 
@@ -33,10 +40,10 @@ pub(crate) fn line(text: &str) -> Result<(), Failure> {
     let _whole = signals::writing();
     let mut stdout = std::io::stdout().lock();
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
-        Err(error) if !is_gone(&error) => Err(Failure::new(
-            INTERNAL,
-            format!("cannot write the result: {error}"),
-        )),
+        Err(error) if !is_gone(&error) => {
+            let headline = format!("cannot write the result: {error}");
+            Err(Failure::internal(headline))
+        }
         _ => Ok(()),
     }
 }
@@ -52,6 +59,18 @@ fn is_gone(error: &std::io::Error) -> bool {
         || error.raw_os_error() == Some(Errno::IO.raw_os_error()) && of_terminal()
 }
 
+/// One question to a person at a terminal; none where there is nobody to ask. A terminal that is gone gives no answer.
+pub(crate) fn ask(question: &str) -> Option<String> {
+    let (stdin, mut stderr) = (std::io::stdin(), std::io::stderr());
+    if !stdin.is_terminal() || !stderr.is_terminal() {
+        return None;
+    }
+    let mut line = String::new();
+    let asked = write!(stderr, "{question}").and_then(|()| stderr.flush());
+    let heard = asked.and_then(|()| stdin.lock().read_line(&mut line));
+    Some(heard.map_or_else(|_| String::new(), |_| line))
+}
+
 /// Results are never overwritten; to be asked before the work, with the option that named the file.
 pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
     if path.exists() {
@@ -60,7 +79,7 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
             path.display()
         );
         let help = format!("give another name to {option}, or move this one away");
-        return Err(Failure::with_help(USAGE, headline, help));
+        return Err(Failure::usage(headline, help));
     }
     Ok(())
 }
@@ -69,13 +88,13 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
 pub(crate) fn file(path: &Path, text: &str) -> Result<(), Failure> {
     let _whole = signals::writing();
     let written = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
-    written.map_err(|error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "name a file that does not exist yet, in a folder that does",
-        )
-    })
+    written.map_err(|error| cannot_write(path, &error))
+}
+
+pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
+    let headline = format!("{}: cannot write: {error}", path.display());
+    let help = "name a file that does not exist yet, in a folder that does";
+    Failure::usage(headline, help)
 }
 
 /// Messages that wait until the screen is left; `None` where there is no screen.

@@ -1,15 +1,23 @@
-//! Fills in the report pages from what a run or a commissioning left.
+//! Fills in the report pages from what a run, a commissioning, or a diagnosis of recorded runs left.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
+use super::evidence::{About, Prepared};
 use super::failure::Failure;
+use super::output;
 use super::recorded::Recorded;
 use super::rig::Rig;
 use crate::bench::{Outcome, Plan};
+use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Rung, Score, compare};
+use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
-use crate::plant::{Model, Motor, Scenario};
-use crate::recording::Manifest;
-use crate::report::{CommissionReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target};
+use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
+use crate::recording::{LoadedRun, Manifest};
+use crate::report::{
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
+};
 use crate::sample::ParameterEstimate;
 use crate::workflow::{CommissionResult, NamedEstimate};
 
@@ -35,23 +43,13 @@ pub(crate) fn run(
         _ => None,
     };
     let timing = &recorded.summary.timing;
+    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let (p50_ms, p99_ms) = (1e3 * timing.lateness_p50_s, 1e3 * timing.lateness_p99_s);
+    let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
     let facts = vec![
-        fact(
-            "rate",
-            format!(
-                "{:.1} of {:.0} Hz",
-                timing.rate_achieved_hz, timing.rate_asked_hz
-            ),
-        ),
+        fact("rate", format!("{achieved_hz:.1} of {asked_hz:.0} Hz")),
         fact("missed cycles", timing.missed_cycles.to_string()),
-        fact(
-            "lateness, median and 99 %",
-            format!(
-                "{:.2} ms, {:.2} ms",
-                1e3 * timing.lateness_p50_s,
-                1e3 * timing.lateness_p99_s
-            ),
-        ),
+        fact("lateness, median and 99 %", lateness),
     ];
     let model = Model::baseline(nameplate.clone());
     let report = RunReport {
@@ -67,6 +65,45 @@ pub(crate) fn run(
     Ok(report.html())
 }
 
+/// The free runs of the models before and after, where the run that shows them has a voltage.
+struct FreeRuns<'a> {
+    scenario: Option<&'a Scenario>,
+    noise: NoiseFloor,
+    before: Option<Trajectory>,
+    after: Option<Trajectory>,
+}
+
+impl<'a> FreeRuns<'a> {
+    /// Of the model that a diagnosis began with and, where it added anything, of the one that it found.
+    fn of(
+        found: &Diagnosis,
+        scenario: Option<&'a Scenario>,
+        noise: NoiseFloor,
+    ) -> Result<Self, Failure> {
+        let simulated = |model: &Model| -> Result<Option<Trajectory>, Failure> {
+            let Some(run) = scenario else { return Ok(None) };
+            Ok(Some(output_error::predict(model, run, &noise)?.trajectory))
+        };
+        let before = simulated(&found.baseline.model)?;
+        let after = simulated(&found.model.model)?;
+        Ok(Self {
+            scenario,
+            noise,
+            before,
+            after: after.filter(|_| !found.effects.is_empty()),
+        })
+    }
+
+    fn series(&self) -> Option<ConfirmRun<'_>> {
+        Some(ConfirmRun {
+            scenario: self.scenario?,
+            before: self.before.as_ref()?,
+            after: self.after.as_ref(),
+            noise: &self.noise,
+        })
+    }
+}
+
 /// The page of a commissioning, with measured and simulated signals of the confirming run.
 pub(crate) fn commission(
     scenarios: &[Scenario],
@@ -74,110 +111,153 @@ pub(crate) fn commission(
     rig: &Rig,
     records: &[Recorded],
 ) -> Result<Report, Failure> {
-    let folders: Vec<&Path> = result
-        .runs
-        .iter()
-        .filter_map(|run| run.folder.as_deref().map(Path::new))
-        .collect();
+    let runs = result.runs.iter();
+    let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
     let manifest = records.first().map(|first| first.manifest.clone());
-    let manifest = manifest.unwrap_or_default();
-    let mut context = context(&manifest, &folders);
+    let mut context = context(&manifest.unwrap_or_default(), &folders.collect::<Vec<_>>());
     context.plan = plan_facts(&rig.plan(rig.bench.runs.fit)?);
     if let Some(burst) = &result.burst {
         context.plan.push(fact("burst capture", burst.text()));
     }
     let diagnosis = &result.diagnosis;
-    let (noise, added) = (diagnosis.model.noise, !diagnosis.effects.is_empty());
     let nameplate = Model::baseline(rig.plate.clone());
-    let confirm = scenarios.get(2);
-    let simulated = |model: &Model| match confirm {
-        Some(run) => output_error::predict(model, run, &noise).map(|done| Some(done.trajectory)),
-        None => Ok(None),
-    };
-    let (before, after) = (
-        simulated(&diagnosis.baseline.model)?,
-        simulated(&diagnosis.model.model)?,
-    );
-    let series = match (confirm, &before) {
-        (Some(scenario), Some(before)) => Some(ConfirmRun {
-            scenario,
-            before,
-            after: after.as_ref().filter(|_| added),
-            noise: &noise,
-        }),
-        _ => None,
-    };
+    let free_runs = FreeRuns::of(diagnosis, scenarios.get(2), diagnosis.model.noise)?;
     let truth: Vec<String> = result.truth.iter().map(truth_sentence).collect();
-    let (parameters_before, parameters_after) = (
-        estimates(&result.parameters_before),
-        estimates(&result.parameters),
-    );
     let report = CommissionReport {
         kind: "Commission",
         title: &rig.bench.name,
         context: &context,
         nameplate: Some(&nameplate),
-        parameters_before: &parameters_before,
-        parameters_after: &parameters_after,
+        parameters_before: &estimates(&result.parameters_before),
+        parameters_after: &estimates(&result.parameters),
         before: &result.before,
-        after: added.then_some(&result.after),
+        after: (!diagnosis.effects.is_empty()).then_some(&result.after),
         diagnosis,
         ladder: &result.ladder,
         confirm: Some(&result.confirmed),
-        series,
+        series: free_runs.series(),
         truth: &truth,
     };
-    Ok(Report {
-        html: report.html(),
-        text: report.text(),
-    })
+    let (html, text) = (report.html(), report.text());
+    Ok(Report { html, text })
 }
 
 fn truth_sentence(truth: &crate::workflow::Truth) -> String {
-    let carried = if truth.effects.is_empty() {
-        "no hidden effect".to_owned()
-    } else {
-        truth.effects.join(", ")
+    let carried = match truth.effects.as_slice() {
+        [] => "no hidden effect".to_owned(),
+        effects => effects.join(", "),
     };
     let verdict = if truth.named_correctly {
-        "the answer is right"
+        "right"
     } else {
-        "the answer is wrong"
+        "wrong"
     };
-    format!("the emulator carries {carried}: {verdict}")
+    format!("the emulator carries {carried}: the answer is {verdict}")
 }
 
 fn estimates(named: &[NamedEstimate]) -> Vec<ParameterEstimate> {
     named.iter().map(|named| named.estimate.clone()).collect()
 }
 
-pub(crate) fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
-    let emulator = manifest.identity["is_emulator"].as_bool();
-    let text = |value: &serde_json::Value| {
+/// The page of a diagnosis of recorded runs.
+pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String, Failure> {
+    let context = of_data(&prepared.about, &prepared.run);
+    let mut evidence = prepared.evidence.clone();
+    let is_electrical = evidence.training.input == Input::Voltage;
+    if is_electrical {
+        // Without a floor of its own the first fit gave the scale.
+        evidence.noise = found.baseline.noise;
+    }
+    let before = compare(&found.baseline.model, &evidence, ErrorOf::Structure)?;
+    let after = compare(&found.model.model, &evidence, ErrorOf::Structure)?;
+    let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
+    let shown = Some(shown).filter(|_| is_electrical);
+    let free_runs = FreeRuns::of(found, shown, evidence.noise)?;
+    let rung = |model: &Model, run: &Scenario| -> Result<Rung, Failure> {
+        Ok(Rung {
+            effects: model.effect_ids(),
+            holdout_rmse: Score::of(model, run, &evidence.noise)?.nrms,
+        })
+    };
+    let confirm = match evidence.confirm.as_ref().filter(|_| is_electrical) {
+        Some(run) => Some([
+            rung(&found.baseline.model, run)?,
+            rung(&found.model.model, run)?,
+        ]),
+        None => None,
+    };
+    let report = CommissionReport {
+        kind: "Diagnosis",
+        title: &prepared.about.title,
+        context: &context,
+        nameplate: None,
+        parameters_before: &found.baseline.parameters,
+        parameters_after: &found.model.parameters,
+        before: &before,
+        after: (!found.effects.is_empty()).then_some(&after),
+        diagnosis: found,
+        ladder: &found.ladder,
+        confirm: confirm.as_ref(),
+        series: free_runs.series(),
+        truth: &[],
+    };
+    Ok(report.html())
+}
+
+/// The page of a comparison of recorded runs.
+pub(crate) fn comparison(prepared: &Prepared, comparison: &Comparison) -> String {
+    let about = &prepared.about;
+    let report = ComparisonReport {
+        title: &about.title,
+        context: &of_data(about, &prepared.run),
+        comparison,
+        holdout_objected: about.holdout_objected,
+        parameters: &[],
+    };
+    report.html()
+}
+
+/// Writes a page where none is yet.
+pub(crate) fn write(path: &Path, html: &str) -> Result<(), Failure> {
+    output::file(path, html)?;
+    output::message(&format!("page written to {}", path.display()));
+    Ok(())
+}
+
+/// The runs that were used, with what is to be known of them.
+fn of_data(about: &About, run: &LoadedRun) -> Context {
+    let folders: Vec<&Path> = about.runs.iter().map(PathBuf::as_path).collect();
+    let manifest = run.manifest.clone().unwrap_or_default();
+    Context {
+        notes: run.run.notes.clone(),
+        rows_dropped: run.run.rows_dropped,
+        ..context(&manifest, &folders)
+    }
+}
+
+fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
+    let text = |value: &Value| {
         value
             .as_str()
             .map_or_else(|| value.to_string(), str::to_owned)
     };
-    let table = |value: &serde_json::Value| -> Facts {
+    let table = |value: &Value| -> Facts {
         let entries = value.as_object().into_iter().flatten();
-        entries
-            .filter(|(_, value)| !value.is_null() && !value.is_array())
-            .map(|(key, value)| fact(&key.replace('_', " "), text(value)))
+        let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
+        told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
             .collect()
     };
     let mut link = vec![fact("link", manifest.link.clone())];
     link.extend(table(&manifest.link_statistics));
     link.extend(table(&manifest.wire));
+    let folders = folders.iter().map(|folder| folder.display().to_string());
     Context {
-        target: match emulator {
+        target: match manifest.identity["is_emulator"].as_bool() {
             Some(true) => Target::Emulator,
             Some(false) => Target::Hardware,
             None => Target::Unknown,
         },
-        run_folders: folders
-            .iter()
-            .map(|folder| folder.display().to_string())
-            .collect(),
+        run_folders: folders.collect(),
         identity: table(&manifest.identity),
         plan: Facts::new(),
         link,
@@ -188,19 +268,13 @@ pub(crate) fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
 }
 
 fn plan_facts(plan: &Plan) -> Facts {
+    let (peak_a, times) = (plan.peak_current_a, plan.peak_current_ratio);
+    let current = format!("{peak_a:.1} A ({times:.1} times rated)");
+    let speed = format!("{:.0} rad/s", plan.peak_speed_rad_s);
     vec![
         fact("duration", format!("{:.1} s", plan.duration_s)),
-        fact(
-            "predicted peak current",
-            format!(
-                "{:.1} A ({:.1} times rated)",
-                plan.peak_current_a, plan.peak_current_ratio
-            ),
-        ),
-        fact(
-            "predicted peak speed",
-            format!("{:.0} rad/s", plan.peak_speed_rad_s),
-        ),
+        fact("predicted peak current", current),
+        fact("predicted peak speed", speed),
         fact(
             "predicted copper loss",
             format!("{:.0} J", plan.copper_loss_j),

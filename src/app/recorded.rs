@@ -62,15 +62,12 @@ impl Recorded {
         let path = self.folder.path();
         let from_disk = match &self.unkept {
             None => files::load(path, None),
-            Some(reason) => Err(Failure::new(INTERNAL, reason.clone())),
+            Some(reason) => Err(Failure::internal(reason.clone())),
         };
         match (from_disk, &self.samples) {
             (Err(failure), Some(samples)) => {
-                output::message(&format!(
-                    "{}: {}; what is in memory is used",
-                    path.display(),
-                    failure.headline()
-                ));
+                let (folder, reason) = (path.display(), failure.headline());
+                output::message(&format!("{folder}: {reason}; what is in memory is used"));
                 files::complete(run_from_memory(path, samples, &self.manifest)?)
             }
             (loaded, _) => loaded,
@@ -121,10 +118,8 @@ impl Recorded {
         let written = self.folder.write_capture(&write_run(&run));
         self.capture = self.kept(written);
         if let Some(path) = &self.capture {
-            let path = path.display();
-            output::message(&format!(
-                "burst capture: {rows} samples at {rate_hz:.0} Hz in {path}"
-            ));
+            let samples = format!("{rows} samples at {rate_hz:.0} Hz");
+            output::message(&format!("burst capture: {samples} in {}", path.display()));
         }
     }
 
@@ -144,13 +139,11 @@ impl Recorded {
     pub(crate) fn record_failure(&self) -> Option<Failure> {
         let reason = self.unkept.as_ref()?;
         let folder = self.folder.path().display();
-        Some(Failure::with_help(
-            INTERNAL,
-            format!("the record could not be kept: {reason}"),
-            format!(
-                "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
-            ),
-        ))
+        let headline = format!("the record could not be kept: {reason}");
+        let help = format!(
+            "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+        );
+        Some(Failure::with_help(INTERNAL, headline, help))
     }
 
     /// The failure that ended the run early, else that of its record, if any.
@@ -167,34 +160,20 @@ impl Recorded {
         if let Some(reopened) = &self.summary.reopened {
             kept = format!("{}; {kept}", reopened.text);
         }
-        match &self.summary.outcome {
-            Outcome::Done => self.summary.stop_error.as_ref().map(|error| {
-                Failure::with_help(
-                    LINK,
-                    format!("the last stop did not reach the drive: {error}"),
-                    kept,
-                )
-            }),
-            Outcome::Stopped | Outcome::Interrupted => Some(Failure::with_help(
+        let (status, headline) = match &self.summary.outcome {
+            Outcome::Done => {
+                let error = self.summary.stop_error.as_ref()?;
+                let headline = format!("the last stop did not reach the drive: {error}");
+                (LINK, headline)
+            }
+            Outcome::Stopped | Outcome::Interrupted => (
                 INTERRUPTED,
-                "stopped before the end of the sequence",
-                kept,
-            )),
-            Outcome::Tripped(trip) => Some(Failure::with_help(
-                TRIP,
-                format!("safety trip: {}", trip.reason),
-                kept,
-            )),
-            Outcome::NotStarted { reason } => Some(Failure::with_help(
-                LINK,
-                format!("not started: {reason}"),
-                kept,
-            )),
-            Outcome::LinkLost { reason } => Some(Failure::with_help(
-                LINK,
-                format!("link lost: {reason}"),
-                kept,
-            )),
-        }
+                "stopped before the end of the sequence".to_owned(),
+            ),
+            Outcome::Tripped(trip) => (TRIP, format!("safety trip: {}", trip.reason)),
+            Outcome::NotStarted { reason } => (LINK, format!("not started: {reason}")),
+            Outcome::LinkLost { reason } => (LINK, format!("link lost: {reason}")),
+        };
+        Some(Failure::with_help(status, headline, kept))
     }
 }

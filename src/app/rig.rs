@@ -8,24 +8,24 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
-use super::checks::Consent;
-use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::opening::{emulator_config, in_memory, open, serve, suited, tap, target, wired_profile};
+use super::controls::{Controls, DriveCell, DriveWord};
+use super::failure::{Failure, LINK, USAGE};
+use super::files::{seal, sealed_name};
+use super::opening::{
+    self, Reopener, Tap, emulator_config, in_memory, serve, suited, tap, target, wired_profile,
+};
+use super::output;
 use super::recorded::Recorded;
-use super::reopening::Reopener;
-use super::strings::{DriveCell, DriveWord, Strings};
-use super::tap::Tap;
-use super::{output, seal};
 use crate::bench::{
-    Bench, BenchFile, BenchFileError, CheckReport, Clock, Guard, LiveOnline, LoopDelay,
-    MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions, Session,
-    SpeedPilot, Target, Waivers, layout, layout_with_reference, manifest, measure_delay, plan, run,
-    stage_session,
+    Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, FirstMove, Guard,
+    LiveOnline, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
+    RunOptions, Session, SpeedPilot, Target, Waivers, check, layout, layout_with_reference,
+    manifest, measure_delay, plan, run, stage_session,
 };
 use crate::drive::offer::{self, Purpose};
-use crate::drive::{CutIn, DriveLink, DriveProfile};
+use crate::drive::{CutIn, DriveLink, DriveProfile, open_tapped};
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
@@ -90,11 +90,9 @@ pub(crate) struct SpeedAbout {
 /// An open drive with its clock, and the emulator's thread where it is ours.
 ///
 /// Whatever unwinds through it, in the checks, in a run or between two, leaves the drive told to stop.
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "each is a fact of its own about the rig"
-)]
 pub struct Rig {
+    /// As it was asked for, but for the bench, which changes with the motor that is found, and what is done once.
+    pub(crate) asked: RigOptions,
     pub(crate) bench: BenchFile,
     pub(crate) profile: DriveProfile,
     /// Its file, as it was read.
@@ -111,13 +109,10 @@ pub struct Rig {
     /// There are runs of it already, which are worth nothing without the one that follows.
     has_recorded: bool,
     pub(crate) check: Option<CheckReport>,
-    pub(crate) consent: Consent,
-    pub(crate) headless: bool,
     /// The motor is to be found from small steps before anything is planned.
     pub(crate) escalates: bool,
     /// What the bench file says about the motor, whatever is found later.
     pub(crate) plate: Motor,
-    out: PathBuf,
     /// None where the truth is not to be told.
     pub(crate) emulator: Option<EmulatorConfig>,
     /// Told whether the drive may be on.
@@ -180,7 +175,7 @@ impl Rig {
         profile_text: String,
         opened: Opened,
     ) -> Self {
-        let bench = options.bench;
+        let bench = options.bench.clone();
         Self {
             lost: false,
             reopener: opened.reopener,
@@ -192,28 +187,20 @@ impl Rig {
             last_seq: 0,
             has_recorded: false,
             check: None,
-            consent: Consent {
-                // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
-                hardware: options.hardware || !options.headless,
-                hardware_said: options.hardware,
-                waivers: options.waivers,
-                reset_fault: options.reset_fault,
-            },
-            headless: options.headless,
             escalates: options.escalate || bench.motor.is_unknown(),
             plate: bench.motor.motor(),
-            out: options.out,
             emulator: opened.emulator,
             word: DriveCell::default(),
             _server: opened.server,
+            asked: options,
             bench,
         }
     }
 
     /// From here on the drive may be on, until what is returned is dropped.
-    pub(crate) fn energises(&mut self, strings: &Strings, ramp_s: f64) {
+    pub(crate) fn energises(&mut self, controls: &Controls, ramp_s: f64) {
         let end_s = ramp_s + TO_REST_S + EXCHANGES_S + self.link.command_times().stop_s;
-        self.word = strings.drive.clone();
+        self.word = controls.drive.clone();
         self.word.set(DriveWord::MayBeOn { end_s });
     }
 
@@ -222,29 +209,69 @@ impl Rig {
         self.word.set(DriveWord::Off);
     }
 
-    /// Nobody looks at a screen.
-    pub(crate) const fn is_headless(&self) -> bool {
-        self.headless
+    /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
+    pub(crate) fn check(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
+        if self.escalates && self.bench.load.vertical {
+            return Err(Failure::usage(
+                "the small steps that find an unknown motor would let a vertical load fall",
+                "give the motor's data in [motor], or take the load off",
+            ));
+        }
+        self.energises(controls, 0.0);
+        let plate = self.bench.nameplate().filter(|_| !self.escalates);
+        let flags = controls.stop_flags();
+        let stopped = move || flags.iter().any(|flag| flag.load(Ordering::Acquire));
+        let first_move = plate.as_ref().map(|plate| FirstMove {
+            plate,
+            profile: &self.profile,
+            stopped: &stopped,
+        });
+        let options = CheckOptions {
+            rate_hz: self.bench.link.rate_hz,
+            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
+            hardware_allowed: self.asked.hardware || !self.asked.headless,
+            hardware_said: self.asked.hardware,
+            waivers: self.asked.waivers,
+            first_move,
+            reset_fault: std::mem::take(&mut self.asked.reset_fault),
+        };
+        let (link, clock) = (self.link.as_mut(), self.clock.as_mut());
+        let report = check(link, clock, &self.bench.limits(), options);
+        self.rests();
+        let report = report?;
+        if controls.is_stopped() {
+            return Err(Failure::interrupted(
+                "interrupted in the checks; nothing is energised",
+            ));
+        }
+        if let Some(item) = report.refusal() {
+            let headline = format!("{}: {}", item.name, item.text);
+            // Too much was asked, by arithmetic; what the link reaches is measured.
+            let status = if item.name == RATE_CHECK { USAGE } else { LINK };
+            let failure = Failure::new(status, headline);
+            return Err(failure.helped_by(item.help));
+        }
+        self.last_seq = report.last_seq;
+        self.check = Some(report.clone());
+        Ok(report)
     }
 
     /// Predicts the sequence with this seed and refuses what would be too much.
     pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
-        let program = self.program(seed)?;
+        let (program, plate) = (self.program(seed)?, self.nameplate()?);
+        let (limits, rate_hz) = (self.bench.limits(), self.bench.link.rate_hz);
         let plan = plan(
             &program,
-            &self.nameplate()?,
-            &self.bench.limits(),
-            self.bench.link.rate_hz,
+            &plate,
+            &limits,
+            rate_hz,
             self.drive_current_limit_a(),
         )?;
-        match plan.refusals.first() {
-            Some(refusal) => Err(Failure::with_help(
-                USAGE,
-                format!("plan refused: {refusal}"),
-                refusal.help(),
-            )),
-            None => Ok(plan),
+        if let Some(refusal) = plan.refusals.first() {
+            let headline = format!("plan refused: {refusal}");
+            return Err(Failure::usage(headline, refusal.help()));
         }
+        Ok(plan)
     }
 
     /// The motor that is planned with: of the bench file, or as it was found.
@@ -254,9 +281,7 @@ impl Rig {
 
     /// The drive's own limit, as read back by the check.
     pub(crate) fn drive_current_limit_a(&self) -> Option<f64> {
-        self.check
-            .as_ref()
-            .and_then(|check| check.identity.current_limit_a)
+        self.check.as_ref()?.identity.current_limit_a
     }
 
     /// The drive can record bursts by itself.
@@ -266,9 +291,8 @@ impl Rig {
 
     fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
         let file = self.bench.name.clone();
-        self.bench
-            .program(seed)
-            .map_err(|error| BenchFileError::Sequence { file, error }.into())
+        let program = self.bench.program(seed);
+        program.map_err(|error| BenchFileError::Sequence { file, error }.into())
     }
 
     fn guard(&self, motor: &Nameplate) -> Guard {
@@ -281,7 +305,7 @@ impl Rig {
         &mut self,
         name: &str,
         seed: u64,
-        strings: &Strings,
+        controls: &Controls,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
@@ -295,22 +319,18 @@ impl Rig {
             follows: false,
             speed: None,
         };
-        self.record_session(name, seed, run, strings)
+        self.record_session(name, seed, run, controls)
     }
 
     /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not tell.
     pub(crate) fn measure_delay(
         &mut self,
-        strings: &Strings,
+        controls: &Controls,
     ) -> Result<Option<LoopDelay>, Failure> {
         let rate_hz = self.bench.link.rate_hz;
-        self.energises(strings, 0.0);
-        let measured = measure_delay(
-            self.link.as_mut(),
-            self.clock.as_mut(),
-            rate_hz,
-            self.last_seq,
-        );
+        self.energises(controls, 0.0);
+        let (link, clock) = (self.link.as_mut(), self.clock.as_mut());
+        let measured = measure_delay(link, clock, rate_hz, self.last_seq);
         self.rests();
         let (delay, last_seq) = measured?;
         self.last_seq = last_seq;
@@ -323,7 +343,7 @@ impl Rig {
         name: &str,
         pilot: SpeedPilot,
         about: SpeedAbout,
-        strings: &Strings,
+        controls: &Controls,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
@@ -333,7 +353,7 @@ impl Rig {
             follows: false,
             speed: Some(about),
         };
-        self.record_session(name, self.bench.runs.fit, run, strings)
+        self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
     /// Records one stage of an escalation. The first one beside a real motor is started by hand; the others `follow` it.
@@ -342,7 +362,7 @@ impl Rig {
         name: &str,
         stage: &Stage,
         follows: bool,
-        strings: &Strings,
+        controls: &Controls,
     ) -> Result<Recorded, Failure> {
         let file = self.bench.name.clone();
         let session = stage_session(&self.bench, stage)
@@ -353,7 +373,7 @@ impl Rig {
             follows,
             speed: None,
         };
-        self.record_session(name, self.bench.runs.fit, run, strings)
+        self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
     fn record_session(
@@ -361,37 +381,28 @@ impl Rig {
         name: &str,
         seed: u64,
         planned: Planned,
-        strings: &Strings,
+        controls: &Controls,
     ) -> Result<Recorded, Failure> {
-        let Planned {
-            session,
-            motor,
-            follows,
-            speed,
-        } = planned;
         if self.lost {
             let headline =
                 "the drive was lost in the run before: nothing is started again by itself";
             return Err(Failure::new(LINK, headline));
         }
-        let report = self
-            .check
-            .clone()
-            .ok_or_else(|| Failure::new(INTERNAL, "a run without a check before it"))?;
+        let unchecked = || Failure::internal("a run without a check before it");
+        let report = self.check.clone().ok_or_else(unchecked)?;
         let target = Target::of(&report.identity);
-        let session = session
+        let session = planned
+            .session
             .after_seq(self.last_seq)
             .with_rest(&report.rest)
             .with_brake(self.bench.load.brake())
             .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);
-        let mut layout = match &speed {
+        let mut layout = match planned.speed {
             Some(about) => {
                 manifest.set_origin(Channel::Reference, Origin::Commanded);
-                manifest
-                    .configs
-                    .insert("model".to_owned(), about.model.clone());
-                manifest.speed_loop = about.manifest.clone();
+                manifest.configs.insert("model".to_owned(), about.model);
+                manifest.speed_loop = about.manifest;
                 layout_with_reference(&report.signals)
             }
             None => layout(&report.signals),
@@ -400,17 +411,15 @@ impl Rig {
             layout = layout.without_host_time();
         }
         let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
-        manifest.configs.insert(
-            OnlineSettings::NAME.to_owned(),
-            OnlineSettings::from(config).text(),
-        );
+        let settings = OnlineSettings::from(config).text();
+        let name_of_settings = OnlineSettings::NAME.to_owned();
+        manifest.configs.insert(name_of_settings, settings);
         let mut recorder = self.recorder(name, &layout, &manifest)?;
         let mut online = LiveOnline::new(layout, config);
         let sent_before = self.link.statistics().sent;
-        self.energises(strings, session.guard().ramp_down_s());
+        self.energises(controls, session.guard().ramp_down_s());
         if let Some(cut_in) = self.link.cut_in() {
-            let flags = [&strings.interrupted, &strings.stop_requested];
-            *cut_in = CutIn::watching(flags.map(Arc::clone));
+            *cut_in = CutIn::watching(controls.stop_flags());
         }
         let mut summary = run(
             session,
@@ -419,24 +428,24 @@ impl Rig {
                 clock: self.clock.as_mut(),
                 recorder: &mut recorder,
                 estimator: Some(&mut online),
-                intents: strings.intents(),
-                interrupted: &strings.interrupted,
-                snapshots: &strings.snapshots,
+                intents: controls.intents(),
+                interrupted: &controls.interrupted,
+                snapshots: &controls.snapshots,
             },
             &RunOptions {
                 name: name.to_owned(),
                 target,
                 rate_hz: self.bench.link.rate_hz,
-                motor,
+                motor: planned.motor,
                 // Beside a screen a real motor is started by hand, after a question.
-                auto_start: target == Target::Sim || self.headless || follows,
+                auto_start: target == Target::Sim || self.asked.headless || planned.follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
         self.rests();
         if summary.lost_its_drive() {
             self.lost = true;
-            self.get_back(&mut summary, &mut recorder, strings);
+            self.get_back(&mut summary, &mut recorder, controls);
         }
         summary.describe(&mut manifest);
         if let Some(report) = &summary.speed {
@@ -464,14 +473,18 @@ impl Rig {
         manifest: &Manifest,
     ) -> Result<Recorder, Failure> {
         let sync_every = whole(self.bench.link.rate_hz.ceil());
-        let made = RunFolder::create(&self.out, &manifest.stamp, name)
+        let made = RunFolder::create(&self.asked.out, &manifest.stamp, name)
             .and_then(|folder| Recorder::create(folder, layout.clone(), manifest, sync_every));
         match made {
             Err(error) if self.has_recorded => {
-                let folder = RunFolder::unmade(&self.out, &manifest.stamp, name);
-                let layout = layout.clone();
-                Ok(Recorder::without_disk(
-                    folder, layout, manifest, sync_every, &error,
+                let folder = RunFolder::unmade(&self.asked.out, &manifest.stamp, name);
+                let in_memory = Recorder::without_disk;
+                Ok(in_memory(
+                    folder,
+                    layout.clone(),
+                    manifest,
+                    sync_every,
+                    &error,
                 )?)
             }
             made => Ok(made?),
@@ -523,11 +536,10 @@ impl Opened {
             (Port::Emulator | Port::Sim, None) => Some(emulator_config(&bench.emulator.config)?),
             (Port::Tcp(_) | Port::Serial(_), _) if !options.mystery => None,
             (Port::Tcp(_) | Port::Serial(_), _) => {
-                return Err(Failure::with_help(
-                    USAGE,
+                let port = &bench.link.port;
+                return Err(Failure::usage(
                     format!(
-                        "--mystery hides an effect in our own emulator, and the port is {}",
-                        bench.link.port
+                        "--mystery hides an effect in our own emulator, and the port is {port}"
                     ),
                     "give --port sim: or --port emulator; for another program's port, `drivebench emulate --mystery SEED`",
                 ));
@@ -537,15 +549,19 @@ impl Opened {
             config.day = seed.wrapping_sub(bench.runs.fit);
         }
         if let Some(mystery) = &mystery {
-            std::fs::create_dir_all(&options.out).map_err(|error| {
-                Failure::new(USAGE, format!("{}: {error}", options.out.display()))
-            })?;
-            seal::seal(mystery, &options.out.join(seal::sealed_name(mystery.seed)))?;
+            let out = &options.out;
+            let cannot = |error| Failure::new(USAGE, format!("{}: {error}", out.display()));
+            std::fs::create_dir_all(out).map_err(cannot)?;
+            seal(mystery, &out.join(sealed_name(mystery.seed)))?;
         }
         let tap = tap(options.tap.as_deref(), &port)?;
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
         let mut address = bench.link.port.clone();
+        let open = |address: &str| {
+            let target = target(address, bench)?;
+            Ok::<_, Failure>(open_tapped(&target, profile, real.origin(), tap.file())?)
+        };
         let link: Box<dyn DriveLink> = match (&port, &emulator) {
             (Port::Sim, Some(config)) => {
                 let time = VirtualClock::new();
@@ -553,25 +569,20 @@ impl Opened {
                 in_memory(config, bench, guise.as_ref(), time)
             }
             (Port::Emulator, Some(config)) => {
-                let handle = serve(config, bench, guise)?;
+                let (protocol, mut served) = (profile.link.protocol, config.clone());
+                served.line.baud = bench.baud();
+                let handle = serve(protocol, served, bench.emulator.seed, guise)?;
                 if options.headless {
                     output::message(&format!("software drive {}", handle.ready_line()));
                 }
-                address = match bench.link.protocol {
-                    Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
-                    Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
-                };
+                address = opening::address(protocol, &handle);
                 server = Some(handle);
-                open(&address, bench, profile, real.origin(), &tap)?
+                open(&address)?
             }
-            (Port::Tcp(_) | Port::Serial(_), _) => {
-                open(&address, bench, profile, real.origin(), &tap)?
-            }
+            (Port::Tcp(_) | Port::Serial(_), _) => open(&address)?,
             (Port::Sim | Port::Emulator, None) => {
-                return Err(Failure::new(
-                    INTERNAL,
-                    "an emulator was asked for and not configured",
-                ));
+                let headline = "an emulator was asked for and not configured";
+                return Err(Failure::internal(headline));
             }
         };
         let reopener = if port == Port::Sim {
@@ -619,8 +630,7 @@ pub(crate) fn now() -> jiff::Timestamp {
 pub(crate) fn nameplate(bench: &BenchFile) -> Result<Nameplate, Failure> {
     bench.nameplate().ok_or_else(|| {
         let key = bench.motor.missing().unwrap_or("a value");
-        Failure::with_help(
-            USAGE,
+        Failure::usage(
             format!("motor.{key} is left out: the motor is not known, so nothing can be planned"),
             "`drivebench run` and `commission` find it from small steps first; or complete [motor]",
         )

@@ -1,20 +1,27 @@
 //! The order of work of a run: check, find the motor where it is unknown, plan, record, keep what was found.
 
-use serde::Serialize;
+use std::path::Path;
 
-use super::escalation::escalate;
-use super::failure::Failure;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::controls::Controls;
+use super::failure::{Failure, LINK, NOT_IDENTIFIABLE};
 use super::recorded::Recorded;
-use super::rig::{OpenRig, RigOptions};
-use super::strings::Strings;
+use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages};
 use crate::bench::{Plan, RunSummary};
 use crate::drive::offer::Purpose;
+use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Motor, MotorKey};
 use crate::recording::RunFile;
 use crate::sample::Verdict;
-use crate::workflow::{EscalationResult, compared};
+use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
+
+/// An end between two runs.
+pub(super) const BETWEEN_RUNS: &str =
+    "interrupted; nothing is energised, what was recorded is kept";
 
 /// What is asked of a run.
 pub struct RunRequest {
@@ -37,7 +44,7 @@ pub(crate) struct RunResult<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) nameplate: Option<Comparison>,
     /// The estimates with their keys.
-    parameters: serde_json::Map<String, serde_json::Value>,
+    parameters: Map<String, Value>,
 }
 
 /// How far it came.
@@ -59,11 +66,11 @@ pub struct Whole {
 ///
 /// # Errors
 /// What stood in the way of a run; how a run that began went is in its record.
-pub fn run(request: RunRequest, open: OpenRig, strings: &Strings) -> Result<RunDone, Failure> {
+pub fn run(request: RunRequest, open: OpenRig, controls: &Controls) -> Result<RunDone, Failure> {
     let run_seed = request.run_seed;
     let mut rig = open(request.rig, run_seed, Purpose::Voltages)?;
-    let headless = rig.is_headless();
-    let report = rig.check(strings)?;
+    let headless = rig.asked.headless;
+    let report = rig.check(controls)?;
     if headless {
         for item in &report.items {
             output::message(&format!("{:<18} {}", item.name, item.text));
@@ -71,7 +78,7 @@ pub fn run(request: RunRequest, open: OpenRig, strings: &Strings) -> Result<RunD
     }
     let mut escalation = None;
     if rig.escalates {
-        let result = escalate(&mut rig, strings, |line| {
+        let result = escalate(&mut rig, controls, |line| {
             if headless {
                 output::message(line);
             }
@@ -84,7 +91,7 @@ pub fn run(request: RunRequest, open: OpenRig, strings: &Strings) -> Result<RunD
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
     let plan = rig.plan(seed)?;
     let name = rig.bench.name.clone();
-    let recorded = rig.record(&name, seed, strings)?;
+    let recorded = rig.record(&name, seed, controls)?;
     let nameplate = rig.nameplate()?.motor();
     let mut whole = Whole {
         plan,
@@ -110,25 +117,21 @@ fn write_results(whole: &mut Whole, nameplate: &Motor) {
 }
 
 /// The baseline with what the on-line estimators settled on; the nameplate's value where they did not.
-fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &std::path::Path) -> ModelFile {
+fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> ModelFile {
     let mut file = ModelFile {
         model: Model::baseline(nameplate.clone()),
         ..ModelFile::default()
     };
     file.history.fitted_on = vec![folder.display().to_string()];
     for estimate in &summary.estimates {
-        if let (Verdict::Settled, Some(key), Some(value)) = (
-            estimate.verdict,
-            MotorKey::from_key(&estimate.key),
-            estimate.value,
-        ) {
+        let settled = estimate
+            .value
+            .filter(|_| estimate.verdict == Verdict::Settled);
+        if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), settled) {
             file.model.motor.set(key, value);
-            if let Some(std) = estimate.std {
-                file.history.fitted.push(FittedValue {
-                    key: estimate.key.clone(),
-                    std,
-                });
-            }
+            let key = estimate.key.clone();
+            let fitted = estimate.std.map(|std| FittedValue { key, std });
+            file.history.fitted.extend(fitted);
         }
     }
     file
@@ -152,4 +155,75 @@ pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
             .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
             .collect(),
     }
+}
+
+/// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
+/// as nameplate. `tell` gets a line for each stage.
+pub(crate) fn escalate(
+    rig: &mut Rig,
+    controls: &Controls,
+    mut tell: impl FnMut(&str),
+) -> Result<EscalationResult, Failure> {
+    let mut workflow = Escalate::new(&rig.bench);
+    let mut number = 0;
+    while let Some(stage) = workflow.stage().cloned() {
+        if controls.is_stopped() {
+            return Err(Failure::interrupted(BETWEEN_RUNS));
+        }
+        number += 1;
+        tell(&format!(
+            "{} {number}: up to {:.3} V ({})",
+            stage.kind.name(),
+            stage.peak_v,
+            stage.reason
+        ));
+        let name = format!("{}-escalation-{number:02}", rig.bench.name);
+        let mut recorded = rig.record_stage(&name, &stage, number > 1, controls)?;
+        if let Some(failure) = recorded.run_failure() {
+            return Err(failure);
+        }
+        let folder = recorded.folder.path().display().to_string();
+        let record = workflow.ran(&recorded.load()?.run, Some(folder))?;
+        recorded.write_result(&record);
+        tell(&record.stage.line);
+    }
+    let mut result = workflow.result();
+    if let Some(found) = result.found(&rig.bench) {
+        tell(&result.sentence);
+        let claimed = !rig.bench.motor.is_unknown();
+        if let Some(refusal) = result.scale(&rig.bench, rig.drive_current_limit_a())? {
+            let headline = format!("plan refused for the motor that was found: {refusal}");
+            return Err(Failure::usage(headline, refusal.help()));
+        }
+        let nothing = || Failure::internal("a motor was found and nothing planned");
+        let scaled = result.scaled.as_ref().ok_or_else(nothing)?;
+        let nameplate = result.nameplate.as_ref();
+        let fits = nameplate.is_none_or(|comparison| comparison.fits);
+        if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
+            // The plate is believed by whoever wrote the sequence: run as written it would be too much.
+            if let Some(comparison) = nameplate {
+                comparison.text().lines().for_each(&mut tell);
+            }
+            return Err(Failure::usage(
+                format!(
+                    "the nameplate does not fit, and with the motor that was found the sequence is refused: {refusal}"
+                ),
+                "correct [motor], or set motor.unknown = true to have the sequence made smaller",
+            ));
+        }
+        tell(&scaled_sentence(scaled));
+        rig.bench = scaled.bench.clone();
+        rig.bench.motor = (&found).into();
+    }
+    Ok(result)
+}
+
+/// The failure for what stands in the way of a motor: it is the device.
+pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
+    let ending = result.ending.as_ref()?;
+    let status = match ending {
+        Ending::NotIdentified { .. } => NOT_IDENTIFIABLE,
+        _ => LINK,
+    };
+    Some(Failure::with_help(status, ending.sentence(), ending.help()))
 }

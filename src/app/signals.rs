@@ -6,6 +6,7 @@
 //!                  '-> a run: the output ramps down, the drive confirms its stop -> exit 130
 //! ```
 
+use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
@@ -16,9 +17,9 @@ use signal_hook::consts::{
 };
 use signal_hook::iterator::Signals;
 
-use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::controls::Ends;
+use super::failure::{Failure, INTERRUPTED};
 use super::progress;
-use super::strings::Ends;
 
 /// Parts of the program that may be ended at any moment; a signal at another time is for those who asked for it.
 static AT_ONCE: AtomicUsize = AtomicUsize::new(0);
@@ -72,8 +73,7 @@ pub(crate) fn is_endable() -> bool {
 pub(crate) fn flag() -> Result<Arc<AtomicBool>, Failure> {
     let raised = Arc::new(AtomicBool::new(false));
     for signal in ENDINGS {
-        signal_hook::flag::register(signal, Arc::clone(&raised))
-            .map_err(|error| cannot_watch(&error))?;
+        register(signal, Arc::clone(&raised))?;
     }
     Ok(raised)
 }
@@ -81,7 +81,7 @@ pub(crate) fn flag() -> Result<Arc<AtomicBool>, Failure> {
 /// Tells a run on a live drive of every signal that would otherwise end, or halt, the program with its motor on.
 pub(crate) fn pull(ends: Ends) -> Result<(), Failure> {
     // A file that may not grow any more is an error of the write, and no reason to die.
-    signal_hook::flag::register(SIGXFSZ, Arc::default()).map_err(|error| cannot_watch(&error))?;
+    register(SIGXFSZ, Arc::default())?;
     let all: Vec<i32> = ENDINGS.iter().chain(&LIVE).copied().collect();
     spawn(&all, move |signal| match signal {
         SIGHUP | SIGPIPE => ends.hang_up(),
@@ -91,16 +91,19 @@ pub(crate) fn pull(ends: Ends) -> Result<(), Failure> {
 
 /// A thread that is told of these signals for as long as the program runs.
 fn spawn(signals: &[i32], told: impl Fn(i32) + Send + 'static) -> Result<(), Failure> {
-    let mut signals = Signals::new(signals).map_err(|error| cannot_watch(&error))?;
-    std::thread::Builder::new()
-        .name("signals".to_owned())
-        .spawn(move || signals.forever().for_each(told))
-        .map_err(|error| cannot_watch(&error))?;
-    Ok(())
+    let mut signals = Signals::new(signals).map_err(cannot_watch)?;
+    let thread = std::thread::Builder::new().name("signals".to_owned());
+    let watching = thread.spawn(move || signals.forever().for_each(told));
+    watching.map(drop).map_err(cannot_watch)
 }
 
-fn cannot_watch(error: &std::io::Error) -> Failure {
-    Failure::new(INTERNAL, format!("cannot watch for signals: {error}"))
+fn register(signal: i32, flag: Arc<AtomicBool>) -> Result<(), Failure> {
+    let registered = signal_hook::flag::register(signal, flag);
+    registered.map(drop).map_err(cannot_watch)
+}
+
+fn cannot_watch(error: impl Display) -> Failure {
+    Failure::internal(format!("cannot watch for signals: {error}"))
 }
 
 fn end() -> ! {
@@ -112,12 +115,8 @@ fn end() -> ! {
         std::thread::sleep(LOOK);
         whole = WRITING.try_lock();
     }
-    Failure::with_help(
-        INTERRUPTED,
-        "interrupted: there is no answer",
-        "start the command again; nothing was left half done",
-    )
-    .print();
+    let help = "start the command again; nothing was left half done";
+    Failure::with_help(INTERRUPTED, "interrupted: there is no answer", help).print();
     // Nobody draws the line again: its lock is held to the end.
     progress::above(|| std::process::exit(i32::from(INTERRUPTED)))
 }

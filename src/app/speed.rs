@@ -9,24 +9,26 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::json;
 
-use super::failure::{Failure, USAGE};
+use super::controls::Controls;
+use super::failure::Failure;
 use super::opening::wired_profile;
 use super::recorded::Recorded;
 use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
-use super::speed_page::speed_loop;
-use super::strings::Strings;
 use super::{files, output, pages};
 use crate::bench::{
     BenchFile, CheckReport, ControllerKind, Design, ForwardUse, Limits, LoopDelay, Nameplate,
-    PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot, SpeedSection,
-    loop_timing,
+    PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot, SpeedReport,
+    SpeedSection, loop_timing,
 };
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
 use crate::drive::offer::Purpose;
 use crate::plant::{Model, ModelFile};
 use crate::recording::RunFile;
+use crate::report::SpeedLoop;
+use crate::report::page::{Cell, Table};
 use crate::sample::Channel;
+use crate::text::number::{fixed, significant};
 
 /// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
 const LEAST_NOISE_RAD_S: f64 = 0.02;
@@ -79,8 +81,7 @@ impl LoopParts {
     fn new(request: &SpeedRequest, bench: &mut BenchFile) -> Result<Self, Failure> {
         let (profile, _) = wired_profile(bench)?;
         let Some(section) = &mut bench.speed else {
-            return Err(Failure::with_help(
-                USAGE,
+            return Err(Failure::usage(
                 format!(
                     "the bench {:?} has no [speed]: there is no reference to follow",
                     bench.name
@@ -96,9 +97,7 @@ impl LoopParts {
         bench.check_speed(file, text)?;
         let actuator = section.actuator(&profile.capabilities).ok_or_else(|| {
             let wanted = section.actuator.map_or("", Actuator::name);
-            Failure::with_help(
-                USAGE,
-                format!(
+            Failure::usage(format!(
                     "the drive {:?} takes no {wanted} command that a speed loop could act with",
                     bench.drive.profile
                 )
@@ -111,9 +110,9 @@ impl LoopParts {
             )
         })?;
         let motor = nameplate(bench)?;
-        let reference = bench.reference(&section).map_err(|error| {
-            Failure::with_help(USAGE, error.to_string(), "see [speed] of the bench file")
-        })?;
+        let reference = bench
+            .reference(&section)
+            .map_err(|error| Failure::usage(error.to_string(), "see [speed] of the bench file"))?;
         let model = match &request.model {
             Some(path) => files::read_model(path)?,
             None => ModelFile {
@@ -125,8 +124,7 @@ impl LoopParts {
         if limits.quadrants < 4
             && let Some(speed) = reference.reverse_rad_s()
         {
-            return Err(Failure::with_help(
-                USAGE,
+            return Err(Failure::usage(
                 format!(
                     "the reference asks for {speed} rad/s, and the drive's converter has {} of 4 quadrants: it goes one way only",
                     limits.quadrants
@@ -170,15 +168,19 @@ impl LoopParts {
 ///
 /// # Errors
 /// What stood in the way of a run; how a run that began went is in its record.
-pub fn speed(asked: SpeedRequest, open: OpenRig, strings: &Strings) -> Result<SpeedDone, Failure> {
+pub fn speed(
+    asked: SpeedRequest,
+    open: OpenRig,
+    controls: &Controls,
+) -> Result<SpeedDone, Failure> {
     let mut bench = asked.rig.bench.clone();
     let request = LoopParts::new(&asked, &mut bench)?;
     // With the least delay that an exchange can have: what is refused now is refused before anything is opened.
     request.regulator(request.period_s, LEAST_NOISE_RAD_S)?;
     let mut rig = open(asked.rig, None, Purpose::SpeedLoop)?;
     rig.bench.speed = Some(request.section.clone());
-    let report = rig.check(strings)?;
-    let delay = rig.measure_delay(strings)?;
+    let report = rig.check(controls)?;
+    let delay = rig.measure_delay(controls)?;
     let noise_rad_s = noise(&report);
     let mut regulator = request.regulator(
         delay.map_or(request.period_s, |delay| delay.median_s),
@@ -192,7 +194,7 @@ pub fn speed(asked: SpeedRequest, open: OpenRig, strings: &Strings) -> Result<Sp
         Some(path) => path.display().to_string(),
         None => "nameplate".to_owned(),
     };
-    if rig.is_headless() {
+    if rig.asked.headless {
         tell(&report, delay.as_ref(), &regulator, asked.model.is_none());
     }
     let about = SpeedAbout {
@@ -222,7 +224,7 @@ pub fn speed(asked: SpeedRequest, open: OpenRig, strings: &Strings) -> Result<Sp
     let pilot = SpeedPilot::new(regulator, request.reference, settings);
     let name = format!("{}-speed", rig.bench.name);
     let mut whole = SpeedDone {
-        recorded: rig.record_loop(&name, pilot, about, strings)?,
+        recorded: rig.record_loop(&name, pilot, about, controls)?,
         rule,
         model,
         delay,
@@ -302,11 +304,9 @@ fn tell(
     }
     output::message(&match delay {
         Some(delay) => format!(
-            "{:<18} {:.2} cycles ({:.2} ms), 99 % within {:.2}; measured at rest on {} commands",
+            "{:<18} {}; measured at rest on {} commands",
             "loop delay",
-            delay.median_cycles,
-            1e3 * delay.median_s,
-            delay.p99_cycles,
+            delay_text(delay),
             delay.measured
         ),
         None => format!(
@@ -320,6 +320,12 @@ fn tell(
     }
 }
 
+fn delay_text(delay: &LoopDelay) -> String {
+    let (median, p99) = (delay.median_cycles, delay.p99_cycles);
+    let median_ms = 1e3 * delay.median_s;
+    format!("{median:.2} cycles ({median_ms:.2} ms), 99 % within {p99:.2}")
+}
+
 /// What a loop has to say, for its folder and for whoever asked for it.
 pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
     SpeedResult {
@@ -331,9 +337,89 @@ pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
     }
 }
 
-impl From<RegulatorError> for Failure {
-    fn from(error: RegulatorError) -> Self {
-        let help = error.help();
-        Self::with_help(USAGE, error.to_string(), help)
+/// What the page of a run says about its speed loop.
+fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
+    let cycles = |delay: Option<&LoopDelay>| match delay {
+        Some(delay) => delay_text(delay),
+        None => "not measured: the drive does not say when a command was applied".to_owned(),
+    };
+    let fact = |label: &str, value: String| (label.to_owned(), value);
+    let command = report.actuator.name();
+    let controller = format!("{} over a {command} command", report.controller);
+    let tuned_for = format!("{:.2} cycles", report.timing.delay_cycles());
+    let held = report.held_cycles.to_string();
+    let changes = report.gain_changes.iter();
+    let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    let last = report
+        .gains
+        .iter()
+        .map(|line| format!("at the end: {line}"));
+    SpeedLoop {
+        facts: vec![
+            fact("controller", controller),
+            fact("delay at rest", cycles(at_rest)),
+            fact("delay while running", cycles(report.delay.as_ref())),
+            fact("tuned for", tuned_for),
+            fact("cycles without a speed, output held", held),
+        ],
+        tables: vec![tracking(report), steps(report)],
+        reasons: report.reasons.clone(),
+        changes: changes.chain(last).collect(),
+    }
+}
+
+fn tracking(report: &SpeedReport) -> Table {
+    let rows = report.tracking.iter().map(|pass| {
+        vec![
+            Cell::text(if pass.feed_forward { "on" } else { "off" }),
+            Cell::text(format!(
+                "{} to {} s",
+                fixed(pass.from_s, 1),
+                fixed(pass.until_s, 1)
+            )),
+            Cell::text(significant(pass.rms_rad_s, 3)),
+            Cell::text(significant(pass.mean_abs_rad_s, 3)),
+            Cell::text(significant(pass.peak_rad_s, 3)),
+        ]
+    });
+    Table {
+        head: vec![
+            "feed-forward",
+            "reference followed",
+            "error rms, rad/s",
+            "mean, rad/s",
+            "peak, rad/s",
+        ],
+        rows: rows.collect(),
+    }
+}
+
+fn steps(report: &SpeedReport) -> Table {
+    let unit = report.actuator.unit();
+    let rows = report.steps.iter().map(|step| {
+        let response = &step.response;
+        let (from, to) = (fixed(step.speed_rad_s, 1), fixed(step.step.to_rad_s, 1));
+        let settling = response.settling_s.map(|s| fixed(s, 3));
+        vec![
+            Cell::text(fixed(step.step.at_s, 2)),
+            Cell::text(format!("{from} to {to}")),
+            Cell::text(fixed(response.overshoot_percent, 1)),
+            Cell::text(settling.unwrap_or_else(|| "never".to_owned())),
+            Cell::text(fixed(response.absolute_error_rad, 2)),
+            Cell::text(format!("{} {unit}", fixed(step.peak_output, 1))),
+            Cell::text(fixed(100.0 * step.limited_share, 0)),
+        ]
+    });
+    Table {
+        head: vec![
+            "at, s",
+            "speed, rad/s",
+            "overshoot, %",
+            "settling, s",
+            "IAE, rad",
+            "peak output",
+            "limited, %",
+        ],
+        rows: rows.collect(),
     }
 }

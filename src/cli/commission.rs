@@ -1,9 +1,9 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
-use super::failure::{Failure, INTERRUPTED};
-use super::live::{LiveArguments, UnknownMotor};
+use super::arguments::{LiveArguments, UnknownMotor};
+use super::failure::Failure;
 use super::{output, progress};
-use crate::app::discovery::{self, Shown};
+use crate::app::by_hand::{self, Shown};
 use crate::app::{Left, Rig, commission, conduct};
 use crate::plant::FileHistory;
 use crate::tui::Exit;
@@ -28,7 +28,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let options = live.options(arguments.unknown.escalate)?;
     let cell = ProgressCell::default();
     let shown = live.is_headless().then(|| progress::begin("commission"));
-    let mut told = shown.is_some().then(Told::default);
+    let mut told = shown.is_some().then(StepLog::default);
     let audience = live.audience(Some(cell.clone()));
     let done = conduct(audience, move |strings| {
         commission(options, Box::new(Rig::open), strings, |latest| {
@@ -42,25 +42,19 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let (done, left) = (done.work, done.left);
     let by_hand = matches!(left, Left::Screen(Exit::Diagnosis));
     if let Some(discovery) = done.discovery.filter(|_| by_hand) {
-        let runs = &done.result.runs;
+        let first = done.result.runs.first();
         let shown = Shown {
             title: "the runs of this commissioning".to_owned(),
             guess_first: false,
-            fitted_on: runs
-                .first()
-                .and_then(|run| run.folder.clone())
-                .unwrap_or_default(),
+            fitted_on: first.and_then(|run| run.folder.clone()).unwrap_or_default(),
             history: FileHistory::default(),
             output: None,
         };
-        let seen = discovery::show(discovery, shown);
+        let seen = by_hand::show(discovery, shown);
         // However it was left: the result of the loop is there all the same.
         finish(json, &done.result, &done.text)?;
         if seen?.is_interrupted() {
-            return Err(Failure::new(
-                INTERRUPTED,
-                "interrupted in the diagnosis by hand",
-            ));
+            return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
         }
         return done.unkept.map_or(Ok(()), Err);
     }
@@ -74,11 +68,11 @@ fn finish(json: bool, result: &CommissionResult, text: &str) -> Result<(), Failu
 
 /// Progress on stderr: each step once when it begins and once with its figure.
 #[derive(Default)]
-struct Told {
+struct StepLog {
     lines: Vec<(StepState, String)>,
 }
 
-impl Told {
+impl StepLog {
     fn tell(&mut self, progress: &Progress) {
         let total = progress.steps.len();
         self.lines
@@ -88,20 +82,15 @@ impl Told {
             if now == self.lines[index] {
                 continue;
             }
-            let number = index + 1;
+            let head = format!("[{:>2}/{total}] {}", index + 1, step.title);
             match step.state {
                 StepState::Waiting => {}
                 StepState::Active => {
-                    output::message(&format!("[{number:>2}/{total}] {} ...", step.title));
+                    output::message(&format!("{head} ..."));
                     progress::stage(&step.title, 0);
                 }
-                StepState::Done => output::message(&format!(
-                    "[{number:>2}/{total}] {}: {}",
-                    step.title, step.line
-                )),
-                StepState::Failed => {
-                    output::message(&format!("[{number:>2}/{total}] {} failed", step.title));
-                }
+                StepState::Done => output::message(&format!("{head}: {}", step.line)),
+                StepState::Failed => output::message(&format!("{head} failed")),
             }
             self.lines[index] = now;
         }

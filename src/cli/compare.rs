@@ -3,10 +3,12 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use super::data::{EvidenceArguments, prepare};
+use super::arguments::EvidenceArguments;
 use super::failure::{Failure, REFUSED, USAGE};
-use super::sanity_report::Judging;
-use super::{output, pages, progress, signals};
+use super::output::{self, lines};
+use super::{progress, signals};
+use crate::app::evidence::Judging;
+use crate::app::pages;
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 use crate::text::number::{fixed, percent, significant};
 
@@ -40,30 +42,25 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     let _endable = signals::endable()?;
     let shown = progress::begin("compare");
-    let prepared = prepare(
-        &arguments.run,
-        arguments.model.as_ref(),
-        &arguments.evidence,
-        Judging::AsGiven,
-    )?;
-    let mut model = prepared.model.file.model;
-    let mut evidence = prepared.evidence;
+    let model = arguments.model.as_deref();
+    let judging = Judging::AsGiven;
+    let mut prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
     if prepared.model.from == "baseline" {
         progress::stage("fits the baseline", 0);
-        let (with_scale, fit) = evidence.with_baseline(&model)?;
-        (evidence, model) = (with_scale, fit.model);
+        let (with_scale, fit) = prepared
+            .evidence
+            .with_baseline(&prepared.model.file.model)?;
+        (prepared.evidence, prepared.model.file.model) = (with_scale, fit.model);
     }
-    model.require_complete()?;
+    prepared.model.file.model.require_complete()?;
     progress::stage("compares", 0);
-    let comparison = compare(&model, &evidence, ErrorOf::Model)?;
+    let model = &prepared.model.file.model;
+    let comparison = compare(model, &prepared.evidence, ErrorOf::Model)?;
     drop(shown);
     if let Some(path) = &arguments.html {
-        let page = pages::comparison(&prepared.about, &prepared.run, &comparison);
-        pages::write(path, &page)?;
+        pages::write(path, &pages::comparison(&prepared, &comparison))?;
     }
-    let mut value = serde_json::to_value(&comparison).unwrap_or_default();
-    value["rows_dropped"] = prepared.run.run.rows_dropped.into();
-    value["notes"] = prepared.run.run.notes.clone().into();
+    let mut value = prepared.result(&comparison);
     value["model"] = prepared.model.from.into();
     value["undecided"] = comparison.undecided().into();
     output::result(&value, arguments.json, |_| {
@@ -75,10 +72,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
     let Some(least) = min_fit else { return Ok(()) };
     if !least.is_finite() {
-        return Err(Failure::new(
-            USAGE,
-            format!("--min-fit {least} is not a number of per cent"),
-        ));
+        let headline = format!("--min-fit {least} is not a number of per cent");
+        return Err(Failure::new(USAGE, headline));
     }
     let signals = &comparison.signals;
     let fit = |signal: Option<SignalComparison>| signal.map(|signal| signal.holdout.fit_percent);
@@ -89,17 +84,13 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
         ("torque", torque.map(|torque| torque.holdout.fit_percent)),
     ];
     if fits.iter().all(|(_, fit)| fit.is_none()) {
-        return Err(Failure::new(
-            REFUSED,
-            "no signal stands in both runs: there is no fit to judge",
-        ));
+        let headline = "no signal stands in both runs: there is no fit to judge";
+        return Err(Failure::new(REFUSED, headline));
     }
     for (name, fit) in fits {
         if let Some(found) = fit.filter(|found| *found < least) {
-            return Err(Failure::new(
-                REFUSED,
-                format!("held-out {name} fit {found:.1} % is below {least} %"),
-            ));
+            let headline = format!("held-out {name} fit {found:.1} % is below {least} %");
+            return Err(Failure::new(REFUSED, headline));
         }
     }
     Ok(())
@@ -116,22 +107,18 @@ pub(super) fn text(comparison: &Comparison) -> String {
     );
     let mut row = |name: &str,
                    unit: &str,
-                   fits: [f64; 2],
-                   rmse: f64,
+                   [fit, held_fit, rmse]: [f64; 3],
                    floor: Option<f64>,
                    one_step: Option<f64>| {
-        let known = |value: Option<f64>, otherwise: &str| {
-            value.map_or_else(|| otherwise.to_owned(), |value| significant(value, 3))
-        };
+        let known = |text: Option<String>, otherwise: &str| text.unwrap_or(otherwise.to_owned());
+        let (fit, held_fit) = (percent(fit), percent(held_fit));
+        let times = known(floor.map(|floor| fixed(rmse / floor, 2)), "unknown");
+        let floor = known(floor.map(|floor| significant(floor, 3)), "unknown");
+        let one_step = known(one_step.map(|error| significant(error, 3)), "-");
+        let rmse = significant(rmse, 3);
         let _ = writeln!(
             text,
-            "{name:<width$} {:>13}  {:>8} {unit:<5} {:>13} {:>13} | {:>12} {:>15}",
-            percent(fits[0]),
-            significant(rmse, 3),
-            known(floor, "unknown"),
-            floor.map_or_else(|| "unknown".to_owned(), |floor| fixed(rmse / floor, 2)),
-            percent(fits[1]),
-            known(one_step, "-")
+            "{name:<width$} {held_fit:>13}  {rmse:>8} {unit:<5} {floor:>13} {times:>13} | {fit:>12} {one_step:>15}"
         );
     };
     for (name, unit, signal) in [
@@ -139,27 +126,14 @@ pub(super) fn text(comparison: &Comparison) -> String {
         ("current", "A", signals.current_a),
     ] {
         let Some(signal) = signal else { continue };
-        let fits = [signal.holdout.fit_percent, signal.fit_percent];
-        let one_step = Some(signal.one_step_rmse);
-        row(
-            name,
-            unit,
-            fits,
-            signal.holdout.rmse,
-            signal.noise_floor,
-            one_step,
-        );
+        let (held, one_step) = (signal.holdout, Some(signal.one_step_rmse));
+        let figures = [signal.fit_percent, held.fit_percent, held.rmse];
+        row(name, unit, figures, signal.noise_floor, one_step);
     }
     if let Some(torque) = &signals.torque_n_m {
-        let fits = [torque.holdout.fit_percent, torque.fit_percent];
-        row(
-            "torque",
-            "N.m",
-            fits,
-            torque.holdout.rmse,
-            torque.noise_floor,
-            None,
-        );
+        let held = torque.holdout;
+        let figures = [torque.fit_percent, held.fit_percent, held.rmse];
+        row("torque", "N.m", figures, torque.noise_floor, None);
         for error in &torque.processing {
             let _ = writeln!(
                 text,
@@ -174,21 +148,15 @@ pub(super) fn text(comparison: &Comparison) -> String {
             text.push_str("where    nowhere: no equation fails beyond its noise\n");
         }
     } else {
-        if let Some(sentence) = comparison.undecided() {
-            let _ = writeln!(text, "where    {sentence}");
-        }
-        for location in comparison.locations.iter().take(MOST_PLACES) {
-            let _ = writeln!(text, "where    {}", location.sentence);
-        }
+        lines(&mut text, "where    ", comparison.undecided());
+        let places = comparison.locations.iter().take(MOST_PLACES);
+        lines(&mut text, "where    ", places.map(|place| &place.sentence));
     }
-    for balance in &comparison.balances {
-        // What it follows stands above.
-        let told = balance.sentence.split("; ").next().unwrap_or_default();
-        let _ = writeln!(text, "balance  {told}");
-    }
-    for limit in &comparison.limits {
-        let _ = writeln!(text, "note     {limit}");
-    }
+    // What it follows stands above.
+    let balances = comparison.balances.iter();
+    let balances = balances.map(|b| b.sentence.split("; ").next().unwrap_or_default());
+    lines(&mut text, "balance  ", balances);
+    lines(&mut text, "note     ", &comparison.limits);
     text
 }
 
@@ -224,49 +192,34 @@ fn lights(residual: &ResidualLights) -> String {
 
 /// The map of the equation that fails worst, ten shades from nothing to its largest error, a dot where the run never was.
 fn map(comparison: &Comparison) -> String {
-    let (Some(map), Some(worst)) = (
-        &comparison.map,
-        comparison.balances.first().filter(|balance| balance.fails),
-    ) else {
+    let worst = comparison.balances.first().filter(|worst| worst.fails);
+    let (Some(map), Some(worst)) = (&comparison.map, worst) else {
         return String::new();
     };
-    let cells = if worst.equation == "torque" {
-        &map.torque_rms_n_m
-    } else {
-        &map.voltage_rms_v
+    let cells = match worst.equation {
+        "torque" => &map.torque_rms_n_m,
+        _ => &map.voltage_rms_v,
     };
-    let largest = cells
-        .iter()
-        .flatten()
-        .flatten()
-        .fold(0.0, |most: f64, value| most.max(*value));
+    let values = cells.iter().flatten().flatten();
+    let largest = values.fold(0.0, |most: f64, value| most.max(*value));
     if largest <= 0.0 {
         return String::new();
     }
+    let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
     let mut text = format!(
-        "\n{} error over speed and current: 9 is {} {}, a dot where the run never was\n",
-        worst.equation,
-        significant(largest, 3),
-        worst.unit
+        "\n{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was\n"
     );
     for (row, values) in cells.iter().enumerate().rev() {
         let middle = 0.5 * (map.speed_edges_rad_s[row] + map.speed_edges_rad_s[row + 1]);
         let _ = write!(text, "{middle:>8.0} rad/s  ");
         for value in values {
-            let mark = value.map_or_else(
-                || ".".to_owned(),
-                |value| format!("{:.0}", 9.0 * value / largest),
-            );
-            let _ = write!(text, " {mark}");
+            let mark = value.map(|value| format!("{:.0}", 9.0 * value / largest));
+            let _ = write!(text, " {}", mark.unwrap_or_else(|| ".".to_owned()));
         }
         text.push('\n');
     }
     let edges = &map.current_edges_a;
-    let _ = writeln!(
-        text,
-        "                 {:<12.1}{:>12.1} A",
-        edges[0],
-        edges[edges.len() - 1]
-    );
+    let (from, to) = (edges[0], edges[edges.len() - 1]);
+    let _ = writeln!(text, "                 {from:<12.1}{to:>12.1} A");
     text
 }

@@ -4,12 +4,14 @@ use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
-use super::data::{EvidenceArguments, prepare};
-use super::discovery::{self, Shown};
-use super::failure::{Failure, INTERRUPTED, USAGE};
-use super::next_experiment::NextArguments;
-use super::sanity_report::Judging;
-use super::{output, pages, progress, signals};
+use super::arguments::EvidenceArguments;
+use super::failure::Failure;
+use super::output::{self, lines};
+use super::{progress, signals};
+use crate::app::by_hand::{self, Shown};
+use crate::app::evidence::Judging;
+use crate::app::next_experiment::Place;
+use crate::app::pages;
 use crate::diagnosis::{Candidate, Diagnosis, Reached, diagnose_with};
 use crate::plant::effect::Axis;
 use crate::sample::ParameterEstimate;
@@ -37,8 +39,13 @@ pub(super) struct Arguments {
     evidence: EvidenceArguments,
     #[command(flatten)]
     on_screen: ScreenArguments,
-    #[command(flatten)]
-    next: NextArguments,
+    /// Bench whose drive, motor and limits the recommended next run keeps; without it that of the run folder, else
+    /// nothing beyond what the runs have reached
+    #[arg(long, value_name = "BENCH.toml")]
+    bench: Option<PathBuf>,
+    /// Write the bench file of the recommended next run
+    #[arg(long, value_name = "FILE")]
+    next_bench: Option<PathBuf>,
     /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
@@ -64,27 +71,24 @@ struct ScreenArguments {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let on_screen = &arguments.on_screen;
     if on_screen.screen && !std::io::stdout().is_terminal() {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             "--screen: standard output is not a terminal",
             "leave --screen out: the answer is printed as text",
         ));
     }
-    if let Some(path) = &on_screen.output {
-        output::refuse_existing(path, "--output")?;
-    }
-    if let Some(path) = &arguments.html {
-        output::refuse_existing(path, "--html")?;
+    for (path, option) in [(&on_screen.output, "--output"), (&arguments.html, "--html")] {
+        let path = path.as_deref();
+        path.map_or(Ok(()), |path| output::refuse_existing(path, option))?;
     }
     let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
-    let prepared = prepare(
-        &arguments.run,
-        arguments.model.as_ref(),
-        &arguments.evidence,
-        Judging::Refits,
-    )?;
-    let place = arguments.next.place(&prepared)?;
+    let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
+    let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
+    if let Some(path) = &arguments.next_bench {
+        output::refuse_existing(path, "--next-bench")?;
+    }
+    let place = Place::of(arguments.bench.as_deref(), &prepared)?;
     let original = prepared.model.file.model.clone();
+    let evidence = prepared.evidence.clone();
     let mut by_hand = String::new();
     let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
@@ -97,66 +101,51 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             history: prepared.model.file.history.clone(),
             output: on_screen.output.clone(),
         };
-        let evidence = prepared.evidence.clone();
-        let discovery = Discovery::new(original.clone(), evidence).with_limits(place.limits());
-        let left = discovery::show(discovery, shown)?;
+        let discovery = Discovery::new(original, evidence).with_limits(place.limits());
+        let left = by_hand::show(discovery, shown)?;
         attended = Some((signals::endable()?, progress::begin("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.
         if left.is_interrupted() {
-            return Err(Failure::new(INTERRUPTED, "interrupted"));
+            return Err(Failure::interrupted("interrupted"));
         }
         by_hand = left.standing.heading();
         known_next = left.standing.next;
-        left.standing
-            .diagnosis
-            .ok_or_else(|| Failure::new(INTERRUPTED, "left before there was an answer"))?
+        let no_answer = || Failure::interrupted("left before there was an answer");
+        left.standing.diagnosis.ok_or_else(no_answer)?
     } else {
-        diagnose_with(&original, prepared.evidence.clone(), &progress::diagnosis)?
+        diagnose_with(&original, evidence, &progress::diagnosis)?
     };
     if let Some(next) = known_next {
         place.take_over(&mut diagnosis, next);
     } else {
         progress::stage("looks for the run that would tell more", 0);
-        place.recommend(&mut diagnosis, &prepared.evidence)?;
+        place.recommend(&mut diagnosis, &prepared)?;
     }
     let _endable = attended.map(|(endable, _)| endable);
-    arguments.next.write(&place, &diagnosis, &arguments.run)?;
-    if let Some(path) = &arguments.html {
-        let page = pages::diagnosis(
-            &prepared.about,
-            &prepared.run,
-            &prepared.evidence,
-            &diagnosis,
-        )?;
-        pages::write(path, &page)?;
+    if let Some(path) = &arguments.next_bench {
+        place.write(path, &diagnosis, &arguments.run)?;
     }
-    let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
-    value["rows_dropped"] = prepared.run.run.rows_dropped.into();
-    value["notes"] = prepared.run.run.notes.clone().into();
-    output::result(&value, arguments.json, |_| {
+    if let Some(path) = &arguments.html {
+        pages::write(path, &pages::diagnosis(&prepared, &diagnosis)?)?;
+    }
+    output::result(&prepared.result(&diagnosis), arguments.json, |_| {
         format!("{by_hand}{}", text(&diagnosis))
     })
 }
 
-pub(super) fn text(diagnosis: &Diagnosis) -> String {
+fn text(diagnosis: &Diagnosis) -> String {
     let mut text = format!("{}\n", diagnosis.sentence);
-    if let Some(confirm) = &diagnosis.confirm {
-        let _ = writeln!(text, "{}", confirm.sentence);
-    }
+    lines(
+        &mut text,
+        "",
+        diagnosis.confirm.as_ref().map(|run| &run.sentence),
+    );
     if !diagnosis.sufficient && diagnosis.effect.is_some() {
-        let _ = writeln!(
-            text,
-            "this is not all: much of the error is still unexplained"
-        );
+        text.push_str("this is not all: much of the error is still unexplained\n");
     }
     for candidate in &diagnosis.candidates {
-        let _ = writeln!(
-            text,
-            "{:>2} {:<12} {}",
-            candidate.rank,
-            candidate.status.name(),
-            candidate.evidence
-        );
+        let (rank, status) = (candidate.rank, candidate.status.name());
+        let _ = writeln!(text, "{rank:>2} {status:<12} {}", candidate.evidence);
         if !candidate.parameters.is_empty() {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
             for peak in candidate.reached.iter().flat_map(Reached::peaks) {
@@ -164,40 +153,29 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
             }
         }
     }
-    for part in &diagnosis.unknown {
-        let _ = writeln!(text, "unknown: {}", part.sentence);
-    }
+    let unknown = diagnosis.unknown.iter().map(|part| &part.sentence);
+    lines(&mut text, "unknown: ", unknown);
     if let Some(map) = diagnosis.axis_map.first().filter(|map| map.is_followed()) {
         let _ = writeln!(text, "curve: {}", map.sentence);
-        let _ = writeln!(
-            text,
-            "       --html PAGE draws it, --screen shows it under c"
-        );
+        text.push_str("       --html PAGE draws it, --screen shows it under c\n");
         if Axis::from_key(map.axis).is_some() {
+            let (equation, axis) = (map.equation, map.axis);
             let _ = writeln!(
                 text,
-                "       `drivebench add table --equation {} --axis {}` holds it until its cause is known",
-                map.equation, map.axis
+                "       `drivebench add table --equation {equation} --axis {axis}` holds it until its cause is known"
             );
         }
     }
-    let limits = diagnosis.limits.iter().map(String::as_str);
-    for sentence in limits.chain(diagnosis.equivalences.iter().copied()) {
-        let _ = writeln!(text, "note: {sentence}");
-    }
-    if let Some(next) = &diagnosis.next_experiment {
-        let _ = writeln!(text, "next: {}", next.sentence);
-    }
+    lines(&mut text, "note: ", &diagnosis.limits);
+    lines(&mut text, "note: ", &diagnosis.equivalences);
+    let next = diagnosis.next_experiment.as_ref();
+    lines(&mut text, "next: ", next.map(|next| &next.sentence));
     text
 }
 
 fn sizes(candidate: &Candidate) -> String {
-    candidate
-        .parameters
-        .iter()
-        .map(parameter_text)
-        .collect::<Vec<_>>()
-        .join(", ")
+    let sizes = candidate.parameters.iter().map(parameter_text);
+    sizes.collect::<Vec<_>>().join(", ")
 }
 
 /// `key = value ± std unit`, or why there is no value.
@@ -216,39 +194,42 @@ mod tests {
     use crate::diagnosis::Peak;
     use crate::sample::Verdict;
 
-    fn estimate(key: &str, value: Option<f64>, std: Option<f64>, unit: &'static str) -> String {
-        parameter_text(&ParameterEstimate {
-            key: key.to_owned(),
-            value,
-            std,
-            unit,
-            verdict: Verdict::Settled,
-            reason: None,
-        })
-    }
-
     #[test]
     fn numbers_have_the_digits_that_their_uncertainty_carries() {
         for (key, value, std, unit, text) in [
             (
                 "supply_sag.sag_ohm",
-                0.484_351,
+                Some(0.484_351),
                 Some(0.002_801),
                 "ohm",
                 "sag_ohm = 0.4844 ± 0.0028 ohm",
             ),
-            ("cogging.order", 7.0, Some(0.0), "-", "order = 7.0000 ± 0"),
+            (
+                "cogging.order",
+                Some(7.0),
+                Some(0.0),
+                "-",
+                "order = 7.0000 ± 0",
+            ),
             (
                 "inductance_h",
-                0.009_042,
+                Some(0.009_042),
                 None,
                 "H",
                 "inductance_h = 0.00904 ± unknown H",
             ),
+            ("a.b", None, None, "-", "b: not observable"),
         ] {
-            assert_eq!(estimate(key, Some(value), std, unit), text);
+            let estimate = ParameterEstimate {
+                key: key.to_owned(),
+                value,
+                std,
+                unit,
+                verdict: Verdict::Settled,
+                reason: None,
+            };
+            assert_eq!(parameter_text(&estimate), text);
         }
-        assert_eq!(estimate("a.b", None, None, "-"), "b: not observable");
         let peak = Peak {
             value: 2.2051,
             std: Some(0.0132),

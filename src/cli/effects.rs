@@ -1,10 +1,8 @@
 //! `effects`: the catalogue, or one effect's card.
 
-use std::fmt::Write as _;
-
 use serde_json::{Value, json};
 
-use super::failure::{Failure, USAGE};
+use super::failure::Failure;
 use super::output;
 use crate::config_text::help_for_unknown;
 use crate::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
@@ -34,7 +32,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         chosen.retain(|(card, _)| card.id == id);
         if chosen.is_empty() {
             let headline = format!("effect {id:?} is not in the catalogue");
-            return Err(Failure::with_help(USAGE, headline, help));
+            return Err(Failure::usage(headline, help));
         }
     }
     let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
@@ -136,11 +134,9 @@ fn card_text((card, parameters): Entry) -> String {
         text += &block(title, TITLES, body);
     }
     if card.needs_angle {
-        text += &block(
-            "angle",
-            TITLES,
-            "needed: as measured, else the speed is integrated, which starts anywhere and drifts",
-        );
+        let needed =
+            "needed: as measured, else the speed is integrated, which starts anywhere and drifts";
+        text += &block("angle", TITLES, needed);
     }
     for spec in parameters {
         text += &block("parameter", TITLES, &parameter_text(spec));
@@ -149,7 +145,6 @@ fn card_text((card, parameters): Entry) -> String {
 }
 
 fn parameter_text(spec: &ParameterSpec) -> String {
-    let mut text = format!("{} [{}]", spec.key, spec.unit);
     let end = |value: f64| (value.abs() < f64::MAX).then(|| value.to_string());
     let bounds = match (end(spec.min), end(spec.max)) {
         (Some(min), Some(max)) => format!("{min} to {max}"),
@@ -157,25 +152,23 @@ fn parameter_text(spec: &ParameterSpec) -> String {
         (None, _) => "any value".to_owned(),
     };
     let tried: Vec<String> = spec.shapes.iter().map(f64::to_string).collect();
-    let _ = match spec.role {
-        ParameterRole::Coefficient => write!(text, ": {bounds}"),
-        ParameterRole::Shape => write!(
-            text,
-            ": {bounds}; not given, it is fitted from {}",
-            tried.join(", ")
-        ),
-        ParameterRole::Choice => write!(
-            text,
-            ": {bounds}; not given, it is chosen from {} to {}",
-            tried[0],
-            tried[tried.len() - 1]
-        ),
-        ParameterRole::EventTime => write!(
-            text,
-            ": since the run's first command; found anew in each run, unless it is fixed"
-        ),
+    let how = match spec.role {
+        ParameterRole::Coefficient => bounds,
+        ParameterRole::Shape => {
+            format!(
+                "{bounds}; not given, it is fitted from {}",
+                tried.join(", ")
+            )
+        }
+        ParameterRole::Choice => {
+            let (first, last) = (&tried[0], &tried[tried.len() - 1]);
+            format!("{bounds}; not given, it is chosen from {first} to {last}")
+        }
+        ParameterRole::EventTime => {
+            "since the run's first command; found anew in each run, unless it is fixed".to_owned()
+        }
     };
-    text
+    format!("{} [{}]: {how}", spec.key, spec.unit)
 }
 
 #[cfg(test)]

@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
 use super::{opening, output, signals};
-use crate::app::seal::{seal, sealed_name};
+use crate::app::files::{read_text, seal, sealed_name};
 use crate::drive::DriveProfile;
 use crate::emulator::{
     EmulatorConfig, Endpoint, Guise, LinkKind, UNIT, mystery, ready_line, serve,
@@ -95,33 +94,24 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         .unwrap_or_else(|| profile.link.protocol.name());
     let link: LinkKind = asked.parse().map_err(|_| {
         let headline = format!("link {asked:?} is not known");
-        Failure::with_help(USAGE, headline, "allowed: modbus-rtu, modbus-tcp, stream")
+        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
     })?;
     if guise.is_some() {
         if link == LinkKind::Stream {
-            let headline = format!(
-                "{} does not speak the stream of our own drive",
-                profile.name
-            );
-            return Err(Failure::with_help(
-                USAGE,
-                headline,
-                "allowed: modbus-rtu, modbus-tcp",
-            ));
+            let headline = opening::not_the_stream(&profile);
+            return Err(Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp"));
         }
         opening::announce(&profile);
     }
     let mystery = arguments.mystery.map(mystery::draw);
     let seed = arguments.mystery.unwrap_or(arguments.seed);
     let config = match &arguments.emulator {
-        None => mystery
-            .as_ref()
-            .map_or_else(EmulatorConfig::embedded_default, |mystery| {
-                mystery.config.clone()
-            }),
-        Some(name) if PathBuf::from(name).exists() => {
-            EmulatorConfig::parse(name, &read_text(name.as_ref())?)
-                .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
+        None => match &mystery {
+            Some(mystery) => mystery.config.clone(),
+            None => EmulatorConfig::embedded_default(),
+        },
+        Some(name) if Path::new(name).exists() => {
+            EmulatorConfig::parse(name, &read_text(name.as_ref())?)?
         }
         Some(name) => opening::emulator_config(name)?,
     };
@@ -146,6 +136,10 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     }
     let stop = signals::flag()?;
     let mut served = String::new();
+    let (unit, baud) = match &guise {
+        Some(guise) => (guise.unit, guise.line.baud),
+        None => (UNIT, config.line.baud),
+    };
     serve(
         guise.as_ref(),
         &config,
@@ -159,10 +153,8 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 let state = State::Ready {
                     link: link.to_string(),
                     address,
-                    unit: guise.as_ref().map_or(UNIT, |guise| guise.unit),
-                    baud: guise
-                        .as_ref()
-                        .map_or(config.line.baud, |guise| guise.line.baud),
+                    unit,
+                    baud,
                     profile: &profile.name,
                     sealed: sealed.as_deref(),
                 };
@@ -208,13 +200,11 @@ fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guis
             watchdog_s: Some(ms * 1e-3),
             ..guise
         })),
-        (Some(_), Some(ms)) => Err(Failure::with_help(
-            USAGE,
-            format!("--watchdog-ms {ms} is not allowed"),
-            "allowed: 0 to 60000",
-        )),
-        (None, Some(_)) => Err(Failure::with_help(
-            USAGE,
+        (Some(_), Some(ms)) => {
+            let headline = format!("--watchdog-ms {ms} is not allowed");
+            Err(Failure::usage(headline, "allowed: 0 to 60000"))
+        }
+        (None, Some(_)) => Err(Failure::usage(
             "--watchdog-ms is for the profile of another drive",
             "for our own: watchdog_ms in the emulator file",
         )),

@@ -1,30 +1,28 @@
-//! `identify`: parameters with confidence and verdict, from one run or several of the same machine.
-
-mod answer;
-mod write;
+//! `identify`: parameters with confidence and verdict, from one run or several of the same machine; or the load torque
+//! over time.
 
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use super::data::{self, MapArguments, model, read_text};
-use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
-use super::sanity_report;
-use super::{output, signals};
-use crate::bench::MotorSection;
-use crate::config_text;
-use crate::identification::added_inertia::{self, Seen};
-use crate::identification::nameplate::{self, Comparison};
-use crate::identification::repeat::{self, Repeated};
-use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::{claims, lost_rows, temperature, voltage_departure};
-use crate::plant::{Model, Motor, MotorKey, Scenario};
-use crate::recording::LoadedRun;
-use crate::sample::{Channel, ParameterEstimate, Verdict};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
 
-/// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
-/// per cent either way.
-const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
+use super::arguments::MapArguments;
+use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
+use super::output::{self, lines};
+use super::signals;
+use crate::app::evidence::{before_identify, model, name_voltage, signals as signals_of};
+use crate::app::identify::{
+    Answer, OneRun, absolute, caution, identify, is_usable, plate, trace_csv,
+};
+use crate::identification::kalman::{LoadOptions, LoadTrace, load_torque_trace};
+use crate::identification::{nameplate, repeat, scheme};
+use crate::plant::{Model, Scenario};
+use crate::recording::LoadedRun;
+use crate::report::conventions;
+use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
+use crate::text::number::with_std;
 
 /// Gearboxes that exist, with room.
 const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
@@ -85,56 +83,18 @@ Examples:
     text
 }
 
-/// One run with what was found in it.
-struct OneRun {
-    loaded: LoadedRun,
-    scenario: Scenario,
-    found: Identified,
-}
-
-/// Everything that the command answers.
-struct Answer {
-    runs: Vec<OneRun>,
-    combined: Vec<Repeated>,
-    /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
-    absolute: Option<Vec<ParameterEstimate>>,
-    gear_ratio: Option<f64>,
-    nameplate: Option<Comparison>,
-    /// What the found values, each sound by itself, say together that cannot be.
-    caution: Option<String>,
-}
-
-impl Answer {
-    /// What the model file, `--require` and the exit status go by.
-    fn parameters(&self) -> Vec<ParameterEstimate> {
-        let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
-        let sound = |p: &&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
-        let absolute = self.absolute.iter().flatten().filter(sound);
-        let replaced = |key: &str| absolute.clone().any(|p| p.key == key);
-        of_runs
-            .filter(|p| !replaced(&p.key))
-            .chain(absolute.clone())
-            .cloned()
-            .collect()
-    }
-}
-
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
-    if let Some(ratio) = arguments
-        .gear_ratio
-        .filter(|ratio| !GEAR_RATIOS.contains(ratio))
-    {
-        return Err(Failure::with_help(
-            USAGE,
+    let ratio = arguments.gear_ratio;
+    if let Some(ratio) = ratio.filter(|ratio| !GEAR_RATIOS.contains(ratio)) {
+        return Err(Failure::usage(
             format!("--gear-ratio {ratio} is not allowed (expected 0.001 to 100000)"),
             "give motor turns per turn of the load, as --gear-ratio 10",
         ));
     }
     for (place, path) in arguments.runs.iter().enumerate() {
         if arguments.runs[..place].contains(path) {
-            return Err(Failure::with_help(
-                USAGE,
+            return Err(Failure::usage(
                 format!("{}: given twice", path.display()),
                 "several runs count as independent records: give each once",
             ));
@@ -143,40 +103,34 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut file = None;
     let mut runs = Vec::new();
     for path in &arguments.runs {
-        let loaded = open(path, arguments)?;
+        let loaded = arguments.map.load(path)?;
         let file = match &mut file {
             Some(file) => file,
-            none => none.insert(model(arguments.model.as_ref(), &loaded)?.file),
+            none => none.insert(model(arguments.model.as_deref(), &loaded)?.file),
         };
         if let Some(trace) = &arguments.load_torque {
             if arguments.runs.len() > 1 {
-                return Err(Failure::with_help(
-                    USAGE,
-                    format!(
-                        "--load-torque with {} runs is not allowed (expected one)",
-                        arguments.runs.len()
-                    ),
-                    "a trace over time belongs to one run",
-                ));
+                let runs = arguments.runs.len();
+                let headline =
+                    format!("--load-torque with {runs} runs is not allowed (expected one)");
+                let help = "a trace over time belongs to one run";
+                return Err(Failure::usage(headline, help));
             }
             let scenario = Scenario::from_run(&loaded.run)?;
             let mut run = loaded.run;
-            sanity_report::before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
-            return super::load_torque::execute(trace, &run, &file.model, arguments.json);
+            before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
+            return trace_load(trace, &run, &file.model, arguments.json);
         }
-        runs.push(identify(loaded, &file.model, arguments)?);
+        runs.push(one(loaded, &file.model, arguments)?);
     }
     let commanded = |run: &&OneRun| run.scenario.input_channel == Channel::VoltageCmd;
     if let Some(run) = runs.iter().find(commanded).or(runs.first()) {
-        data::name_voltage(&run.loaded.run, &run.scenario);
+        name_voltage(&run.loaded.run, &run.scenario);
     }
     let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
-    let per_run: Vec<Vec<ParameterEstimate>> = runs
-        .iter()
-        .map(|run| run.found.parameters.clone())
-        .collect();
-    let mut absolute = absolute(arguments, &file.model, &runs)?;
-    let combined = repeat::combine(&per_run);
+    let per_run = runs.iter().map(|run| run.found.parameters.clone());
+    let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
+    let combined = repeat::combine(&per_run.collect::<Vec<_>>());
     let caution = caution(&combined, absolute.as_deref());
     if let Some(caution) = &caution {
         for parameter in absolute.iter_mut().flatten() {
@@ -195,67 +149,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.nameplate {
         answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
     }
-    output::result(&answer.json(), arguments.json, |_| answer.text())?;
+    output::result(&json_of(&answer), arguments.json, |_| text_of(&answer))?;
     if let Some(path) = &arguments.output {
-        write::model(path, file, &answer)?;
+        answer.write(path, file)?;
     }
     verdict(&arguments.require, &answer.parameters())
 }
 
-fn plate(path: &Path) -> Result<Motor, Failure> {
-    let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
-    Ok(file.motor())
-}
-
-fn open(path: &Path, arguments: &Arguments) -> Result<LoadedRun, Failure> {
-    arguments.map.load(path)
-}
-
-fn identify(
-    mut loaded: LoadedRun,
-    model: &Model,
-    arguments: &Arguments,
-) -> Result<OneRun, Failure> {
-    let scenario = Scenario::from_run(&loaded.run)?;
-    let findings = sanity_report::before_identify(
-        &mut loaded.run,
-        &scenario,
-        model,
-        &arguments.require,
-        arguments.json,
-    )?;
-    let scheme = match &arguments.scheme {
-        Some(id) => scheme::find(id)?,
-        None => scheme::default_for(&scenario),
-    };
-    let mut found = scheme.identify(&Data {
-        run: &loaded.run,
-        scenario: &scenario,
-        model,
-    })?;
-    if scenario.input_channel == Channel::VoltageCmd
-        && let Some(departure) = voltage_departure::find(&loaded.run)
-    {
-        departure.limit(&mut found.parameters);
-        found.notes.push(departure.sentence());
-    }
-    claims::doubt(&mut found.parameters, &findings);
-    found
-        .notes
-        .extend(claims::limit(&mut found.parameters, &loaded.run, &scenario));
-    found
-        .notes
-        .extend(lost_rows::sentence(&loaded.run, &scenario));
-    let found = temperature::complete(found, &loaded.run, &scenario);
-    Ok(OneRun {
-        loaded,
-        scenario,
-        found,
-    })
+fn one(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+    let scheme = arguments.scheme.as_deref();
+    identify(loaded, model, scheme, &arguments.require, arguments.json)
 }
 
 /// The absolute scale from the run with the added inertia, where one is given.
-fn absolute(
+fn with_added_inertia(
     arguments: &Arguments,
     model: &Model,
     runs: &[OneRun],
@@ -264,84 +171,233 @@ fn absolute(
         return Ok(None);
     };
     let wrong = || {
-        Failure::with_help(
-            USAGE,
+        Failure::usage(
             format!("--added-inertia {text:?} is not allowed (expected RUN=KG_M2, above 0)"),
             "name the run with the disc and the disc's inertia, as --added-inertia runs/disc=0.002",
         )
     };
     let (path, added) = text.rsplit_once('=').ok_or_else(wrong)?;
-    let added: f64 = added.parse().map_err(|_| wrong())?;
-    if !(added.is_finite() && added > 0.0) {
-        return Err(wrong());
-    }
-    let with = identify(open(Path::new(path), arguments)?, model, arguments)?;
-    let seen = |run: &OneRun| run.found.model.motor.torque_constant();
-    let (Some(kt_without), Some(kt_with)) = (seen(without), seen(&with)) else {
-        return Err(Failure::with_help(
-            NOT_IDENTIFIABLE,
-            "neither run carries a torque constant to start from",
-            "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
-        ));
-    };
-    let without = Seen {
-        parameters: &without.found.parameters,
-        torque_n_m_per_a: kt_without,
-    };
-    let with = Seen {
-        parameters: &with.found.parameters,
-        torque_n_m_per_a: kt_with,
-    };
-    Ok(Some(added_inertia::absolute(&without, &with, added)))
-}
-
-/// Kt above Ke would be a machine that gives more power than it takes; far below, most of it would be lost in the iron.
-fn caution(combined: &[Repeated], absolute: Option<&[ParameterEstimate]>) -> Option<String> {
-    let of = |key: MotorKey| move |p: &&ParameterEstimate| p.key == key.key();
-    let kt = absolute?.iter().find(of(MotorKey::TorqueConstant))?.value?;
-    let mut found = combined.iter().map(|repeated| &repeated.estimate);
-    let ke = found.find(of(MotorKey::BackEmf))?.value?;
-    let ratio = kt / ke;
-    (!PLAUSIBLE_RATIO.contains(&ratio)).then(|| {
-        format!(
-            "Kt is {ratio:.2} times Ke, {:.2} to {:.2} is plausible: check the added inertia, the shaft it is given on, \
-             and that both runs are of the same machine",
-            PLAUSIBLE_RATIO.start(),
-            PLAUSIBLE_RATIO.end()
-        )
-    })
-}
-
-/// A value that may be used: found or given, and not forbidden by physics or by where its signals come from.
-fn is_told(parameter: &ParameterEstimate) -> bool {
-    parameter.value.is_some() && parameter.verdict != Verdict::Invalid
+    let added = added
+        .parse()
+        .ok()
+        .filter(|added: &f64| added.is_finite() && *added > 0.0);
+    let added = added.ok_or_else(wrong)?;
+    let with = one(arguments.map.load(Path::new(path))?, model, arguments)?;
+    absolute(without, &with, added).map(Some)
 }
 
 /// Status 5 when nothing, or not everything that was required, could be found.
 fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), Failure> {
     let find = |key: &String| parameters.iter().find(|parameter| parameter.key == *key);
-    let missing = |key: &&String| !find(key).is_some_and(is_told);
+    let missing = |key: &&String| !find(key).is_some_and(is_usable);
     if let Some(key) = require.iter().find(missing) {
         let reason = find(key).and_then(|parameter| parameter.reason.clone());
         let reason = reason.unwrap_or_else(|| "it is not a parameter of this model".to_owned());
-        return Err(Failure::new(
-            NOT_IDENTIFIABLE,
-            format!("{key} could not be identified: {reason}"),
-        ));
+        let headline = format!("{key} could not be identified: {reason}");
+        return Err(Failure::new(NOT_IDENTIFIABLE, headline));
     }
-    let found = |p: &ParameterEstimate| is_told(p) && p.verdict != Verdict::Fixed;
+    let found = |p: &ParameterEstimate| is_usable(p) && p.verdict != Verdict::Fixed;
     if !parameters.iter().any(found) {
         if parameters.iter().any(|p| p.verdict == Verdict::Invalid) {
-            return Err(Failure::new(
-                NOT_IDENTIFIABLE,
-                "no parameter can be identified soundly: the values found are invalid",
-            ));
+            let headline = "no parameter can be identified soundly: the values found are invalid";
+            return Err(Failure::new(NOT_IDENTIFIABLE, headline));
         }
-        return Err(Failure::with_help(
-            NOT_IDENTIFIABLE,
+        return Err(Failure::not_identifiable(
             "no parameter can be identified from these data",
             "excite the motor: steps of voltage in both directions, with some time at rest first",
         ));
     }
     Ok(())
+}
+
+fn json_of(answer: &Answer) -> Value {
+    let first = answer.runs.first();
+    let of_runs = |of: fn(&OneRun) -> usize| answer.runs.iter().map(of).sum::<usize>();
+    let mut notes: Vec<&String> = Vec::new();
+    for run in &answer.runs {
+        for note in run.loaded.run.notes.iter().chain(&run.found.notes) {
+            if !notes.contains(&note) {
+                notes.push(note);
+            }
+        }
+    }
+    notes.extend(&answer.caution);
+    let combined = answer.combined.iter().map(|r| (r.estimate.key.as_str(), r));
+    let parameters = if answer.runs.len() > 1 {
+        keyed(combined)
+    } else {
+        keyed(combined.map(|(key, r)| (key, &r.estimate)))
+    };
+    let converted = conventions::of(&answer.parameters());
+    let mut value = json!({
+        "scheme": first.map(|run| run.found.scheme),
+        "parameters": parameters,
+        "rows": of_runs(|run| run.loaded.run.rows()),
+        "rows_used": of_runs(|run| run.scenario.samples()),
+        "rows_dropped": of_runs(|run| run.loaded.run.rows_dropped),
+        "period_s": first.and_then(period_s),
+        "input": first.map(|run| run.scenario.input_channel.key()),
+        "signals": first.map(|run| signals_of(&run.loaded.run)),
+        "shaft": "motor",
+        "conventions": keyed(converted.iter().map(|c| (c.key, c))),
+        "notes": notes,
+    });
+    if answer.runs.len() > 1 {
+        let each = answer.runs.iter().map(|run| {
+            json!({
+                "run": run.loaded.run.name,
+                "rows": run.loaded.run.rows(),
+                "parameters": estimates(&run.found.parameters),
+            })
+        });
+        value["runs"] = each.collect();
+    }
+    if let Some(absolute) = &answer.absolute {
+        value["absolute"] = estimates(absolute);
+    }
+    if let Some(comparison) = &answer.nameplate {
+        value["nameplate"] = serde_json::to_value(comparison).unwrap_or_default();
+    }
+    if let Some(ratio) = answer.gear_ratio {
+        let load = conventions::on_load_shaft(&answer.parameters(), ratio);
+        value["load_shaft"] = json!({ "gear_ratio": ratio, "parameters": estimates(&load) });
+    }
+    value
+}
+
+fn text_of(answer: &Answer) -> String {
+    let scheme = answer.runs.first().map_or("", |run| run.found.scheme);
+    let mut text = match answer.runs.len() {
+        1 => format!("scheme {scheme}; ± is one standard deviation, 1.96 of them hold 95 %\n"),
+        runs => {
+            format!("scheme {scheme}, mean of {runs} runs; the spread is that from run to run\n")
+        }
+    };
+    for repeated in &answer.combined {
+        let spread = repeated
+            .run_to_run_std
+            .map_or_else(String::new, |std| format!("  spread {std:.1e}"));
+        line(&mut text, &repeated.estimate, &spread);
+    }
+    if let Some(absolute) = &answer.absolute {
+        text.push_str("absolute, from the added inertia\n");
+        for parameter in absolute {
+            line(&mut text, parameter, "");
+        }
+    }
+    if let Some(ratio) = answer.gear_ratio {
+        let _ = writeln!(
+            text,
+            "on the load's shaft (motor turns {ratio} times per turn; losses of the gearbox are in the load torque)"
+        );
+        for parameter in conventions::on_load_shaft(&answer.parameters(), ratio) {
+            line(&mut text, &parameter, "");
+        }
+    }
+    if let Some(comparison) = &answer.nameplate {
+        let _ = writeln!(text, "{}", comparison.text().trim_end());
+    }
+    conventions_text(answer, &mut text);
+    let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
+    lines(&mut text, "note: ", notes.chain(&answer.caution));
+    text
+}
+
+fn conventions_text(answer: &Answer, text: &mut String) {
+    let converted = conventions::of(&answer.parameters());
+    if converted.is_empty() {
+        return;
+    }
+    text.push_str("in other units\n");
+    for c in converted {
+        let number = with_std(c.value, c.std);
+        let _ = writeln!(text, "  {:<42} {number} {}", c.key, c.unit);
+    }
+    let _ = writeln!(text, "  {}", conventions::RELATION);
+}
+
+/// Median distance of the measurements, s.
+fn period_s(run: &OneRun) -> Option<f64> {
+    [Channel::Current, Channel::Speed]
+        .into_iter()
+        .find_map(|channel| run.loaded.run.period_s(channel))
+}
+
+fn estimates(parameters: &[ParameterEstimate]) -> Value {
+    Value::Object(keyed(parameters.iter().map(|p| (p.key.as_str(), p))))
+}
+
+fn keyed<'a, T: Serialize + 'a>(
+    entries: impl Iterator<Item = (&'a str, &'a T)>,
+) -> Map<String, Value> {
+    entries
+        .map(|(key, value)| {
+            let value = serde_json::to_value(value).unwrap_or_default();
+            (key.to_owned(), value)
+        })
+        .collect()
+}
+
+fn line(text: &mut String, parameter: &ParameterEstimate, spread: &str) {
+    let _ = writeln!(
+        text,
+        "  {:<42} {:<32}{spread} {}",
+        parameter.key,
+        parameter.text(1.0),
+        parameter.verdict_text()
+    );
+}
+
+/// Tracks the load torque, writes it to `path` and prints a summary.
+fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), Failure> {
+    if path.exists() {
+        let path = path.display();
+        let headline = format!("{path}: exists already, and records are never overwritten");
+        let help = "choose another name for --load-torque";
+        return Err(Failure::usage(headline, help));
+    }
+    let trace = load_torque_trace(run, model, LoadOptions::default())?;
+    output::file(path, &trace_csv(&trace))?;
+    let extreme = |better: fn(f64, f64) -> bool| {
+        let points = trace.points.iter();
+        let found = points.reduce(|a, b| {
+            let is_better = better(b.load_torque_n_m, a.load_torque_n_m);
+            if is_better { b } else { a }
+        });
+        found.map(|p| {
+            json!({ "time_s": p.time_s, "load_torque_n_m": p.load_torque_n_m, "load_torque_std_n_m": p.std_n_m })
+        })
+    };
+    let summary = json!({
+        "output": path,
+        "rows": trace.points.len(),
+        "rows_followed": trace.rows_followed,
+        "input": format!("{:?}", trace.input).to_lowercase(),
+        "rate_n_m_per_sqrt_s": trace.rate_n_m_per_sqrt_s,
+        "rate_from_data": trace.rate_from_data,
+        "median_std_n_m": trace.median_std_n_m(),
+        "least": extreme(|a, b| a < b),
+        "most": extreme(|a, b| a > b),
+        "innovation_over_noise": { "current": trace.consistency[0], "speed": trace.consistency[1] },
+        "notes": trace.notes,
+    });
+    output::result(&summary, json, |_| trace_text(&trace, path))
+}
+
+fn trace_text(trace: &LoadTrace, path: &Path) -> String {
+    let mut text = format!(
+        "load torque at {} instants written to {}\nmedian standard deviation {:.2e} N.m; expected change {:.2e} N.m/sqrt(s){}; motor turning at {} rows\n",
+        trace.points.len(),
+        path.display(),
+        trace.median_std_n_m(),
+        trace.rate_n_m_per_sqrt_s,
+        if trace.rate_from_data {
+            ", found from the run"
+        } else {
+            ""
+        },
+        trace.rows_followed
+    );
+    lines(&mut text, "", &trace.notes);
+    text
 }

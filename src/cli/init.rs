@@ -1,30 +1,21 @@
 //! `init`: a bench file from a drive profile, a port and a nameplate, every limit with its reason.
 //!
 //! ```text
-//! profile, nameplate -> reach.rs: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
+//! profile, nameplate -> app::line: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use serde::Serialize;
 
-use super::data::read_text;
-use super::failure::{Failure, LINK, USAGE};
-use super::reach::{self, Asking};
-use super::wire::Tap;
+use super::failure::Failure;
 use super::{opening, output};
-use crate::bench::{
-    InitError, InitFile, InitRequest, MotorSection, Port, Reasoned, Told, init_file,
-};
+use crate::app::files::read_text;
+use crate::app::line::told;
+use crate::bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
 use crate::config_text::{self, ConfigError};
-use crate::drive::register_map::Quantity;
 use crate::drive::serial_ports::describe;
-use crate::drive::{DriveProfile, ProbeReport, ProbeVerdict};
-use crate::emulator::EmulatorConfig;
 
-/// Time for one reply.
-const TIMEOUT: Duration = Duration::from_secs(1);
 /// What a bench file is called in the next steps while it has no name.
 const NAMELESS: &str = "bench.toml";
 
@@ -81,16 +72,13 @@ struct InitResult<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let out = arguments
-        .out
-        .as_deref()
-        .filter(|path| *path != Path::new("-"));
+    let out = arguments.out.as_deref();
+    let out = out.filter(|path| *path != Path::new("-"));
     if let Some(path) = out {
         output::refuse_existing(path, "--out")?;
     }
     if Port::parse(&arguments.port).is_none() {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             format!("--port {:?} is not a port", arguments.port),
             "a serial port, tcp:HOST:PORT, sim: or emulator; `drivebench ports` lists what is plugged in",
         ));
@@ -100,7 +88,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
     let motor_file = arguments.motor.display().to_string();
     let motor = nameplate(&motor_file, &read_text(&arguments.motor)?)?;
-    let told = told(arguments, &profile)?;
+    let told = told(
+        &arguments.port,
+        &arguments.drive,
+        arguments.offline,
+        &profile,
+    )?;
     let port = stable_name(&arguments.port);
     let request = InitRequest {
         profile: &profile,
@@ -161,91 +154,16 @@ fn close(made: &InitFile, name: Option<&str>, next: &[String]) {
     for remark in &made.remarks {
         output::message(&format!("remark: {remark}"));
     }
-    let limits = made
-        .reasons
-        .iter()
-        .filter(|reason| reason.key.starts_with("limits."));
-    let count = limits.filter(|reason| reason.value.is_some()).count();
-    match name {
-        Some(name) => output::message(&format!("{name}: {count} limits, each with its reason")),
-        None => output::message(&format!(
-            "{count} limits, each with its reason; redirect this into {NAMELESS}, or give --out"
-        )),
-    }
+    let is_limit = |reason: &&Reasoned| reason.key.starts_with("limits.") && reason.value.is_some();
+    let count = made.reasons.iter().filter(is_limit).count();
+    let limits = format!("{count} limits, each with its reason");
+    output::message(&match name {
+        Some(name) => format!("{name}: {limits}"),
+        None => format!("{limits}; redirect this into {NAMELESS}, or give --out"),
+    });
     output::message("next:");
     for line in next {
         output::message(&format!("  {line}"));
-    }
-}
-
-/// What the drive says of itself; nothing is written to it.
-fn told(arguments: &Arguments, profile: &DriveProfile) -> Result<Told, Failure> {
-    if arguments.offline {
-        return Ok(Told {
-            is_offline: true,
-            ..Told::default()
-        });
-    }
-    if arguments.port == "sim:" {
-        return Ok(in_memory(profile));
-    }
-    let asking = Asking {
-        timeout: TIMEOUT,
-        ..Asking::default()
-    };
-    let none = Tap::create(None)?;
-    let reached = reach::far_end(&arguments.port, profile)
-        .and_then(|far_end| reach::look(&far_end, profile, &asking, &none));
-    let report = reached.map_err(|failure| {
-        let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then says that the drive's limits were not read back";
-        Failure::with_help(failure.status, failure.headline(), help)
-    })?;
-    if report.verdict == ProbeVerdict::Plausible {
-        return Ok(of_report(&report));
-    }
-    Err(Failure::with_help(
-        LINK,
-        format!("what the drive says is not believed: {}", report.sentence),
-        format!(
-            "`drivebench probe --port {} --drive {}` shows every reading; --offline makes the file without asking the drive",
-            arguments.port, arguments.drive
-        ),
-    ))
-}
-
-fn of_report(report: &ProbeReport) -> Told {
-    let identity = report.identity.as_ref();
-    let who = match (identity, report.names.is_empty()) {
-        (_, false) => report.names.join(", "),
-        (Some(identity), true) => format!("serial {}", identity.serial_number),
-        (None, true) => "it does not say who it is".to_owned(),
-    };
-    Told {
-        is_offline: false,
-        who: format!("{who}; {}", report.sentence),
-        current_limit_a: identity
-            .and_then(|found| found.current_limit_a)
-            .or(report.value_of(Quantity::CurrentLimit)),
-        voltage_limit_v: identity
-            .and_then(|found| found.voltage_limit_v)
-            .or(report.value_of(Quantity::VoltageLimit)),
-        bus_v: report.value_of(Quantity::BusVoltage),
-        watchdog_s: report.watchdog_s,
-    }
-}
-
-/// The software drive in memory is what its file says.
-fn in_memory(profile: &DriveProfile) -> Told {
-    let config = EmulatorConfig::embedded_default();
-    let is_ours = profile.registers.is_none();
-    let watchdog_s = 1e-3 * f64::from(config.watchdog_ms);
-    Told {
-        is_offline: false,
-        who: "the software drive in memory".to_owned(),
-        current_limit_a: is_ours.then_some(config.limits.current_limit_a),
-        voltage_limit_v: is_ours.then_some(config.limits.bus_v),
-        bus_v: Some(config.limits.bus_v),
-        watchdog_s: is_ours.then_some(watchdog_s),
     }
 }
 
@@ -257,12 +175,6 @@ fn stable_name(port: &str) -> Option<String> {
     let info = describe(Path::new("/"), Path::new(&path));
     let by_id = info.by_id.first()?;
     (by_id != Path::new(&path)).then(|| by_id.display().to_string())
-}
-
-impl From<InitError> for Failure {
-    fn from(error: InitError) -> Self {
-        Self::with_help(USAGE, error.reason, error.help)
-    }
 }
 
 #[cfg(test)]

@@ -1,48 +1,36 @@
-//! The command line: one file per subcommand, thin. Results go to stdout, progress and messages to stderr.
+//! The command line: one file per subcommand or family of them, thin. Results go to stdout, progress and messages to stderr.
 //!
 //! ```text
-//! arguments -> load (runs, model, bench file) -> library call -> text or JSON -> exit status
+//! arguments -> app (runs, model, bench file, the order of work) -> text or JSON -> exit status
 //! ```
 
 mod add;
+mod arguments;
 mod commission;
 mod compare;
-mod data;
-mod defined;
 mod diagnose;
 mod doctor;
 mod effects;
 mod emulate;
-mod holdout;
 mod identify;
 mod init;
-mod live;
-mod load_torque;
-mod mysteries;
-mod next_experiment;
-mod pages;
 mod plan;
-mod ports;
 mod probe;
-mod provenance;
-mod reach;
 mod registers;
 mod replay;
 mod reproduce;
 mod reveal;
 mod run;
-mod sanity_report;
 mod simulate;
 mod speed;
 mod tune;
-mod wire;
 
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
-use crate::app::{discovery, failure, model_output, opening, output, progress, signals};
+use crate::app::{failure, opening, output, progress, signals};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -69,7 +57,7 @@ enum Command {
     Commission(commission::Arguments),
     Emulate(emulate::Arguments),
     Init(init::Arguments),
-    Ports(ports::Arguments),
+    Ports(doctor::PortsArguments),
     Doctor(doctor::Arguments),
     Probe(probe::Arguments),
     Registers(registers::Arguments),
@@ -113,7 +101,7 @@ pub fn main() -> ExitCode {
         Command::Commission(arguments) => commission::execute(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
         Command::Init(arguments) => init::execute(&arguments),
-        Command::Ports(arguments) => ports::execute(&arguments),
+        Command::Ports(arguments) => doctor::execute_ports(&arguments),
         Command::Doctor(arguments) => doctor::execute(&arguments),
         Command::Probe(arguments) => probe::execute(&arguments),
         Command::Registers(arguments) => registers::execute(&arguments),

@@ -3,17 +3,12 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use serde::Serialize;
-
-use super::data::read_text;
-use super::failure::{Failure, USAGE};
-use super::opening::wired_profile;
-use super::output;
-use crate::bench::{
-    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
-    foresee, plan,
-};
-use crate::drive::{DriveProfile, LineBudget, LostReply, offer};
+use super::failure::Failure;
+use super::output::{self, lines};
+use crate::app::files::read_text;
+use crate::app::forecast::{Forecast, Forward, Known, Unknown, forecast};
+use crate::bench::{EMBEDDED_DEFAULT, EMBEDDED_NAME, Plan};
+use crate::drive::LineBudget;
 
 /// Predict peak current, speed, travel, heat and duration of a bench file's sequence
 #[derive(clap::Args)]
@@ -35,221 +30,69 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         Some(path) => (path.display().to_string(), read_text(path)?),
         None => (EMBEDDED_NAME.to_owned(), EMBEDDED_DEFAULT.to_owned()),
     };
-    let mut bench = BenchFile::parse(&file, &source)?;
-    let program = bench
-        .program(bench.runs.fit)
-        .map_err(|error| BenchFileError::Sequence {
-            file: bench.name.clone(),
-            error,
-        })?;
-    let (profile, _) = wired_profile(&mut bench)?;
-    let line = match bench.port() {
-        Port::Tcp(_) => None,
-        Port::Emulator | Port::Sim | Port::Serial(_) => LineBudget::of(&profile),
+    let found = forecast(&file, &source)?;
+    output::result(&found, arguments.json, |found| match found {
+        Forecast::Known(known) => known_text(known),
+        Forecast::Unknown(unknown) => unknown_text(unknown),
+    })?;
+    let refusal = match &found {
+        Forecast::Known(known) => known.plan.refusals.first(),
+        Forecast::Unknown(_) => None,
     };
-    let asked_hz = bench.link.rate_hz;
-    let rate_hz = line
-        .as_ref()
-        .map_or(asked_hz, |line| asked_hz.min(line.rate_hz()));
-    let mut warnings = silence_warning(&bench, &profile, line.is_some());
-    // Without its friction a motor is still known well enough for a prediction; with less it is not.
-    let assumed = bench.motor.without_friction();
-    if let Some(assumed) = assumed.as_ref().filter(|_| !bench.motor.unknown) {
-        bench.motor = assumed.into();
-        warnings.push(
-            "motor.load_torque_n_m is left out: 0 N.m is assumed, the friction is not known. The motor will draw more current and turn \
-             slower than is told here by as much as its friction asks for; `drivebench run` and `commission` find the motor from small \
-             steps first"
-                .to_owned(),
+    refusal.map_or(Ok(()), |refusal| {
+        let headline = format!("plan refused: {refusal}");
+        Err(Failure::usage(headline, refusal.help()))
+    })
+}
+
+fn unknown_text(unknown: &Unknown) -> String {
+    let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
+    if let Some(told) = &unknown.escalation {
+        let first = &told.first;
+        let _ = writeln!(
+            text,
+            "\nfirst stage ({}): up to {:.3} V, {:.1} V/s, {:.1} s; ends with {:.2} A or {:.2} rad/s",
+            first.kind.name(),
+            first.peak_v,
+            first.slew_v_per_s,
+            told.duration_s,
+            first.stop_current_a,
+            first.stop_speed_rad_s
+        );
+        lines(&mut text, "then ", &told.next);
+        let _ = writeln!(
+            text,
+            "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
+             is planned for the motor that was found, and made smaller where that asks for it",
+            told.current_limit_a, told.speed_limit_rad_s, told.voltage_limit_v, told.link_silence_s
         );
     }
-    let nameplate = bench.nameplate().filter(|_| !bench.motor.unknown);
-    let Some(nameplate) = nameplate else {
-        return unknown(&bench, &profile, line, warnings, arguments.json);
-    };
-    let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
-    plan.warnings.extend(warnings);
-    if rate_hz < asked_hz {
-        plan.warnings.push(format!(
-            "{asked_hz} Hz is asked, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
-             those of {rate_hz:.0} Hz"
-        ));
-    }
-    plan.warnings.extend(bench.motor.doubts());
-    let only_speed = offer::refusal(&profile, offer::Purpose::Voltages).is_some();
-    let reference = match bench.speed.as_ref().filter(|_| only_speed) {
-        Some(speed) => {
-            bench.check_speed(&file, &source)?;
-            let reference = bench.reference(speed);
-            reference
-                .ok()
-                .map(|reference| Forward::of(&reference, &bench))
-        }
-        None => None,
-    };
-    let forecast = Forecast {
-        plan,
-        reference,
-        line,
-    };
-    output::result(&forecast, arguments.json, text)?;
-    match forecast.plan.refusals.first() {
-        Some(refusal) => Err(Failure::with_help(
-            USAGE,
-            format!("plan refused: {refusal}"),
-            refusal.help(),
-        )),
-        None => Ok(()),
-    }
+    lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
+    lines(&mut text, "warning: ", &unknown.warnings);
+    text
 }
 
-/// A slow drive of which one lost reply takes longer than the silence that ends a run.
-fn silence_warning(bench: &BenchFile, profile: &DriveProfile, is_line: bool) -> Vec<String> {
-    let limit_s = bench.limits().link_silence_s;
-    let lost = LostReply::of(profile).filter(|lost| is_line && lost.total_s() > limit_s);
-    let warning = lost.map(|lost| {
-        format!(
-            "{}; limits.link_silence_s is {limit_s} s, so that a single lost reply may end the run",
-            lost.text()
-        )
-    });
-    warning.into_iter().collect()
-}
-
-/// The plan of a motor that is not known: the first stage of its escalation, and what follows.
-fn unknown(
-    bench: &BenchFile,
-    profile: &DriveProfile,
-    line: Option<LineBudget>,
-    mut warnings: Vec<String>,
-    json: bool,
-) -> Result<(), Failure> {
-    if let Some(refusal) = offer::refusal(profile, offer::Purpose::Voltages) {
-        return Err(Failure::with_help(
-            USAGE,
-            format!(
-                "the motor is not known, and small steps cannot find it with this drive: {refusal}"
-            ),
-            "complete [motor]",
-        ));
-    }
-    let escalation = foresee(bench).map_err(|error| BenchFileError::Sequence {
-        file: bench.name.clone(),
-        error,
-    })?;
-    warnings.extend(bench.motor.doubts());
-    let forecast = Unknown {
-        escalation,
-        line,
-        warnings,
-    };
-    output::result(&forecast, json, Unknown::text)
-}
-
-/// What is settled for a motor that is not known.
-#[derive(Serialize)]
-struct Unknown {
-    escalation: Option<Foresight>,
-    line: Option<LineBudget>,
-    warnings: Vec<String>,
-}
-
-impl Unknown {
-    fn text(&self) -> String {
-        let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
-        if let Some(told) = &self.escalation {
-            let first = &told.first;
-            let _ = writeln!(
-                text,
-                "\nfirst stage ({}): up to {:.3} V, {:.1} V/s, {:.1} s; ends with {:.2} A or {:.2} rad/s",
-                first.kind.name(),
-                first.peak_v,
-                first.slew_v_per_s,
-                told.duration_s,
-                first.stop_current_a,
-                first.stop_speed_rad_s
-            );
-            for next in &told.next {
-                let _ = writeln!(text, "then {next}");
-            }
-            let _ = writeln!(
-                text,
-                "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
-                 is planned for the motor that was found, and made smaller where that asks for it",
-                told.current_limit_a,
-                told.speed_limit_rad_s,
-                told.voltage_limit_v,
-                told.link_silence_s
-            );
-        }
-        if let Some(line) = &self.line {
-            let _ = writeln!(text, "\n{}", line_text(line));
-        }
-        for warning in &self.warnings {
-            let _ = writeln!(text, "warning: {warning}");
-        }
-        text
-    }
-}
-
-/// The plan of the motor and that of the line.
-#[derive(Serialize)]
-struct Forecast {
-    #[serde(flatten)]
-    plan: Plan,
-    /// Of a drive that takes no voltage: the plan of the sequence then moves nothing. `null`: the sequence is what moves.
-    reference: Option<Forward>,
-    /// `null` where no serial line is involved.
-    line: Option<LineBudget>,
-}
-
-/// What the reference of a speed run asks for, and what bounds it.
-#[derive(Serialize)]
-struct Forward {
-    duration_s: f64,
-    peak_speed_rad_s: f64,
-    speed_limit_rad_s: f64,
-    current_limit_a: f64,
-    time_limit_s: f64,
-}
-
-impl Forward {
-    fn of(reference: &Reference, bench: &BenchFile) -> Self {
-        let limits = bench.limits();
-        Self {
-            duration_s: reference.duration_s(),
-            peak_speed_rad_s: reference.peak_rad_s(),
-            speed_limit_rad_s: limits.speed_rad_s,
-            current_limit_a: limits.current_a,
-            time_limit_s: limits.time_s,
-        }
-    }
-
-    fn text(&self) -> String {
-        format!(
-            "this drive takes no voltage: only the reference of [speed] moves the motor, with `drivebench speed`: {:.1} s, up to {:.0} rad/s either way; \
-             the limits are {:.0} rad/s, {:.1} A and {:.0} s. What the drive's own loop draws is not predicted\n",
-            self.duration_s,
-            self.peak_speed_rad_s,
-            self.speed_limit_rad_s,
-            self.current_limit_a,
-            self.time_limit_s
-        )
-    }
-}
-
-fn text(forecast: &Forecast) -> String {
+fn known_text(forecast: &Known) -> String {
     let mut text = match &forecast.reference {
-        Some(reference) => reference.text(),
+        Some(reference) => reference_text(reference),
         None => sequence_text(&forecast.plan),
     };
-    if let Some(line) = &forecast.line {
-        let _ = writeln!(text, "\n{}", line_text(line));
-    }
-    for warning in &forecast.plan.warnings {
-        let _ = writeln!(text, "warning: {warning}");
-    }
+    lines(&mut text, "\n", forecast.line.as_ref().map(line_text));
+    lines(&mut text, "warning: ", &forecast.plan.warnings);
     text
+}
+
+/// What moves a drive that takes no voltage.
+fn reference_text(reference: &Forward) -> String {
+    format!(
+        "this drive takes no voltage: only the reference of [speed] moves the motor, with `drivebench speed`: {:.1} s, up to {:.0} rad/s either way; \
+         the limits are {:.0} rad/s, {:.1} A and {:.0} s. What the drive's own loop draws is not predicted\n",
+        reference.duration_s,
+        reference.peak_speed_rad_s,
+        reference.speed_limit_rad_s,
+        reference.current_limit_a,
+        reference.time_limit_s
+    )
 }
 
 fn sequence_text(plan: &Plan) -> String {
@@ -283,11 +126,8 @@ fn sequence_text(plan: &Plan) -> String {
     let _ = writeln!(text);
     for parameter in &plan.parameters {
         let prospect = format!("{:?}", parameter.prospect).to_lowercase();
-        let _ = writeln!(
-            text,
-            "{:<24} {prospect:<14} {}",
-            parameter.key, parameter.reason
-        );
+        let (key, reason) = (&parameter.key, &parameter.reason);
+        let _ = writeln!(text, "{key:<24} {prospect:<14} {reason}");
     }
     text
 }
@@ -309,8 +149,6 @@ fn line_text(line: &LineBudget) -> String {
     for rate in &line.rates {
         let _ = writeln!(text, "  {:<34} {:>6.0} Hz", rate.adapter, rate.rate_hz);
     }
-    if let Some(reply) = line.reply_text() {
-        let _ = writeln!(text, "{reply}");
-    }
+    lines(&mut text, "", line.reply_text());
     text
 }

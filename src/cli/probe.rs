@@ -1,21 +1,22 @@
 //! `probe`: is this the drive of that profile, and are its registers where the profile says? Only read.
 //!
 //! ```text
-//! --drive    -> reach.rs -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
-//! no --drive -> survey.rs: every built-in profile in turn
+//! --drive    -> app::line::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
+//! no --drive -> app::line::survey: every built-in profile in turn
 //! ```
 
-mod survey;
-mod text;
-
+use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::arguments::framing;
 use super::failure::{Failure, LINK, REFUSED};
-use super::reach::{self, Asking};
-use super::wire::{Tap, framing};
-use super::{opening, output};
-use crate::drive::{Framing, ProbeReport, ProbeVerdict};
+use super::opening;
+use super::output::{self, lines};
+use crate::app::Tap;
+use crate::app::line::{Asking, Survey, far_end, look, survey};
+use crate::drive::{Framing, ProbeReport, ProbeVerdict, ProbedSignal};
+use crate::text::number::{reading, with_unit};
 
 /// Time for one reply where a drive is known, and where every profile is tried, ms.
 const TIMEOUT_MS: u64 = 1000;
@@ -80,14 +81,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let tap = Tap::create(arguments.tap.as_deref())?;
     let Some(drive) = &arguments.drive else {
         let asking = arguments.asking(SURVEY_TIMEOUT_MS);
-        let survey = survey::survey(&arguments.port, &asking, &tap)?;
-        output::result(&survey, arguments.json, text::survey)?;
-        return survey.verdict();
+        let found = survey(&arguments.port, &asking, &tap)?;
+        output::result(&found, arguments.json, survey_text)?;
+        return found.verdict();
     };
     let (profile, _) = opening::profile(drive)?;
-    let far_end = reach::far_end(&arguments.port, &profile)?;
-    let report = reach::look(&far_end, &profile, &arguments.asking(TIMEOUT_MS), &tap)?;
-    output::result(&report, arguments.json, text::report)?;
+    let end = far_end(&arguments.port, &profile)?;
+    let report = look(&end, &profile, &arguments.asking(TIMEOUT_MS), &tap)?;
+    output::result(&report, arguments.json, report_text)?;
     verdict(&report)
 }
 
@@ -114,4 +115,165 @@ fn verdict(report: &ProbeReport) -> Result<(), Failure> {
         ),
     };
     Err(Failure::with_help(status, &report.sentence, help))
+}
+
+/// Candidates on the screen; all are in the JSON.
+const SHOWN: usize = 4;
+
+/// What a probe found, for a person.
+fn report_text(report: &ProbeReport) -> String {
+    let mut text = format!("{}\n", report.provenance);
+    let mut line = |name: &str, what: String| {
+        let _ = writeln!(text, "  {name:<10} {what}");
+    };
+    if let Some(identity) = &report.identity {
+        line("identity", identity.plate());
+        let told = |value: Option<f64>, unit| {
+            value.map_or_else(|| "not told".to_owned(), |value| format!("{value} {unit}"))
+        };
+        let current = told(identity.current_limit_a, "A");
+        let voltage = told(identity.voltage_limit_v, "V");
+        line("limits", format!("current {current}, voltage {voltage}"));
+    }
+    if !report.names.is_empty() {
+        let names = report.names.join(", ");
+        line("names", format!("{names} (function code 43)"));
+    }
+    if let Some(answers) = report.answers_function_8 {
+        let what = if answers {
+            "sends a number back"
+        } else {
+            "not answered"
+        };
+        line("function 08", what.to_owned());
+    }
+    for check in &report.checks {
+        let passed = if check.passed { "ok" } else { "FAILED" };
+        let (what, found) = (&check.what, &check.found);
+        line("check", format!("{passed}: {what} (found {found})"));
+    }
+    if !report.states.is_empty() {
+        let states = report.states.iter().map(|state| {
+            let holds = match state.holds {
+                None => "not read",
+                Some(true) => "yes",
+                Some(false) => "no",
+            };
+            format!("{} {holds}", state.name)
+        });
+        line("state", states.collect::<Vec<_>>().join(", "));
+    }
+    if let Some(watchdog_s) = report.watchdog_s {
+        let off = if watchdog_s > 0.0 { "" } else { ": it is off" };
+        line("watchdog", format!("{} s{off}", reading(watchdog_s)));
+    }
+    let _ = writeln!(text);
+    for signal in &report.signals {
+        text.push_str(&signal_text(signal));
+    }
+    let _ = writeln!(text);
+    for other in &report.hypotheses {
+        let (change, plausible, judged) = (&other.change, other.plausible, other.judged);
+        let now = other.as_written;
+        let _ = writeln!(
+            text,
+            "with {change} {plausible} of {judged} readings would be plausible, as the profile is {now}: is the profile right?"
+        );
+    }
+    lines(&mut text, "remark: ", &report.remarks);
+    let _ = writeln!(text, "{}", report.sentence);
+    text
+}
+
+fn signal_text(signal: &ProbedSignal) -> String {
+    let value = signal.value.map(|value| quantity(value, signal.unit));
+    let value = value.unwrap_or_else(|| "none".to_owned());
+    let raw = signal.raw.as_ref().map(|words| {
+        let words = words.iter().map(|word| format!("{word:04x}"));
+        words.collect::<Vec<_>>().join(" ")
+    });
+    let raw = raw.unwrap_or_else(|| "-".to_owned());
+    let judgement = match (signal.plausible, &signal.missing, signal.expected) {
+        (Some(false), Some(missing), _) => format!("not plausible: {missing}"),
+        (_, Some(missing), _) => format!("missing: {missing}"),
+        (Some(true), None, _) if signal.confirms => "plausible".to_owned(),
+        (Some(true), None, _) => "plausible at rest".to_owned(),
+        (Some(false), None, Some([low, high])) => {
+            let (low, high) = (reading(low), reading(high));
+            format!("not plausible: {low} to {high} {} at rest", signal.unit)
+        }
+        _ => "not judged".to_owned(),
+    };
+    let register = match signal.table {
+        // What travels in a message of its own has no address.
+        "stream" => "stream".to_owned(),
+        table => format!("{table} {}", signal.address),
+    };
+    let mut text = format!(
+        "{:<16} {value:>14}  {raw:<10} {register:<14} {judgement}\n",
+        signal.name
+    );
+    for candidate in signal.candidates.iter().take(SHOWN) {
+        let ending = if candidate.plausible {
+            ", plausible: is the profile right?"
+        } else {
+            ""
+        };
+        let (change, name) = (&candidate.change, &signal.name);
+        let value = quantity(candidate.value, signal.unit);
+        let _ = writeln!(text, "    with {change} {name} would be {value}{ending}");
+    }
+    text
+}
+
+/// A value with its unit, short.
+fn quantity(value: f64, unit: &str) -> String {
+    with_unit(&reading(value), unit)
+}
+
+fn survey_text(survey: &Survey) -> String {
+    let mut text = format!("{}\n", survey.link);
+    if !survey.names.is_empty() {
+        let names = survey.names.join(", ");
+        let _ = writeln!(text, "names: {names} (function code 43)");
+    }
+    for tried in &survey.profiles {
+        let (profile, fit, reason) = (&tried.profile, tried.fit.text(), &tried.reason);
+        let _ = writeln!(text, "{profile:<18} {fit:<15} {reason}");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::register_map::Candidate;
+
+    #[test]
+    fn an_implausible_signal_is_followed_by_the_other_ways_of_reading_it() {
+        let signal = ProbedSignal {
+            name: "speed".to_owned(),
+            unit: "rpm",
+            table: "input",
+            address: 8291,
+            raw: Some(vec![0, 1]),
+            value: Some(65_536.0),
+            plausible: Some(false),
+            expected: Some([-30.0, 30.0]),
+            candidates: vec![Candidate {
+                change: "word_order = \"low_first\"".to_owned(),
+                value: 0.0,
+                plausible: true,
+            }],
+            ..ProbedSignal::default()
+        };
+        let text = signal_text(&signal);
+        for part in [
+            "0000 0001",
+            "not plausible: -30 to 30 rpm at rest",
+            "with word_order = \"low_first\" speed would be 0 rpm, plausible: is the profile right?",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
 }

@@ -1,19 +1,14 @@
 //! `replay`: the on-line estimators over a log, row by row; what the live run said must come out again to the bit.
-//!
-//! ```text
-//! samples.csv --row by row--> estimators (configuration from the manifest) -> compared with result.json
-//! ```
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use serde::Serialize;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
-use super::failure::{Failure, INTERNAL, REFUSED, USAGE};
+use super::failure::{Failure, REFUSED};
 use super::{output, signals};
-use crate::bench::{Difference, OnlineResult, OnlineSettings, first_difference, replay};
-use crate::identification::online::OnlineConfig;
-use crate::recording::{ColumnMap, RunFile, RunFolder, RunRows};
+use crate::app::replay::{Replayed, replayed};
+use crate::bench::Difference;
+use crate::recording::ColumnMap;
 
 /// Run the on-line estimators over a log again and compare with what they said live
 #[derive(clap::Args)]
@@ -35,153 +30,29 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// The result as JSON; its estimates have the names that they have in `result.json`.
-#[derive(Serialize)]
-struct ReplayResult {
-    run: String,
-    rows_dropped: usize,
-    #[serde(flatten)]
-    online: OnlineResult,
-    configuration: OnlineSettings,
-    /// `manifest`, or `default` where nobody has said.
-    configuration_from: &'static str,
-    /// Null where there is nothing to compare with.
-    identical: Option<bool>,
-    first_difference: Option<Difference>,
-    /// The file compared with, or why there is none.
-    compared_with: Option<String>,
-    not_compared_because: Option<String>,
-}
-
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
-    let map = arguments
-        .map
-        .as_deref()
-        .map(str::parse::<ColumnMap>)
-        .transpose()?;
-    let mut rows = RunRows::open(&arguments.run, map.as_ref())?;
-    let (settings, configuration_from) = settings(&rows)?;
-    let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
-    if let Some(dialect) = rows.rows.dialect() {
-        output::message(&dialect);
-    }
-    let mut warnings = rows.warnings();
-    warnings.extend(why_silent(&rows));
-    output::warn(&warnings);
-
-    let online = estimator.result();
-    let live = live_result(&rows, map.is_some());
-    let (difference, compared_with, because) = match live {
-        Ok(_) if configuration_from == "default" => (
-            None,
-            None,
-            Some("the manifest does not hold the configuration of the live estimators".to_owned()),
-        ),
-        Ok((path, live)) => {
-            let replayed = serde_json::to_value(&online).map_err(|error| {
-                Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))
-            })?;
-            (
-                Some(first_difference(&live, &replayed)),
-                Some(path.display().to_string()),
-                None,
-            )
-        }
-        Err(because) => (None, None, Some(because)),
-    };
-    let result = ReplayResult {
-        run: arguments.run.display().to_string(),
-        rows_dropped: rows.rows.rows_dropped(),
-        online,
-        configuration: settings,
-        configuration_from,
-        identical: difference.as_ref().map(Option::is_none),
-        first_difference: difference.flatten(),
-        compared_with,
-        not_compared_because: because,
-    };
+    let map = arguments.map.as_deref().map(str::parse::<ColumnMap>);
+    let result = replayed(&arguments.run, map.transpose()?.as_ref())?;
     output::result(&result, arguments.json, text)?;
-    match &result.first_difference {
-        Some(difference) => Err(Failure::with_help(
-            REFUSED,
-            format!(
-                "the replay differs from the live estimates, first in {}: live {}, replayed {}",
-                difference.key, difference.live, difference.replayed
-            ),
-            "the samples were changed after the run, or another version of the program recorded it: compare program_version in manifest.json",
-        )),
-        None => Ok(()),
-    }
-}
-
-/// What the live estimators were configured with.
-fn settings(rows: &RunRows) -> Result<(OnlineSettings, &'static str), Failure> {
-    let kept = rows
-        .manifest
-        .as_ref()
-        .and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
-    let Some(text) = kept else {
-        return Ok((OnlineSettings::from(OnlineConfig::default()), "default"));
+    let Some(Difference {
+        key,
+        live,
+        replayed,
+    }) = &result.first_difference
+    else {
+        return Ok(());
     };
-    let settings = toml::from_str(text).map_err(|error| {
-        Failure::with_help(
-            USAGE,
-            format!(
-                "manifest.json: configs.{} cannot be read: {}",
-                OnlineSettings::NAME,
-                error.message()
-            ),
-            "it was written by another version of the program, or changed by hand",
-        )
-    })?;
-    Ok((settings, "manifest"))
-}
-
-/// The file with the live estimates and what it says; or why there is none.
-fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String> {
-    let folder = rows
-        .folder
-        .as_deref()
-        .filter(|_| !mapped)
-        .ok_or("a foreign file holds no live estimates")?;
-    let path = RunFolder::existing(folder).file(RunFile::Result);
-    let text = match read(&path) {
-        Some(text) => text,
-        None if rows.manifest.as_ref().is_some_and(|m| !m.finished) => {
-            return Err("the run was not finished: its live estimates were never written".into());
-        }
-        None => return Err(format!("there is no {}", path.display())),
-    };
-    let mut document: Map<String, Value> = serde_json::from_str(&text)
-        .map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
-    match document.shift_remove("online") {
-        Some(live) => Ok((path, live)),
-        None => Err(format!("{} holds no live estimates", path.display())),
-    }
-}
-
-fn read(path: &Path) -> Option<String> {
-    std::fs::read_to_string(path).ok()
-}
-
-/// What the estimators cannot do without.
-fn why_silent(rows: &RunRows) -> Option<String> {
-    use crate::sample::Channel;
-    let missing: Vec<&str> = [Channel::Current, Channel::Speed]
-        .into_iter()
-        .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))
-        .map(Channel::key)
-        .collect();
-    (!missing.is_empty()).then(|| {
+    Err(Failure::with_help(
+        REFUSED,
         format!(
-            "no {}: the on-line estimators need measured current and speed",
-            missing.join(" and no ")
-        )
-    })
+            "the replay differs from the live estimates, first in {key}: live {live}, replayed {replayed}"
+        ),
+        "the samples were changed after the run, or another version of the program recorded it: compare program_version in manifest.json",
+    ))
 }
 
-fn text(result: &ReplayResult) -> String {
+fn text(result: &Replayed) -> String {
     let mut lines = vec![format!(
         "{}: {} rows replayed",
         result.run, result.online.rows

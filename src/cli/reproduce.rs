@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde::Serialize;
 
-use super::failure::{Failure, INTERRUPTED, USAGE};
-use super::{mysteries, output, progress, signals};
+use super::failure::Failure;
+use super::{output, progress, signals};
+use crate::app::study::{StudyRequest, study};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
-use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery, files, records};
 
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
@@ -41,9 +41,8 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// Records of each kind of line, by themselves and beside the study of the diagnosis.
+/// Records of each kind of line, and mystery drives of the study of the diagnosis.
 const LINE_RUNS: u64 = 60;
-const LINE_RUNS_BESIDE: usize = 40;
 const MYSTERIES: u64 = 160;
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -78,134 +77,59 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(folder) = &out {
         require_empty(folder)?;
     }
+    let of_study = arguments.records.is_some() || arguments.mysteries.is_some();
+    let of_seeds = arguments.sets.is_some() || arguments.seed.is_some();
     match arguments.paper {
-        Paper::PaperA | Paper::PaperB
-            if arguments.sets.is_some()
-                || arguments.seed.is_some()
-                || arguments.mysteries.is_some()
-                || arguments.records.is_some() =>
-        {
-            Err(Failure::with_help(
-                USAGE,
+        Paper::PaperA | Paper::PaperB if of_study || of_seeds => {
+            return Err(Failure::usage(
                 "--sets, --seed, --mysteries and --records belong to `reproduce discovery`: a paper's figures have fixed seeds",
                 "leave them out",
-            ))
+            ));
         }
+        Paper::Lines if of_study => {
+            return Err(Failure::usage(
+                "--records and --mysteries belong to `reproduce discovery`",
+                "leave it out",
+            ));
+        }
+        _ => {}
+    }
+    // A study puts down what is under way; all else ends at once.
+    let is_study = matches!(arguments.paper, Paper::Discovery);
+    let _endable = (!is_study).then(signals::endable).transpose()?;
+    let shown = progress::begin("reproduce");
+    let stage = |part: &str| progress::stage(part, 0);
+    let seed = arguments.seed.unwrap_or(1);
+    match arguments.paper {
         Paper::PaperA => {
-            let _endable = signals::endable()?;
-            let shown = progress::begin("reproduce");
-            let found = reproduce::paper_a(|part| progress::stage(part, 0));
+            let found = reproduce::paper_a(stage);
             drop(shown);
             finish(arguments, out.as_deref(), &found, &found.report(), None)
         }
         Paper::PaperB => {
-            let _endable = signals::endable()?;
-            let shown = progress::begin("reproduce");
-            let found = reproduce::paper_b(|part| progress::stage(part, 0));
+            let found = reproduce::paper_b(stage);
             drop(shown);
             finish(arguments, out.as_deref(), &found, &found.report(), None)
         }
-        Paper::Lines if arguments.records.is_some() || arguments.mysteries.is_some() => {
-            Err(Failure::with_help(
-                USAGE,
-                "--records and --mysteries belong to `reproduce discovery`",
-                "leave it out",
-            ))
-        }
         Paper::Lines => {
-            let _endable = signals::endable()?;
-            let shown = progress::begin("reproduce");
             let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
-            let found = reproduce::lines::line_study(runs, arguments.seed.unwrap_or(1));
+            let found = reproduce::lines::line_study(runs, seed);
             drop(shown);
             let page = Some("lines.md");
             finish(arguments, out.as_deref(), &found, &found.report(), page)
         }
         Paper::Discovery => {
-            let shown = progress::begin("reproduce");
-            let real = real_records(arguments)?;
-            let found = study(arguments);
+            let found = study(&StudyRequest {
+                sets: arguments.sets.unwrap_or(1),
+                mysteries: arguments.mysteries.unwrap_or(MYSTERIES),
+                seed,
+                records: arguments.records.clone(),
+            })?;
             drop(shown);
-            let mut found = found?;
-            found.records = real;
             let page = Some("validation.md");
             finish(arguments, out.as_deref(), &found, &found.report(), page)
         }
     }
-}
-
-/// What the diagnosis says of the records in the folder that was given; before the study, which takes long.
-fn real_records(arguments: &Arguments) -> Result<Vec<reproduce::discovery::RecordAnswer>, Failure> {
-    let Some(folder) = &arguments.records else {
-        return Ok(Vec::new());
-    };
-    let found = records(folder);
-    if found.is_empty() {
-        let files: Vec<&str> = files().collect();
-        return Err(Failure::with_help(
-            USAGE,
-            format!(
-                "--records {}: none of the records is there",
-                folder.display()
-            ),
-            format!("put one of these files into it: {}", files.join(", ")),
-        ));
-    }
-    Ok(found)
-}
-
-/// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-fn study(arguments: &Arguments) -> Result<reproduce::discovery::Discovery, Failure> {
-    let size = Size {
-        sets: arguments.sets.unwrap_or(1),
-        seed: arguments.seed.unwrap_or(1),
-        reduced: false,
-    };
-    let mysteries = arguments.mysteries.unwrap_or(MYSTERIES);
-    if size.sets == 0 && mysteries == 0 {
-        return Err(Failure::with_help(
-            USAGE,
-            "--sets 0 --mysteries 0 leaves nothing to study",
-            "give one of them a number of at least 1",
-        ));
-    }
-    let interrupted = signals::flag()?;
-    let ended = || {
-        Failure::with_help(
-            INTERRUPTED,
-            "interrupted: a part of the machines is not the study, so no page was written",
-            "start it again, with a smaller --sets where it takes too long",
-        )
-    };
-    output::message(&format!(
-        "{} machines are excited and diagnosed, {mysteries} mystery drives are commissioned; Ctrl-C ends it",
-        size.machines()
-    ));
-    progress::stage("excites and diagnoses machines", size.machines());
-    let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
-    if size.sets > 0 {
-        progress::stage("asks what lines do to a measurement", 0);
-        found.lines = Some(reproduce::lines::line_study(LINE_RUNS_BESIDE, size.seed));
-    }
-    if mysteries > 0 {
-        found.mysteries =
-            mysteries::commission(mysteries, size.seed, &interrupted)?.ok_or_else(ended)?;
-    }
-    Ok(found)
-}
-
-/// How far it is, and every wrong name at once.
-fn tell(done: usize, _of: usize, answer: &Answer) {
-    if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
-        output::message(&format!(
-            "{} ({}), hidden {}: {}",
-            answer.group.name(),
-            answer.excitation,
-            answer.class,
-            answer.sentence
-        ));
-    }
-    progress::at(done);
 }
 
 /// Writes the files and prints what was found; `page` is the name of the page as Markdown, where there is one.
@@ -231,36 +155,24 @@ fn require_empty(folder: &Path) -> Result<(), Failure> {
         Err(_) => folder.exists(),
     };
     if occupied {
-        return Err(Failure::with_help(
-            USAGE,
-            format!(
-                "{}: exists already, and results are never overwritten",
-                folder.display()
-            ),
-            "give another folder with --out, or move this one away",
-        ));
+        let folder = folder.display();
+        let headline = format!("{folder}: exists already, and results are never overwritten");
+        let help = "give another folder with --out, or move this one away";
+        return Err(Failure::usage(headline, help));
     }
     Ok(())
 }
 
-fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::with_help(
-        USAGE,
-        format!("{}: cannot write: {error}", path.display()),
-        "check the folder",
-    )
-}
-
-fn create(folder: &Path) -> Result<(), Failure> {
-    fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))
-}
-
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
     let _whole = signals::writing();
-    create(folder)?;
+    let cannot = |path: &Path, error| {
+        let headline = format!("{}: cannot write: {error}", path.display());
+        Failure::usage(headline, "check the folder")
+    };
+    fs::create_dir_all(folder).map_err(|error| cannot(folder, error))?;
     for (name, content) in files {
         let path = folder.join(name);
-        fs::write(&path, content).map_err(|error| cannot_write(&path, &error))?;
+        fs::write(&path, content).map_err(|error| cannot(&path, error))?;
     }
     Ok(())
 }

@@ -1,13 +1,12 @@
 //! `reveal`: opens a mystery's sealed truth and scores the answer.
 
-use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::data::read_text;
-use super::failure::{Failure, USAGE};
+use super::failure::Failure;
 use super::output;
+use crate::app::files::read_text;
 use crate::config_text::help_for_unknown;
 use crate::emulator::mystery::Truth;
 use crate::plant::effect;
@@ -15,6 +14,9 @@ use crate::workflow::{Answer, Revelation, reveal};
 
 /// Words that are an answer beside the ids of effects.
 const WORDS: [&str; 3] = ["none", "unexplained", "abstain"];
+
+/// An empty line is no guess.
+const QUESTION: &str = "what do you think it is? (an effect of `drivebench effects`, none, unexplained; empty: no guess)\n";
 
 /// Open a mystery's sealed truth and score the answer
 #[derive(clap::Args)]
@@ -54,7 +56,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let guess = match &arguments.guess {
         Some(word) => Some(known(word)?.to_owned()),
         // Before anything is shown. Who gives the answer by hand has guessed.
-        None if arguments.answer.is_none() && !arguments.json => ask()?,
+        None if arguments.answer.is_none() && !arguments.json => {
+            let line = output::ask(QUESTION).unwrap_or_default();
+            let word = Some(line.trim()).filter(|word| !word.is_empty());
+            word.map(|word| known(word).map(str::to_owned))
+                .transpose()?
+        }
         None => None,
     };
     let revealed = reveal(truth, answer, guess.as_deref());
@@ -74,9 +81,9 @@ fn diagnosis(file: &Path) -> Result<Answer, Failure> {
     let name = file.display();
     let help = "give what `drivebench diagnose --json` printed, or a run folder of `drivebench commission`";
     let document: Value = serde_json::from_str(&read_text(file)?)
-        .map_err(|error| Failure::with_help(USAGE, format!("{name}: no JSON: {error}"), help))?;
-    Answer::from_json(&document)
-        .ok_or_else(|| Failure::with_help(USAGE, format!("{name}: holds no verdict"), help))
+        .map_err(|error| Failure::usage(format!("{name}: no JSON: {error}"), help))?;
+    let none = || Failure::usage(format!("{name}: holds no verdict"), help);
+    Answer::from_json(&document).ok_or_else(none)
 }
 
 /// Refuses what neither the catalogue nor the words have.
@@ -89,27 +96,5 @@ fn known(word: &str) -> Result<&str, Failure> {
         return Ok(word);
     }
     let headline = format!("{word:?} is no effect of the catalogue");
-    Err(Failure::with_help(
-        USAGE,
-        headline,
-        help_for_unknown(word, allowed()),
-    ))
-}
-
-/// One question to a person at a terminal; an empty line is no guess.
-fn ask() -> Result<Option<String>, Failure> {
-    let stdin = std::io::stdin();
-    if !stdin.is_terminal() || !std::io::stderr().is_terminal() {
-        return Ok(None);
-    }
-    output::message(
-        "what do you think it is? (an effect of `drivebench effects`, none, unexplained; empty: no guess)",
-    );
-    let mut line = String::new();
-    // A terminal that is gone gives no guess.
-    let _ = stdin.lock().read_line(&mut line);
-    match line.trim() {
-        "" => Ok(None),
-        word => known(word).map(|word| Some(word.to_owned())),
-    }
+    Err(Failure::usage(headline, help_for_unknown(word, allowed())))
 }

@@ -2,12 +2,14 @@
 
 use std::fmt::Write as _;
 
+use super::arguments::{LiveArguments, UnknownMotor};
+use super::diagnose::parameter_text;
 use super::failure::Failure;
-use super::live::{LiveArguments, UnknownMotor};
 use super::output;
 use crate::app::{
-    Left, Recorded, Rig, RunDone, RunRequest, conduct, escalation_failure, run, run_result,
+    Recorded, Rig, RunDone, RunRequest, conduct, escalation_failure, run, run_result,
 };
+use crate::bench::RunSummary;
 use crate::workflow::EscalationResult;
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
@@ -36,11 +38,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let done = conduct(arguments.live.audience(None), move |strings| {
         run(request, Box::new(Rig::open), strings)
     })?;
-    finish(json, &done.work, done.left)
-}
-
-fn finish(json: bool, done: &RunDone, left: Left) -> Result<(), Failure> {
-    match done {
+    let left = done.left;
+    match &done.work {
         RunDone::Named(escalation) => {
             output::result(escalation.as_ref(), json, EscalationResult::text)?;
             left.conclude(escalation_failure(escalation))
@@ -61,27 +60,24 @@ fn finish(json: bool, done: &RunDone, left: Left) -> Result<(), Failure> {
 }
 
 fn text(recorded: &Recorded) -> String {
-    let summary = &recorded.summary;
-    let mut text = format!("{}\n", recorded.folder.path().display());
-    let _ = writeln!(
-        text,
-        "{}: {} rows in {:.1} s, {:.1} of {:.0} Hz, {} cycles missed, {} of {} exchanges lost",
-        summary.outcome.name(),
-        summary.rows,
-        summary.duration_s,
-        summary.timing.rate_achieved_hz,
-        summary.timing.rate_asked_hz,
-        summary.timing.missed_cycles,
-        summary.link.lost(),
-        summary.link.sent
-    );
+    let (summary, timing) = (&recorded.summary, &recorded.summary.timing);
+    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let rate = format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,");
+    let folder = recorded.folder.path().display();
+    let mut text = format!("{folder}\n{}\n", account(summary, &rate));
     for estimate in &summary.estimates {
-        let _ = writeln!(
-            text,
-            "{:<24} {}",
-            estimate.verdict.name(),
-            super::diagnose::parameter_text(estimate)
-        );
+        let verdict = estimate.verdict.name();
+        let _ = writeln!(text, "{verdict:<24} {}", parameter_text(estimate));
     }
     text
+}
+
+/// How a run went, in one line.
+pub(super) fn account(summary: &RunSummary, rate: &str) -> String {
+    let (outcome, rows) = (summary.outcome.name(), summary.rows);
+    let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
+    let (lost, sent) = (summary.link.lost(), summary.link.sent);
+    format!(
+        "{outcome}: {rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
+    )
 }

@@ -2,14 +2,15 @@
 
 use std::path::PathBuf;
 
-use super::data::{MapArguments, read_model};
-use super::failure::{Failure, INTERNAL};
+use super::arguments::MapArguments;
+use super::failure::Failure;
 use super::{output, signals};
+use crate::app::files::read_model;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::Scenario;
 use crate::recording::write_run;
-use crate::sample::{Channel, Origin, Run};
+use crate::sample::{Channel, Origin, Run, RunError};
 
 /// Simulate a model under the voltage of a recorded run and print the result as CSV
 #[derive(clap::Args)]
@@ -43,28 +44,25 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));
     let trajectory = output_error::predict(&model, &scenario, &noise)?.trajectory;
     let held = |time_s: f64| {
-        scenario.events[scenario
-            .events
-            .partition_point(|event| event.0 <= time_s)
-            .max(1)
-            - 1]
-        .1
+        let events = &scenario.events;
+        let after = events.partition_point(|event| event.0 <= time_s);
+        events[after.max(1) - 1].1
     };
-    let internal = |error: crate::sample::RunError| Failure::new(INTERNAL, error.to_string());
+    let internal = |error: RunError| Failure::internal(error.to_string());
     let mut run = Run::new("simulated", scenario.sample_time_s.clone()).map_err(internal)?;
-    let input = scenario
-        .sample_time_s
-        .iter()
-        .map(|time_s| held(*time_s))
-        .collect();
-    run.set_column(scenario.input_channel, input, Origin::Commanded)
-        .map_err(internal)?;
+    let input = scenario.sample_time_s.iter().map(|time_s| held(*time_s));
+    let mut columns = vec![
+        (scenario.input_channel, input.collect(), Origin::Commanded),
+        (Channel::Speed, trajectory.speed_rad_s, Origin::Estimated),
+    ];
     if scenario.input_channel != Channel::Current {
-        run.set_column(Channel::Current, trajectory.current_a, Origin::Estimated)
-            .map_err(internal)?;
+        let current = (Channel::Current, trajectory.current_a, Origin::Estimated);
+        columns.insert(1, current);
     }
-    run.set_column(Channel::Speed, trajectory.speed_rad_s, Origin::Estimated)
-        .map_err(internal)?;
+    for (channel, values, origin) in columns {
+        let set = run.set_column(channel, values, origin);
+        set.map_err(internal)?;
+    }
     let csv = write_run(&run);
     if let Some(path) = &arguments.output {
         output::file(path, &csv)?;

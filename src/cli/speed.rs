@@ -3,10 +3,11 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use super::data;
-use super::failure::{Failure, USAGE};
-use super::live::LiveArguments;
-use super::output;
+use super::arguments::LiveArguments;
+use super::failure::Failure;
+use super::output::{self, lines};
+use super::run::account;
+use crate::app::files::read_text;
 use crate::app::{Rig, SpeedRequest, SpeedResult, conduct, speed, speed_result};
 use crate::bench::{ControllerKind, EMBEDDED_NAME, ForwardUse};
 use crate::control::Actuator;
@@ -40,37 +41,34 @@ pub(super) struct Arguments {
 }
 
 fn controller(text: &str) -> Result<ControllerKind, String> {
-    ControllerKind::from_id(text).ok_or_else(|| {
-        let all = ControllerKind::ALL.map(ControllerKind::id);
-        format!("expected one of {}", all.join(", "))
-    })
+    let all = ControllerKind::ALL.map(ControllerKind::id);
+    ControllerKind::from_id(text).ok_or_else(|| expected(&all))
 }
 
 fn forward_use(text: &str) -> Result<ForwardUse, String> {
-    ForwardUse::from_id(text).ok_or_else(|| {
-        let all = ForwardUse::ALL.map(ForwardUse::id);
-        format!("expected one of {}", all.join(", "))
-    })
+    let all = ForwardUse::ALL.map(ForwardUse::id);
+    ForwardUse::from_id(text).ok_or_else(|| expected(&all))
 }
 
 fn actuator(text: &str) -> Result<Actuator, String> {
-    Actuator::from_name(text).ok_or_else(|| {
-        let all = Actuator::ALL.map(Actuator::name);
-        format!("expected one of {}", all.join(", "))
-    })
+    let all = Actuator::ALL.map(Actuator::name);
+    Actuator::from_name(text).ok_or_else(|| expected(&all))
+}
+
+fn expected(all: &[&str]) -> String {
+    format!("expected one of {}", all.join(", "))
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     if arguments.escalate {
-        return Err(Failure::with_help(
-            USAGE,
+        return Err(Failure::usage(
             "--escalate finds an unknown motor, and a speed loop needs one that is known",
             "`drivebench run --escalate` first, then --model with the model.toml of its run folder",
         ));
     }
     let json = arguments.live.json;
     let source = match &arguments.live.bench {
-        Some(path) => (path.display().to_string(), data::read_text(path)?),
+        Some(path) => (path.display().to_string(), read_text(path)?),
         None => (EMBEDDED_NAME.to_owned(), String::new()),
     };
     let request = SpeedRequest {
@@ -90,41 +88,28 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
 
 fn text(result: &SpeedResult<'_>) -> String {
     let summary = result.summary;
-    let mut text = format!("{}\n", result.folder);
-    let _ = writeln!(
-        text,
-        "{}: {} rows in {:.1} s, {} cycles missed, {} of {} exchanges lost",
-        summary.outcome.name(),
-        summary.rows,
-        summary.duration_s,
-        summary.timing.missed_cycles,
-        summary.link.lost(),
-        summary.link.sent
-    );
+    let mut text = format!("{}\n{}\n", result.folder, account(summary, ""));
     let Some(report) = &summary.speed else {
         return text;
     };
     if let Some(delay) = &report.delay {
+        let (median, p99) = (delay.median_cycles, delay.p99_cycles);
+        let tuned = report.timing.delay_cycles();
         let _ = writeln!(
             text,
-            "loop delay {:.2} cycles while running, 99 % within {:.2}; tuned for {:.2}",
-            delay.median_cycles,
-            delay.p99_cycles,
-            report.timing.delay_cycles()
+            "loop delay {median:.2} cycles while running, 99 % within {p99:.2}; tuned for {tuned:.2}"
         );
     }
     for change in &report.gain_changes {
         let _ = writeln!(text, "{:>8.2} s  {}", change.time_s, change.reason);
     }
-    for line in &report.gains {
-        let _ = writeln!(text, "at the end  {line}");
-    }
+    lines(&mut text, "at the end  ", &report.gains);
     for pass in &report.tracking {
         let with = if pass.feed_forward { "with" } else { "without" };
+        let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
         let _ = writeln!(
             text,
-            "tracking error {with} feed-forward {:.2} rad/s rms, {:.2} mean, {:.2} at most",
-            pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s
+            "tracking error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most"
         );
     }
     if !report.steps.is_empty() {
@@ -135,10 +120,8 @@ fn text(result: &SpeedResult<'_>) -> String {
         );
     }
     for step in &report.steps {
-        let settling = step
-            .response
-            .settling_s
-            .map_or_else(|| "never".to_owned(), |seconds| format!("{seconds:.3}"));
+        let settling = step.response.settling_s.map(|s| format!("{s:.3}"));
+        let settling = settling.unwrap_or_else(|| "never".to_owned());
         let _ = writeln!(
             text,
             "{:>8.2} {:>9.1} {:>9.1} {:>11.1} {settling:>11} {:>9.2} {:>9.0}",

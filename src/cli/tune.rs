@@ -5,13 +5,11 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::data::read_model;
-use super::failure::{Failure, USAGE};
-use super::output;
-use crate::control::tuning::{Request, Rule, Tuning, TuningError, tune};
-use crate::control::{
-    LinearPlant, LoopShape, LoopTiming, Margins, PlantError, Schedule, StepPoint,
-};
+use super::failure::Failure;
+use super::output::{self, lines};
+use crate::app::files::read_model;
+use crate::control::tuning::{Request, Rule, Tuning, tune};
+use crate::control::{LinearPlant, LoopShape, LoopTiming, Margins, Schedule, StepPoint};
 use crate::plant::{Model, ModelFile, MotorKey};
 
 /// Standard deviations of the inertia at whose ends the loop is looked at.
@@ -109,21 +107,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
-    let allowed = |what: &str, value: f64, range: &str| {
-        Failure::with_help(
-            USAGE,
-            format!("--{what} {value} is not allowed (expected {range})"),
-            "drivebench tune --help shows the defaults",
-        )
-    };
-    if !(1.0..=20_000.0).contains(&arguments.rate_hz) {
-        return Err(allowed("rate-hz", arguments.rate_hz, "1 to 20000 Hz"));
-    }
-    if !(0.0..=64.0).contains(&arguments.delay_cycles) {
-        return Err(allowed("delay-cycles", arguments.delay_cycles, "0 to 64"));
-    }
-    if !(0.0..=10_000.0).contains(&arguments.filter_ms) {
-        return Err(allowed("filter-ms", arguments.filter_ms, "0 to 10000 ms"));
+    for (what, value, least, most, unit) in [
+        ("rate-hz", arguments.rate_hz, 1.0, 20_000.0, " Hz"),
+        ("delay-cycles", arguments.delay_cycles, 0.0, 64.0, ""),
+        ("filter-ms", arguments.filter_ms, 0.0, 10_000.0, " ms"),
+    ] {
+        if !(least..=most).contains(&value) {
+            let range = format!("{least} to {most}{unit}");
+            let headline = format!("--{what} {value} is not allowed (expected {range})");
+            let help = "drivebench tune --help shows the defaults";
+            return Err(Failure::usage(headline, help));
+        }
     }
     let period_s = 1.0 / arguments.rate_hz;
     Ok(LoopTiming {
@@ -135,10 +129,8 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
 
 /// Slope of the friction as the model has it.
 fn viscous_n_m_s_per_rad(model: &Model) -> f64 {
-    let viscous = model
-        .effects
-        .iter()
-        .find(|active| active.id() == "viscous_friction");
+    let mut effects = model.effects.iter();
+    let viscous = effects.find(|active| active.id() == "viscous_friction");
     viscous.map_or(0.0, |active| active.values_or_guess()[0])
 }
 
@@ -148,20 +140,15 @@ fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner
     let (Some(std), Some(inertia)) = (std, file.model.motor.get(MotorKey::Inertia)) else {
         return Vec::new();
     };
-    [-DOUBT, DOUBT]
-        .into_iter()
-        .map(|doubt| inertia + doubt * std.std)
-        .filter(|value| *value > 0.0)
-        .map(|value| Corner {
+    let ends = [-DOUBT, DOUBT].map(|doubt| inertia + doubt * std.std);
+    let corners = ends.into_iter().filter(|value| *value > 0.0).map(|value| {
+        let plant = plant.with_inertia_ratio(value / inertia);
+        Corner {
             inertia_kg_m2: value,
-            margins: LoopShape::new(
-                &plant.with_inertia_ratio(value / inertia),
-                &tuning.timing,
-                &tuning.gains,
-            )
-            .margins(),
-        })
-        .collect()
+            margins: LoopShape::new(&plant, &tuning.timing, &tuning.gains).margins(),
+        }
+    });
+    corners.collect()
 }
 
 fn text(result: &TuneResult<'_>) -> String {
@@ -173,47 +160,35 @@ fn text(result: &TuneResult<'_>) -> String {
         reasons,
         ..
     } = result.tuning;
-    let mut text = format!(
-        "{}: Kp = {:.4} V per rad/s, Tn = {:.4} s",
-        rule.name(),
-        gains.proportional,
-        gains.integral_time_s
-    );
+    let (rule, kp, tn_s) = (rule.name(), gains.proportional, gains.integral_time_s);
+    let mut text = format!("{rule}: Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
     if gains.reference_filter_s > 0.0 {
         let _ = write!(text, ", reference filter {:.4} s", gains.reference_filter_s);
     }
     text.push('\n');
-    for reason in reasons {
-        let _ = writeln!(text, "why        {reason}");
-    }
+    lines(&mut text, "why        ", reasons);
     let _ = writeln!(text, "margins    {}", margins_text(margins));
     for corner in &result.corners {
-        let _ = writeln!(
-            text,
-            "           at {:.5} kg.m2: {}",
-            corner.inertia_kg_m2,
-            margins_text(&corner.margins)
-        );
+        let (inertia, margins) = (corner.inertia_kg_m2, margins_text(&corner.margins));
+        let _ = writeln!(text, "           at {inertia:.5} kg.m2: {margins}");
     }
     let (low, high) = result.adaptation_range;
     let _ = writeln!(
         text,
         "adaptation gains can follow an inertia of {low:.2} to {high:.1} times the model's"
     );
-    let settling = response.settling_s.map_or_else(
-        || "does not settle".to_owned(),
-        |s| format!("settles within 5 % in {s:.3} s"),
-    );
+    let settling = match response.settling_s {
+        None => "does not settle".to_owned(),
+        Some(s) => format!("settles within 5 % in {s:.3} s"),
+    };
+    let overshoot = response.overshoot_percent;
     let _ = writeln!(
         text,
-        "step       overshoot {:.1} %, {settling}; linear, no limit is met",
-        response.overshoot_percent
+        "step       overshoot {overshoot:.1} %, {settling}; linear, no limit is met"
     );
     let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
-    let last = result
-        .step
-        .partition_point(|point| point.time_s <= shown_s)
-        .max(2);
+    let shown = result.step.partition_point(|point| point.time_s <= shown_s);
+    let last = shown.max(2);
     for n in 0..LINES {
         let point = &result.step[n * (last - 1) / (LINES - 1)];
         #[expect(
@@ -222,13 +197,8 @@ fn text(result: &TuneResult<'_>) -> String {
             reason = "a length between 0 and 80"
         )]
         let bar = (BAR * point.speed.clamp(0.0, 2.0)) as usize;
-        let _ = writeln!(
-            text,
-            "{:>8.3} s {:>6.3} {}",
-            point.time_s,
-            point.speed,
-            "#".repeat(bar)
-        );
+        let (time_s, speed, bar) = (point.time_s, point.speed, "#".repeat(bar));
+        let _ = writeln!(text, "{time_s:>8.3} s {speed:>6.3} {bar}");
     }
     text
 }
@@ -243,16 +213,4 @@ fn margins_text(margins: &Margins) -> String {
         margins.bandwidth_rad_s / std::f64::consts::TAU,
         margins.radius
     )
-}
-
-impl From<PlantError> for Failure {
-    fn from(error: PlantError) -> Self {
-        Self::with_help(USAGE, error.to_string(), error.help())
-    }
-}
-
-impl From<TuningError> for Failure {
-    fn from(error: TuningError) -> Self {
-        Self::with_help(USAGE, error.to_string(), error.help())
-    }
 }

@@ -1,10 +1,11 @@
-//! Which key means what: one table for the program, its help and its tests.
+//! The key table: one meaning for each key on every screen, for the program, its help and its tests.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-/// What a key asks for, whatever the state.
+/// What a key asks for, whatever the screen and its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Press {
+pub enum Press {
+    /// Stop the motor; where none can be on, close what is open.
     Stop,
     /// Ctrl-C: stop, then quit.
     Interrupt,
@@ -19,28 +20,116 @@ pub(super) enum Press {
     Diagnose,
     NextScreen,
     PreviousScreen,
-    Screen(usize),
-    /// Lines to scroll, downwards positive.
-    Scroll(i32),
+    Page(usize),
+    /// Rows to scroll or to select by, downwards positive.
+    Move(i32),
+    Open,
+    Add,
+    Remove,
+    Map,
+    Next,
+    /// The curve that the error follows.
+    Curve,
+    /// That curve as an effect without a name.
+    Table,
+    Guess,
+    Write,
     Other,
 }
 
-/// Keys as the help shows them.
-pub(super) const HELP: [(&str, &str); 11] = [
-    ("Space Esc", "STOP: ramp down; again: at once"),
-    ("a Enter", "start, where the bench waits for it"),
-    ("q", "quit, when nothing is energised"),
-    ("Ctrl-C", "stop, then quit; 3 x: leave now"),
-    ("Tab 1 2 3", "screens"),
-    ("f", "freeze the view, capture goes on"),
-    ("z", "zoom the time axis"),
-    ("m", "mark this moment in the record"),
-    ("r", "reset a fault of the drive"),
-    ("Up Down d", "scroll the report; diagnosis by hand after it"),
-    ("?", "this help"),
+/// Characters, letters in either case.
+const CHARACTERS: [(char, Press); 21] = [
+    (' ', Press::Stop),
+    ('q', Press::Quit),
+    ('?', Press::Help),
+    ('s', Press::Start),
+    ('y', Press::Yes),
+    ('f', Press::Freeze),
+    ('z', Press::Zoom),
+    ('m', Press::Mark),
+    ('x', Press::ResetFault),
+    ('d', Press::Diagnose),
+    ('1', Press::Page(0)),
+    ('2', Press::Page(1)),
+    ('3', Press::Page(2)),
+    ('a', Press::Add),
+    ('r', Press::Remove),
+    ('e', Press::Map),
+    ('n', Press::Next),
+    ('c', Press::Curve),
+    ('t', Press::Table),
+    ('g', Press::Guess),
+    ('w', Press::Write),
 ];
 
-/// Rows that a page key scrolls.
+/// The screens on which a key does something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum On {
+    Every,
+    Live,
+    Diagnosis,
+}
+
+/// The keys as the help shows them.
+const HELP: [(On, &str, &str); 20] = [
+    (
+        On::Every,
+        "Space Esc",
+        "STOP: ramp down; again: at once; without a motor: back",
+    ),
+    (On::Live, "s", "start, where the bench waits for it"),
+    (On::Every, "q", "quit, when nothing is energised"),
+    (On::Every, "Ctrl-C", "stop, then quit; 3 x: leave now"),
+    (On::Live, "Tab 1 2 3", "screens"),
+    (On::Live, "f", "freeze the view, capture goes on"),
+    (On::Live, "z", "zoom the time axis"),
+    (On::Live, "m", "mark this moment in the record"),
+    (On::Live, "x", "reset a fault of the drive"),
+    (On::Every, "Up Down", "scroll a page; select an effect"),
+    (On::Live, "d", "diagnosis by hand, after the report"),
+    (
+        On::Diagnosis,
+        "Enter",
+        "the card of the effect: equation, causes, remedy",
+    ),
+    (
+        On::Diagnosis,
+        "a",
+        "add it: refitted, judged on the hold-out, or refused",
+    ),
+    (On::Diagnosis, "r", "remove it: refused where it is needed"),
+    (
+        On::Diagnosis,
+        "e",
+        "error over speed x current, each equation in turn",
+    ),
+    (
+        On::Diagnosis,
+        "n",
+        "what these runs do not tell, and the run that would",
+    ),
+    (
+        On::Diagnosis,
+        "c t",
+        "the curve that an unexplained error follows; add it",
+    ),
+    (
+        On::Diagnosis,
+        "g",
+        "guess first: no names until you have given one",
+    ),
+    (On::Diagnosis, "w", "write the model to a new file"),
+    (On::Every, "?", "this help"),
+];
+
+/// The rows of the help for one kind of screen.
+pub(super) fn help(on: On) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let rows = HELP.iter();
+    rows.filter(move |row| row.0 == On::Every || row.0 == on)
+        .map(|row| (row.1, row.2))
+}
+
+/// Rows that a page key moves.
 const PAGE: i32 = 10;
 
 /// `None` for the release of a key.
@@ -54,35 +143,65 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
     }
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
     Some(match key.code {
-        KeyCode::Char(' ') | KeyCode::Esc => Press::Stop,
+        KeyCode::Esc => Press::Stop,
         KeyCode::Char('c' | 'C') if control => Press::Interrupt,
-        KeyCode::Char(_) if control => Press::Other,
-        KeyCode::Char(letter) => character(letter.to_ascii_lowercase()),
-        KeyCode::Enter => Press::Start,
+        KeyCode::Char(character) if !control => {
+            let wanted = character.to_ascii_lowercase();
+            let found = CHARACTERS.iter().find(|(known, _)| *known == wanted);
+            found.map_or(Press::Other, |(_, press)| *press)
+        }
+        KeyCode::Enter => Press::Open,
         KeyCode::Tab => Press::NextScreen,
         KeyCode::BackTab => Press::PreviousScreen,
-        KeyCode::Up => Press::Scroll(-1),
-        KeyCode::Down => Press::Scroll(1),
-        KeyCode::PageUp => Press::Scroll(-PAGE),
-        KeyCode::PageDown => Press::Scroll(PAGE),
+        KeyCode::Up => Press::Move(-1),
+        KeyCode::Down => Press::Move(1),
+        KeyCode::PageUp => Press::Move(-PAGE),
+        KeyCode::PageDown => Press::Move(PAGE),
         _ => Press::Other,
     })
 }
 
-const fn character(letter: char) -> Press {
-    match letter {
-        'q' => Press::Quit,
-        'a' => Press::Start,
-        'y' => Press::Yes,
-        '?' => Press::Help,
-        'f' => Press::Freeze,
-        'z' => Press::Zoom,
-        'm' => Press::Mark,
-        'd' => Press::Diagnose,
-        'r' => Press::ResetFault,
-        '1' => Press::Screen(0),
-        '2' => Press::Screen(1),
-        '3' => Press::Screen(2),
-        _ => Press::Other,
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_help_names_every_key_that_does_something() {
+        let named: Vec<&str> = HELP.iter().flat_map(|row| row.1.split(' ')).collect();
+        for word in ["Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down"] {
+            assert!(named.contains(&word), "{word}");
+        }
+        // `y` answers a question that names it.
+        for (character, _) in CHARACTERS.iter().filter(|key| !" y".contains(key.0)) {
+            assert!(
+                named.contains(&character.to_string().as_str()),
+                "{character}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_key_has_one_meaning_and_stands_once_in_the_help_of_a_screen() {
+        for on in [On::Live, On::Diagnosis] {
+            let mut named: Vec<&str> = help(on).flat_map(|(keys, _)| keys.split(' ')).collect();
+            named.sort_unstable();
+            assert!(named.windows(2).all(|pair| pair[0] != pair[1]), "{named:?}");
+        }
+        for (place, (character, press)) in CHARACTERS.iter().enumerate() {
+            let others = &CHARACTERS[place + 1..];
+            let again = |key: &&(char, Press)| key.0 == *character || key.1 == *press;
+            assert_eq!(others.iter().find(again), None, "{character}");
+        }
+    }
+
+    #[test]
+    fn escape_stops_with_another_key_behind_it_and_a_release_is_none() {
+        let of =
+            |modifiers, kind| press(KeyEvent::new_with_kind(KeyCode::Char('q'), modifiers, kind));
+        let pressed = KeyEventKind::Press;
+        assert_eq!(of(KeyModifiers::ALT, pressed), Some(Press::Stop));
+        assert_eq!(of(KeyModifiers::NONE, pressed), Some(Press::Quit));
+        assert_eq!(of(KeyModifiers::CONTROL, pressed), Some(Press::Other));
+        assert_eq!(of(KeyModifiers::NONE, KeyEventKind::Release), None);
     }
 }

@@ -1,16 +1,17 @@
-//! The live screens: they see snapshots, workflow states and intents, never a drive.
+//! The terminal application: it sees snapshots, workflow states, news of an analysis and intents, never a drive.
 //!
 //! ```text
-//! SnapshotCell, ProgressCell, WorkerCell --\
-//! keys, resize (crossterm) ----------------+--> Event --> Model::update --> Effect --> Intent to the bench, leave
-//!                                                           |
-//!                                                view(&Model, frame): pure, drawn only after a change
+//! SnapshotCell, ProgressCell, WorkerCell --\                                       /--> Intent to the bench
+//! News of the analysis --------------------+--> Screen: update (pure) --> Effect -+--> Order to the analysis
+//! keys, resize (crossterm) --> key table --/           |                           \--> leave
+//!                                            view (pure), drawn only after a change
 //! ```
 //!
-//! * `show` owns the terminal and the loop; `terminal` gives it back on every path.
-//! * `model`, `update`, `keys`: what is shown, and what each key does in each state.
-//! * `diagnosis/`: the screen of a diagnosis, with a model, an update and keys of its own.
-//! * `screen/`: one file per screen; `widget/`: one file per widget, each a function of its data.
+//! * `application`: the event loop, which shows one screen, a value, until it is left; `terminal` gives the terminal back on
+//!   every path.
+//! * `keys`: the key table, one meaning for each key on every screen.
+//! * `frame`, `theme`: help, hints, panels and colours that all screens have in common.
+//! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -18,21 +19,15 @@
     reason = "cells and digits are counted after a clamp, and these casts saturate"
 )]
 
+mod application;
 mod diagnosis;
+mod frame;
 mod keys;
-mod model;
-mod screen;
-mod show;
+mod live;
 mod terminal;
 mod theme;
-mod update;
-mod view;
-mod widget;
-mod worker;
 
-#[cfg(test)]
-mod tests;
-
-pub use diagnosis::{DiscoveryScreen, show_discovery};
-pub use show::{Exit, ShowOptions, is_gone, show};
-pub use worker::{FinishOnDrop, WorkerCell};
+pub use application::{Exit, Screen, is_gone, show};
+pub use diagnosis::{DiagnosisScreen, DiagnosisSources};
+pub use keys::Press;
+pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};

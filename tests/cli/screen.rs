@@ -128,7 +128,7 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     session.wait_for("DIAGNOSIS");
     session.wait_for(ADD);
     has(&session.text(), &["stribeck_friction"]);
-    session.press("m");
+    session.press("e");
     session.wait_for("error over speed x current");
     session.press("q");
     session.wait_for(ADD);

@@ -1,33 +1,107 @@
 //! The screen on which a person finds the missing effect: how good the model is, where it fails, what would mend it.
 //!
 //! ```text
-//! News (from the worker) --\
-//! keys, resize ------------+--> State::update --> Effect --> Order to the worker, leave
-//!                                 |
-//!                      view(&State, frame): pure, drawn only after a change
-//!
+//! News of the analysis --> DiagnosisScreen::look --> State::update --> Effect --> Order to the analysis, leave
 //! +-------------------------------------------+
 //! | title                       working, done |
 //! | verdict in one sentence                   |
-//! | where it fails: figures, lights, places   |  panel/failing
-//! | candidates: bars while they are judged,   |  panel/candidates
+//! | where it fails: figures, lights, places   |  view
+//! | candidates: bars while they are judged,   |
 //! |   then status, size, interval             |
-//! | ladder: held-out error and noise floor    |  panel/ladder
+//! | ladder: held-out error and noise floor    |
 //! | keys                                      |
-//! +-------------------------------------------+   over it: panel/{card, map, help}
+//! +-------------------------------------------+   over it: pages (card, map, curve, next run)
 //! ```
 //!
 //! `guess`: the teaching flow, in which no name is shown before the person has given one.
 
 mod guess;
-mod keys;
-mod panel;
-mod show;
+mod pages;
 mod state;
-mod update;
 mod view;
 
 #[cfg(test)]
 mod tests;
 
-pub use show::{DiscoveryScreen, show_discovery};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError};
+
+use ratatui::Frame;
+
+use super::application::{Effect, Exit, Screen};
+use super::keys::Press;
+use crate::workflow::{News, Order};
+use state::{Event, State};
+
+/// What the screen is given; the worker holds the other ends.
+#[derive(Debug)]
+pub struct DiagnosisSources {
+    /// What is diagnosed, in a few words.
+    pub title: String,
+    /// No name is shown before the person has given one.
+    pub guess_first: bool,
+    pub news: Receiver<News>,
+    pub orders: Sender<Order>,
+    /// Set by signals (SIGTERM, SIGHUP): the screen closes by itself.
+    pub hang_up: Arc<AtomicBool>,
+}
+
+/// The screen with its ends of the channels.
+pub struct DiagnosisScreen {
+    state: State,
+    sources: DiagnosisSources,
+}
+
+impl DiagnosisScreen {
+    /// The first diagnosis is ordered by itself.
+    pub fn new(sources: DiagnosisSources) -> Self {
+        // A worker that has gone is told of by its news.
+        let _ = sources.orders.send(Order::Diagnose);
+        Self {
+            state: State::new(sources.title.clone(), sources.guess_first),
+            sources,
+        }
+    }
+
+    fn act(&mut self, event: Event) -> Option<Exit> {
+        match self.state.update(event)? {
+            Effect::Leave(exit) => return Some(exit),
+            Effect::Order(order) => drop(self.sources.orders.send(order)),
+            Effect::Send(_) | Effect::RequestStop => {}
+        }
+        None
+    }
+}
+
+impl Screen for DiagnosisScreen {
+    fn look(&mut self) -> (bool, Option<Exit>) {
+        let mut is_told = false;
+        loop {
+            let waits = self.state.working.is_some() || self.state.writing;
+            let event = match self.sources.news.try_recv() {
+                Ok(news) => Event::News(news),
+                Err(TryRecvError::Disconnected) if waits => Event::WorkerGone,
+                Err(_) => break,
+            };
+            is_told = true;
+            if let Some(exit) = self.act(event) {
+                return (true, Some(exit));
+            }
+        }
+        let hangs_up = self.sources.hang_up.load(Ordering::Acquire);
+        (is_told, hangs_up.then_some(Exit::Interrupted))
+    }
+
+    fn press(&mut self, press: Press) -> Option<Exit> {
+        self.act(Event::Press(press))
+    }
+
+    fn ends_with_a_panic(&self) -> bool {
+        true
+    }
+
+    fn draw(&self, frame: &mut Frame<'_>) {
+        view::view(&self.state, frame);
+    }
+}

@@ -1,57 +1,69 @@
-//! The whole frame as a function of the state.
+//! The whole frame of the diagnosis as a function of the state: verdict, where it fails, candidates, ladder, keys.
 
 use std::fmt::Write as _;
 
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::guess::Guessing;
-use super::panel::{candidates, card, curve, failing, help, ladder, map, next};
-use super::state::{Over, State};
-use crate::diagnosis::{Diagnosis, DiagnosisVerdict};
+use super::pages;
+use super::state::{Over, Row, State, Step};
+use crate::diagnosis::{
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ResidualLights, Status,
+};
+use crate::plant::{Effect, effect};
+use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
+use crate::text::number::{fixed, percent, share as per_cent, significant, with_unit};
+use crate::tui::frame::{bar, help, hints, is_too_small, titled, titled_with};
+use crate::tui::keys::On;
+use crate::tui::live::parameter_name;
 use crate::tui::theme;
-use crate::tui::widget::hints::keys_that_fit;
 
-/// The smallest screen that can be read.
-const SMALLEST: (u16, u16) = (30, 6);
 /// Rungs that are shown; the latest ones where there are more.
 const MOST_RUNGS: usize = 5;
+
+const MEANING: [&str; 5] = [
+    "Errors: free-running model, a run that the fit has not seen, in units of the noise.",
+    "Per cent: how likely the effect is there, weighed with all the others at once.",
+    "supported: 90 % and more. possible: 10 to 90 %. ruled out: less; it is at most as large as it says.",
+    "not excited: this run would not show it. seen from: the smallest size that would have been named.",
+    "A name is an equation, not a cause: the card lists causes that share it.",
+];
 
 pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
-    if area.width < SMALLEST.0 || area.height < SMALLEST.1 {
-        let text = format!("too small: {}x{}, q = leave", area.width, area.height);
-        Line::styled(text, theme::CAREFUL).render(area, buffer);
+    if is_too_small("too small", "q = leave", theme::CAREFUL, area, buffer) {
         return;
     }
     let tall = area.height >= 20;
     let width = usize::from(area.width);
     let verdict_line = verdict_line(state);
-    let most = if tall { 3 } else { 1 };
-    let verdict_rows = rows_of(&verdict_line.to_string(), width, most);
+    let verdict_rows = rows_of(&verdict_line.to_string(), width, if tall { 3 } else { 1 });
     let most = match area.height {
         0..=11 => 0,
         12..=19 => 2,
         20..=29 => 6,
         _ => 9,
     };
-    let failing_rows = failing::rows(state, area.width).min(most);
+    let failing_rows = failing_rows(state, area.width).min(most);
     let rungs = state.ladder.len().min(MOST_RUNGS) as u16;
-    let change_rows = ladder::change_rows(state, area.width);
+    let change_rows = u16::try_from(changes(state, area.width).len()).unwrap_or(0);
     let ladder_rows = match area.height {
         0..=13 => 0,
         _ if rungs == 0 => 0,
         14..=19 => 2 + change_rows.min(1),
         _ => 1 + rungs + change_rows,
     };
-    let message = state.message.as_ref().map(|text| format!("> {text}"));
-    let bottom_rows = message.as_ref().map_or(1, |text| {
-        rows_of(text, width.saturating_sub(1), if tall { 4 } else { 1 })
+    let message = state.message.as_deref();
+    let bottom_rows = message.map_or(1, |text| {
+        let most = if tall { 4 } else { 1 };
+        rows_of(&format!("> {text}"), width.saturating_sub(1), most)
     });
     let [top, verdict, where_area, list, ladder_area, bottom] = Layout::vertical([
         Constraint::Length(1),
@@ -71,15 +83,16 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         ..where_area
     };
     match state.over {
-        Over::Card(line) => card::card(state, line, body, buffer),
-        Over::Map(index) => map::map(state, index, body, buffer),
-        Over::Next(line) => next::next(state, line, body, buffer),
-        Over::Curve(index, line) => curve::curve(state, index, line, body, buffer),
         Over::Nothing | Over::Help(_) => {
-            failing::failing(state, where_area, buffer);
-            candidates::candidates(state, list, buffer);
-            ladder::ladder(state, ladder_area, buffer);
+            failing(state, where_area, buffer);
+            candidates(state, list, buffer);
+            ladder(state, ladder_area, buffer);
         }
+        _ if body.height == 0 => {}
+        Over::Card(line) => pages::card(state, line, body, buffer),
+        Over::Map(index) => pages::map(state, index, body, buffer),
+        Over::Next(line) => pages::next(state, line, body, buffer),
+        Over::Curve(index, line) => pages::curve(state, index, line, body, buffer),
     }
     if let Over::Help(row) = state.over {
         let under_top = Rect {
@@ -87,9 +100,10 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
             height: area.height.saturating_sub(1 + bottom_rows),
             ..area
         };
-        help::help(row, under_top, buffer);
+        help(On::Diagnosis, &MEANING, row, under_top, buffer);
     }
-    hints(state, message, bottom, buffer);
+    let (keys, always) = keys(state);
+    hints(message, &keys, always, bottom, buffer);
 }
 
 fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
@@ -123,11 +137,9 @@ fn verdict_line(state: &State) -> Line<'static> {
     }
     let Some(diagnosis) = &state.diagnosis else {
         let judged = state.judged.values();
-        let screened = judged
-            .clone()
-            .filter(|judged| judged.share.is_some())
-            .count();
-        let refitted = judged.filter(|judged| judged.error.is_some()).count();
+        let screened = judged.clone().filter(|judged| judged.share.is_some());
+        let refitted = judged.filter(|judged| judged.error.is_some());
+        let (screened, refitted) = (screened.count(), refitted.count());
         let mut text = format!(" {screened} effects screened, {refitted} refitted");
         for (id, error) in &state.taken {
             let _ = write!(text, "; {id} taken, held-out error {error:.2}");
@@ -135,24 +147,22 @@ fn verdict_line(state: &State) -> Line<'static> {
         return Line::styled(text, theme::CAREFUL);
     };
     let (word, style) = word(diagnosis);
-    let mut spans = vec![
-        Span::styled(format!(" {word} "), style),
-        Span::raw(sentence(diagnosis).to_owned()),
-    ];
-    if matches!(
+    let mut line = Line::from(Span::styled(format!(" {word} "), style));
+    line.push_span(sentence(diagnosis).to_owned());
+    let names_effects = matches!(
         diagnosis.verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
-    ) && !diagnosis.sufficient
-    {
-        spans.push(Span::raw("; this is not all: much is still unexplained"));
+    );
+    if names_effects && !diagnosis.sufficient {
+        line.push_span("; this is not all: much is still unexplained");
     }
     if !diagnosis.limits.is_empty() {
-        spans.push(Span::raw("; n shows what limits this answer"));
+        line.push_span("; n shows what limits this answer");
     }
     if !state.curves().is_empty() {
-        spans.push(Span::raw("; c shows the curve that it follows, t adds it"));
+        line.push_span("; c shows the curve that it follows, t adds it");
     }
-    Line::from(spans)
+    line
 }
 
 /// The sentence without what the word before it says.
@@ -172,11 +182,6 @@ fn rows_of(text: &str, width: usize, most: usize) -> u16 {
 }
 
 fn guess_first(state: &State) -> String {
-    let best = state
-        .judged
-        .values()
-        .filter_map(|judged| judged.share)
-        .fold(f64::NAN, f64::max);
     if let Some(diagnosis) = &state.diagnosis {
         let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
         let times = diagnosis.noise_floor_from.times();
@@ -187,6 +192,8 @@ fn guess_first(state: &State) -> String {
         };
         return format!(" the tool has its answer {found}; what is yours?");
     }
+    let shares = state.judged.values().filter_map(|judged| judged.share);
+    let best = shares.fold(f64::NAN, f64::max);
     if best.is_finite() {
         let percent = 100.0 * best.clamp(0.0, 1.0);
         return format!(
@@ -197,7 +204,7 @@ fn guess_first(state: &State) -> String {
 }
 
 /// The verdict as a word, which the colour only repeats.
-fn word(diagnosis: &Diagnosis) -> (&'static str, ratatui::style::Style) {
+fn word(diagnosis: &Diagnosis) -> (&'static str, Style) {
     match diagnosis.verdict {
         DiagnosisVerdict::Effect if diagnosis.is_refuted() => {
             ("~ MISSING, NOT CONFIRMED:", theme::CAREFUL)
@@ -211,68 +218,422 @@ fn word(diagnosis: &Diagnosis) -> (&'static str, ratatui::style::Style) {
     }
 }
 
-/// The last line: the answer to the last key, else the keys.
-fn hints(state: &State, message: Option<String>, area: Rect, buffer: &mut Buffer) {
-    if let Some(message) = message {
-        let rows = wrapped(&message, usize::from(area.width).saturating_sub(1));
-        let style = theme::CAREFUL.patch(theme::BOLD);
-        let lines: Vec<Line<'static>> = rows
-            .into_iter()
-            .map(|row| Line::styled(format!(" {row}"), style))
-            .collect();
-        Paragraph::new(lines).render(area, buffer);
+/// The keys that do something now, the first first, and those that are always shown.
+fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
+    let leave = "? help  q leave";
+    let curves = state.curves().len();
+    match state.over {
+        Over::Card(_) => (vec!["Up Down scroll", "a add", "r remove"], "Esc back"),
+        Over::Next(_) => (vec!["Up Down scroll"], "n Esc back"),
+        Over::Map(0) => (vec!["e the other equation"], "Esc back"),
+        Over::Map(_) => (vec![], "e Esc back"),
+        Over::Curve(index, _) if index + 1 < curves => {
+            let keys = vec!["t add it", "c the next curve", "Up Down scroll"];
+            (keys, "Esc back")
+        }
+        Over::Curve(..) => (vec!["t add it", "Up Down scroll"], "c Esc back"),
+        Over::Help(_) => (vec!["Up Down scroll"], "any other key closes the help"),
+        Over::Nothing if state.guessing == Guessing::Choosing => {
+            let keys = "g guess it|Esc show names|Up Down choose|Enter card|e errors";
+            (keys.split('|').collect(), leave)
+        }
+        Over::Nothing if state.working.is_some() => {
+            let keys = "Up Down select|Enter card|g guess first|e errors";
+            (keys.split('|').collect(), leave)
+        }
+        Over::Nothing if curves > 0 => {
+            let keys = "c curve|t add it|a add|r remove|w write|n next run|e errors";
+            (keys.split('|').collect(), leave)
+        }
+        Over::Nothing => {
+            let keys = "a add|r remove|w write|Enter card|n next run|e errors";
+            (keys.split('|').collect(), leave)
+        }
+    }
+}
+
+/// Places that are told.
+const MOST_PLACES: usize = 3;
+/// Below this width the signals have a row each, where there are so many rows.
+const SIDE_BY_SIDE: u16 = 106;
+const TALL: u16 = 4;
+
+/// How good the model is and where it fails: figures, lights, places.
+fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
         return;
     }
-    let leave = "? help  q leave";
-    let (keys, always): (&[&str], &str) = match state.over {
-        Over::Card(_) => (&["Up Down scroll", "a add", "r remove"], "Esc back"),
-        Over::Next(_) => (&["Up Down scroll"], "n Esc back"),
-        Over::Map(0) => (&["m the other equation"], "Esc back"),
-        Over::Map(_) => (&[], "m Esc back"),
-        Over::Curve(index, _) if index + 1 < state.curves().len() => (
-            &["t add it", "c the next curve", "Up Down scroll"],
-            "Esc back",
-        ),
-        Over::Curve(..) => (&["t add it", "Up Down scroll"], "c Esc back"),
-        Over::Help(_) => (&["Up Down scroll"], "any other key closes the help"),
-        Over::Nothing if state.guessing == Guessing::Choosing => (
-            &[
-                "g guess it",
-                "Esc show names",
-                "Up Down choose",
-                "Enter card",
-                "m map",
-            ],
-            leave,
-        ),
-        Over::Nothing if state.working.is_some() => (
-            &["Up Down select", "Enter card", "g guess first", "m map"],
-            leave,
-        ),
-        Over::Nothing if !state.curves().is_empty() => (
-            &[
-                "c curve",
-                "t add it",
-                "a add",
-                "r remove",
-                "w write",
-                "n next run",
-                "m map",
-            ],
-            leave,
-        ),
-        Over::Nothing => (
-            &[
-                "a add",
-                "r remove",
-                "w write",
-                "Enter card",
-                "n next run",
-                "m map",
-            ],
-            leave,
-        ),
+    let inner = titled("held-out run: fit, error, where it fails", area, buffer);
+    let lines = state.comparison.as_ref().map_or_else(
+        || vec![Line::styled(" comparing ...", theme::DIM)],
+        |comparison| failing_lines(comparison, inner),
+    );
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: false })
+        .render(inner, buffer);
+}
+
+fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
+    let mut figures = Vec::new();
+    let signals = &comparison.signals;
+    let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
+        let times = floor.map_or_else(String::new, |floor| {
+            format!(" = {} x noise", fixed(rmse / floor, 2))
+        });
+        let text = format!(
+            " {name} fit {}, error {} {unit}{times} ",
+            percent(fit),
+            significant(rmse, 3)
+        );
+        figures.push(Span::styled(text, theme::BOLD));
     };
-    let keys = keys_that_fit(keys, always, usize::from(area.width));
-    Line::styled(keys, theme::DIM).render(area, buffer);
+    if let Some(torque) = &signals.torque_n_m {
+        let held = torque.holdout;
+        let floor = torque.noise_floor;
+        figure("torque", "N.m", held.fit_percent, held.rmse, floor);
+    }
+    let speed = signals.speed_name();
+    for (name, unit, signal) in [
+        (speed.as_str(), "rad/s", signals.speed_rad_s),
+        ("current", "A", signals.current_a),
+    ] {
+        if let Some(signal) = signal {
+            let held = signal.holdout;
+            figure(name, unit, held.fit_percent, held.rmse, signal.noise_floor);
+        }
+    }
+    let mut lines: Vec<Line<'static>> = if area.width < SIDE_BY_SIDE && area.height >= TALL {
+        figures.into_iter().map(Line::from).collect()
+    } else {
+        vec![Line::from(figures)]
+    };
+    lines.push(lights(&comparison.residual, area.width));
+    let undecided = comparison.undecided();
+    lines.extend(undecided.map(|sentence| Line::raw(format!(" - {sentence}"))));
+    let places = comparison.locations.iter().take(MOST_PLACES);
+    lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
+    if comparison.locations.is_empty() {
+        let balances = comparison.balances.iter();
+        lines.extend(balances.map(|balance| Line::raw(format!(" - {}", balance.sentence))));
+    }
+    let notes = comparison
+        .limits
+        .iter()
+        .map(|limit| format!(" note: {limit}"));
+    lines.extend(notes.map(|note| Line::styled(note, theme::DIM)));
+    lines
+}
+
+/// Rows that there is something for, with the title.
+fn failing_rows(state: &State, width: u16) -> u16 {
+    let area = Rect::new(0, 0, width, TALL);
+    let room = usize::from(width).saturating_sub(1);
+    let rows = state.comparison.as_ref().map_or(1, |comparison| {
+        let lines = failing_lines(comparison, area);
+        let rows = lines
+            .iter()
+            .map(|line| wrapped(&line.to_string(), room).len());
+        rows.sum()
+    });
+    u16::try_from(rows + 1).unwrap_or(u16::MAX)
+}
+
+/// One light for each question; the word says what the colour does.
+fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
+    if !residual.enough_samples {
+        let text = " residual: too few samples to say whether only noise is left";
+        return Line::styled(text, theme::DIM);
+    }
+    let mut line = Line::raw(" residual: ");
+    for (passes, good, bad) in [
+        (residual.white, "✓ white  ", "✗ not white  "),
+        (
+            residual.independent_of_input,
+            "✓ independent of the input  ",
+            "✗ goes with the input  ",
+        ),
+    ] {
+        let (text, style) = if passes {
+            (good, theme::GOOD)
+        } else {
+            (bad, theme::BAD)
+        };
+        line.push_span(Span::styled(text, style));
+    }
+    let outside = per_cent(residual.autocorrelation_outside_99_percent);
+    let lags = format!("({outside} of lags outside)");
+    // Not on a row of its own.
+    if line.width() + lags.len() <= usize::from(width) {
+        line.push_span(Span::styled(lags, theme::DIM));
+    }
+    line
+}
+
+const BAR: usize = 8;
+const NARROW_BAR: usize = 4;
+/// Below this width a share is a number alone, and below the next a status is its mark alone.
+const NARROW: usize = 86;
+const SLIM: usize = 70;
+/// From this width on there is room for the name of the size, and for what would have been seen.
+const WIDE: usize = 110;
+
+/// The effects: bars while they are judged, then status, share explained, size with interval.
+fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
+        return;
+    }
+    let title = if state.guessing == Guessing::Choosing {
+        "what is missing? your guess"
+    } else if state.diagnosis.is_none() {
+        "effects being judged: share of the error explained, to first order"
+    } else {
+        "effects: status, probability, size ± 95 %"
+    };
+    let rows = state.rows();
+    let selected = state.selected(&rows);
+    let room = usize::from(area.height.saturating_sub(1)).max(1);
+    // The selected row stays in sight.
+    let first = (selected + 1).saturating_sub(room);
+    let place = if rows.len() <= room {
+        String::new()
+    } else {
+        format!("{}-{} of {}", first + 1, first + room, rows.len())
+    };
+    let inner = titled_with(title, &place, area, buffer);
+    if rows.is_empty() {
+        Line::styled(" none yet", theme::DIM).render(inner, buffer);
+        return;
+    }
+    let shown = rows.iter().enumerate().skip(first).take(room);
+    let lines = shown.map(|(index, row)| {
+        let is_selected = index == selected;
+        let mut line = Line::raw(if is_selected { "▶ " } else { "  " });
+        line.extend(spans(row, usize::from(inner.width), state.is_floor_known()));
+        line.style(if is_selected {
+            theme::BOLD
+        } else {
+            theme::PLAIN
+        })
+    });
+    Paragraph::new(lines.collect::<Vec<_>>()).render(inner, buffer);
+}
+
+fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
+    match row {
+        Row::Choice(guess) => {
+            let name = row.effect().map_or("", |effect| effect.card().name);
+            vec![
+                Span::raw(format!("{:<25} ", guess.key())),
+                Span::styled(name.to_owned(), theme::DIM),
+            ]
+        }
+        Row::Present(id) => vec![
+            Span::styled("+ in the model ", theme::GOOD),
+            Span::raw((*id).to_owned()),
+        ],
+        Row::Judged(id, judged) => {
+            let mut spans = vec![Span::raw(format!("{id:<25} "))];
+            spans.extend(share(judged.share, BAR));
+            if let Some(error) = judged.error {
+                // What a multiple is of without a floor, the ladder says.
+                let unit = if floor { " x noise" } else { "" };
+                spans.push(Span::raw(format!("  refitted: {error:.2}{unit}")));
+            }
+            spans
+        }
+        Row::Candidate(candidate) => {
+            let (word, style) = status(candidate.status);
+            let word = if width < SLIM {
+                word.chars().take(1).chain([' ']).collect()
+            } else {
+                format!("{word:<13} ")
+            };
+            let mut spans = vec![
+                Span::styled(word, style),
+                Span::raw(format!("{:<24} ", candidate.effect)),
+            ];
+            // What would not have shown has no probability but that of before.
+            let is_seen = candidate.status != Status::NotExcited;
+            let bar_length = match width {
+                WIDE.. => BAR,
+                NARROW.. => NARROW_BAR,
+                _ => 0,
+            };
+            let probability = Some(candidate.probability).filter(|_| is_seen);
+            spans.extend(share(probability, bar_length));
+            let is_named = !candidate.parameters.is_empty();
+            let text = if is_named {
+                size(candidate, width >= WIDE)
+            } else if is_seen {
+                at_most(candidate)
+            } else {
+                None
+            };
+            spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
+            if let (true, Some(text)) = (width >= WIDE && is_seen, detectable(candidate)) {
+                let used: usize = spans.iter().map(Span::width).sum();
+                // Half a unit would be another unit.
+                if used + text.chars().count() + 4 <= width {
+                    spans.push(Span::styled(format!("  {text}"), theme::DIM));
+                }
+            }
+            spans
+        }
+    }
+}
+
+fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
+    let Some(share) = share.filter(|share| share.is_finite()) else {
+        return vec![Span::raw(" ".repeat(length + 6))];
+    };
+    let (full, empty) = bar(share, length);
+    let percent = (100.0 * share.clamp(-9.0, 1.0)).round() + 0.0;
+    vec![
+        Span::raw(full),
+        Span::styled(empty, theme::DIM),
+        Span::raw(format!("{percent:>4.0} %")),
+    ]
+}
+
+/// The status as a word with its mark, and the colour that repeats it.
+pub(super) const fn status(status: Status) -> (&'static str, Style) {
+    match status {
+        Status::Supported => ("✓ supported", theme::GOOD),
+        Status::Possible => ("~ possible", theme::CAREFUL),
+        Status::RuledOut => ("✗ ruled out", theme::DIM),
+        Status::NotExcited => ("· not excited", theme::DIM),
+    }
+}
+
+/// The parameter that gives the effect its size.
+fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
+    let (key, _) = size_of(effect::find(candidate.effect)?)?;
+    let mut found = candidate.parameters.iter();
+    let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
+    let parameter = found.clone().find(of_size).or_else(|| found.next())?;
+    let text = parameter.text(TWO_SIDED_95);
+    Some(if with_name {
+        format!("{} {text}", parameter_name(&parameter.key).0)
+    } else {
+        text
+    })
+}
+
+/// Key and unit of the parameter that gives an effect its size.
+fn size_of(effect: &dyn Effect) -> Option<(&'static str, &'static str)> {
+    let specs = effect.parameters();
+    let of_size = specs.iter().find(|spec| spec.is_coefficient());
+    of_size.or(specs.first()).map(|spec| (spec.key, spec.unit))
+}
+
+/// A size in the unit of the parameter that gives the effect its size.
+fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
+    let (_, unit) = size_of(effect::find(candidate.effect)?)?;
+    let size = size.filter(|size| size.is_finite())?;
+    Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
+}
+
+/// What its size is below.
+pub(super) fn at_most(candidate: &Candidate) -> Option<String> {
+    in_words(candidate, "at most", candidate.upper_bound)
+}
+
+/// The smallest size that would have been named.
+pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
+    in_words(candidate, "seen from", candidate.detectable)
+}
+
+/// Longest bar.
+const LONGEST: usize = 60;
+const NAME: usize = 26;
+const MOST_ROWS_OF_A_CHANGE: usize = 3;
+
+/// The ladder: the held-out error of every model so far, beside the noise floor.
+fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
+        return;
+    }
+    let floor = state.is_floor_known();
+    let title = if floor {
+        "ladder: held-out error, times the noise (│ = noise floor)"
+    } else {
+        "ladder: held-out error, times the baseline's residual (no floor is known)"
+    };
+    let inner = titled(title, area, buffer);
+    let mut lines = changes(state, inner.width);
+    let room = usize::from(inner.height).saturating_sub(lines.len());
+    let errors = state.ladder.iter().map(|step| step.error);
+    let largest = errors.filter(|error| error.is_finite()).fold(1.0, f64::max);
+    let hidden = state.ladder.len().saturating_sub(room);
+    let steps = state.ladder.iter().skip(hidden);
+    lines.extend(steps.map(|step| rung(step, largest, floor, usize::from(inner.width))));
+    Paragraph::new(lines).render(inner, buffer);
+}
+
+/// What the last key did, in as many rows as that takes.
+fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
+    let Some((added, result)) = &state.change else {
+        return Vec::new();
+    };
+    let (text, style) = change(*added, result);
+    let rows = wrapped(&text, usize::from(width).saturating_sub(1));
+    let rows = rows.into_iter().take(MOST_ROWS_OF_A_CHANGE);
+    rows.map(|row| Line::styled(format!(" {row}"), style))
+        .collect()
+}
+
+fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
+    let length = width.saturating_sub(NAME + 26).clamp(4, LONGEST);
+    // The floor has a cell of its own, also when the error is at it.
+    let cell = |error: f64| ((error / largest).clamp(0.0, 1.0) * length as f64).round() as usize;
+    let (full, mark) = (cell(step.error), floor.then(|| cell(1.0)));
+    let bar: String = (0..=length)
+        .map(|at| match (Some(at) == mark, at < full) {
+            (true, _) => '│',
+            (false, true) => '█',
+            (false, false) => ' ',
+        })
+        .collect();
+    let (style, word) = if step.at_floor {
+        (theme::GOOD, " at the floor")
+    } else {
+        (theme::CAREFUL, "")
+    };
+    Line::from(vec![
+        Span::raw(format!(" {:<NAME$} ", cut(&step.name, NAME))),
+        Span::styled(bar, style),
+        Span::styled(format!(" {:>6.2}", step.error), theme::BOLD),
+        Span::raw(word),
+    ])
+}
+
+/// What the last key did: before and after, or why it was refused.
+fn change(added: bool, result: &AddResult) -> (String, Style) {
+    if !result.accepted {
+        return (format!("✗ refused: {}", result.reason), theme::CAREFUL);
+    }
+    let word = if added { "added" } else { "removed" };
+    let errors = |comparison: &Comparison| {
+        let signals = &comparison.signals;
+        [
+            (signals.torque_n_m.as_ref().map(|s| s.holdout.rmse), "N.m"),
+            (signals.speed_rad_s.map(|s| s.holdout.rmse), "rad/s"),
+            (signals.current_a.map(|s| s.holdout.rmse), "A"),
+        ]
+    };
+    let both = errors(&result.before)
+        .into_iter()
+        .zip(errors(&result.after));
+    let figures = both.filter_map(|((before, unit), (after, _))| {
+        let (before, after) = (significant(before?, 3), significant(after?, 3));
+        Some(format!("{before} -> {after} {unit}"))
+    });
+    let figures = figures.collect::<Vec<_>>().join(", ");
+    let mut text = format!("✓ {word} {}: {figures}", result.effect);
+    if let Some([before, after]) = &result.confirm {
+        let (before, after) = (before.holdout_rmse, after.holdout_rmse);
+        let times = result.before.noise_floor_from.times();
+        let _ = write!(text, "; confirming run {before:.2} -> {after:.2} {times}");
+    }
+    (text, theme::GOOD)
 }

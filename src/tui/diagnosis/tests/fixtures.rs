@@ -2,7 +2,6 @@
 
 use std::sync::LazyLock;
 
-use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
@@ -14,9 +13,10 @@ use crate::diagnosis::{
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Model, Motor, testing};
 use crate::sample::{ParameterEstimate, Verdict};
-use crate::tui::diagnosis::state::State;
-use crate::tui::diagnosis::update::{Effect, Event};
+use crate::tui::application::Effect;
+use crate::tui::diagnosis::state::{Event, State};
 use crate::tui::diagnosis::view::view;
+use crate::tui::keys::Press;
 use crate::workflow::News;
 
 pub(super) fn fitted(effects: &[&str]) -> Fitted {
@@ -41,6 +41,14 @@ pub(super) fn fitted(effects: &[&str]) -> Fitted {
 
 pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Candidate {
     let spec = &crate::plant::effect::find(effect).unwrap().parameters()[0];
+    let size = ParameterEstimate {
+        key: format!("{effect}.{}", spec.key),
+        value: Some(0.2),
+        std: Some(0.01),
+        unit: spec.unit,
+        verdict: Verdict::Settled,
+        reason: None,
+    };
     Candidate {
         effect,
         rank: 1,
@@ -50,17 +58,10 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
             Status::Possible => 0.43,
             _ => 0.01,
         },
-        parameters: vec![ParameterEstimate {
-            key: format!("{effect}.{}", spec.key),
-            value: Some(0.2),
-            std: Some(0.01),
-            unit: spec.unit,
-            verdict: Verdict::Settled,
-            reason: None,
-        }]
-        .into_iter()
-        .filter(|_| status == Status::Supported)
-        .collect(),
+        parameters: Some(size)
+            .into_iter()
+            .filter(|_| status == Status::Supported)
+            .collect(),
         onsets: vec![],
         interval_factor: 2.0,
         reached: Some(Reached {
@@ -161,13 +162,9 @@ pub(super) fn comparison(rmse: f64) -> Comparison {
         (signal.holdout.fit_percent, signal.holdout.rmse) = (97.9, rmse);
         signal.noise_floor = Some(floor);
     }
-    let cells: Vec<Vec<Option<f64>>> = (0..12)
-        .map(|row| {
-            (0..12)
-                .map(|column| (row + column > 3).then(|| 0.01 * f64::from(row * column)))
-                .collect()
-        })
-        .collect();
+    let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
+    let row = |row| (0..12).map(|column| cell(row, column)).collect();
+    let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
     Comparison {
         signals,
         locations: vec![FailureLocation {
@@ -224,11 +221,7 @@ pub(super) fn added(effect: &'static str, accepted: bool) -> News {
         parameters: Vec::new(),
         ladder: vec![rung(Vec::new(), 5.1), rung(vec![effect], 1.03)],
         confirm: None,
-        fit: fitted(if accepted {
-            &["stribeck_friction"]
-        } else {
-            &[]
-        }),
+        fit: fitted(&["stribeck_friction"][..usize::from(accepted)]),
     }))
 }
 
@@ -236,12 +229,8 @@ pub(super) fn hear(state: &mut State, news: News) {
     assert_eq!(state.update(Event::News(news)), None);
 }
 
-pub(super) fn press(state: &mut State, code: KeyCode) -> Option<Effect> {
-    state.update(Event::Key(KeyEvent::new(code, KeyModifiers::NONE)))
-}
-
-pub(super) fn letter(state: &mut State, letter: char) -> Option<Effect> {
-    press(state, KeyCode::Char(letter))
+pub(super) fn press(state: &mut State, press: Press) -> Option<Effect> {
+    state.update(Event::Press(press))
 }
 
 pub(super) fn begun(guess_first: bool) -> State {
@@ -259,10 +248,8 @@ pub(super) fn searching(guess_first: bool) -> State {
         ("cogging", 0.4),
         ("voltage_drop", 0.02),
     ] {
-        hear(
-            &mut state,
-            News::Progress(Found::Screened { effect, share }),
-        );
+        let screened = Found::Screened { effect, share };
+        hear(&mut state, News::Progress(screened));
     }
     let refitted = Found::Refitted {
         effect: "stribeck_friction",
@@ -281,7 +268,7 @@ pub(super) fn answered() -> State {
 /// After the effect was added.
 pub(super) fn at_the_floor() -> State {
     let mut state = answered();
-    letter(&mut state, 'a');
+    press(&mut state, Press::Add);
     hear(&mut state, added("stribeck_friction", true));
     hear(&mut state, News::Diagnosed(Box::new(nothing_more())));
     state
@@ -295,4 +282,11 @@ pub(super) fn terminal(state: &State, width: u16, height: u16) -> Terminal<TestB
 
 pub(super) fn text(state: &State, width: u16, height: u16) -> String {
     terminal(state, width, height).backend().to_string()
+}
+
+pub(super) fn shows(state: &State, parts: &[&str]) {
+    let shown = text(state, 80, 24);
+    for part in parts {
+        assert!(shown.contains(part), "{part}: {shown}");
+    }
 }

@@ -1,12 +1,12 @@
-use crossterm::event::KeyCode;
 use insta::assert_snapshot;
 use proptest::prelude::*;
 
 use super::fixtures::{
-    added, answered, at_the_floor, begun, diagnosis, hear, letter, press, searching, terminal, text,
+    added, answered, at_the_floor, begun, diagnosis, hear, press, searching, terminal, text,
 };
 use crate::diagnosis::{DiagnosisVerdict, Event as Found};
 use crate::tui::diagnosis::state::{Over, State};
+use crate::tui::keys::Press;
 use crate::workflow::News;
 
 #[test]
@@ -23,8 +23,8 @@ fn the_answer_and_the_ladder() {
     assert_snapshot!("answered_40x10", text(&answered(), 40, 10));
     assert_snapshot!("at_the_floor_80x24", text(&at_the_floor(), 80, 24));
     let mut refused = answered();
-    press(&mut refused, KeyCode::Down);
-    letter(&mut refused, 'a');
+    press(&mut refused, Press::Move(1));
+    press(&mut refused, Press::Add);
     hear(&mut refused, added("cogging", false));
     assert_snapshot!("refused_80x24", text(&refused, 80, 24));
 }
@@ -32,7 +32,7 @@ fn the_answer_and_the_ladder() {
 #[test]
 fn what_lies_over_the_screen() {
     let mut state = answered();
-    press(&mut state, KeyCode::Enter);
+    press(&mut state, Press::Open);
     assert_snapshot!("card_80x24", text(&state, 80, 24));
     state.over = Over::Map(0);
     assert_snapshot!("map_80x24", text(&state, 80, 24));
@@ -60,12 +60,12 @@ fn state() -> impl Strategy<Value = State> {
         (0..400_usize).prop_map(Over::Help),
         (0..3_usize, 0..40_usize).prop_map(|(index, row)| Over::Curve(index, row)),
     ];
-    let verdict = prop_oneof![
-        Just(DiagnosisVerdict::Effect),
-        Just(DiagnosisVerdict::Ambiguous),
-        Just(DiagnosisVerdict::None),
-        Just(DiagnosisVerdict::Unexplained),
-    ];
+    let verdict = prop::sample::select(vec![
+        DiagnosisVerdict::Effect,
+        DiagnosisVerdict::Ambiguous,
+        DiagnosisVerdict::None,
+        DiagnosisVerdict::Unexplained,
+    ]);
     (
         0..5_usize,
         over,
@@ -110,7 +110,7 @@ fn state() -> impl Strategy<Value = State> {
                 step.error = *number;
             }
             for _ in 0..down {
-                press(&mut state, KeyCode::Down);
+                press(&mut state, Press::Move(1));
             }
             state.over = over;
             state.title.clone_from(&words);
@@ -161,6 +161,6 @@ fn the_selected_row_is_always_in_sight() {
     for _ in 0..40 {
         let shown = text(&state, 80, 24);
         assert!(shown.contains('▶'), "{shown}");
-        press(&mut state, KeyCode::Down);
+        press(&mut state, Press::Move(1));
     }
 }

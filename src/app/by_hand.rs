@@ -1,0 +1,306 @@
+//! The diagnosis by hand: its screen on this thread, the analysis on another; the model file.
+
+use std::fmt::Write as _;
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::ending::{Watched, spawn, watched};
+use super::failure::Failure;
+use super::files::model_file;
+use super::{output, signals};
+use crate::diagnosis::{Diagnosis, NextExperiment};
+use crate::plant::FileHistory;
+use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit};
+use crate::workflow::{Discovery, News, Order};
+
+/// Where a model goes for which no name was given.
+const MODEL: &str = "model.toml";
+
+/// What the screen and the model file say of the runs.
+pub(crate) struct Shown {
+    pub(crate) title: String,
+    pub(crate) guess_first: bool,
+    /// Run that the model is fitted on.
+    pub(crate) fitted_on: String,
+    /// Of the model that the diagnosis began with.
+    pub(crate) history: FileHistory,
+    pub(crate) output: Option<PathBuf>,
+}
+
+/// How things stand with the model.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Standing {
+    /// The latest answer; none before the first.
+    pub(crate) diagnosis: Option<Diagnosis>,
+    /// The run that was recommended with it; none where there is none, or it was not waited for.
+    pub(crate) next: Option<NextExperiment>,
+    /// What was changed by hand, each with the held-out error after it.
+    changes: Vec<String>,
+    /// Changes that the answer does not know of: it was not waited for.
+    since: usize,
+    /// Where the model was written to.
+    written: Vec<String>,
+}
+
+impl Standing {
+    fn hear(&mut self, news: &News) {
+        let (sign, result) = match news {
+            News::Added(result) => ("+", result),
+            News::Removed(result) => ("-", result),
+            News::Diagnosed(diagnosis) => {
+                self.diagnosis = Some((**diagnosis).clone());
+                (self.next, self.since) = (None, 0);
+                return;
+            }
+            News::Recommended(next) => return self.next = Some((**next).clone()),
+            News::Written(text) => return self.written.push(text.clone()),
+            _ => return,
+        };
+        if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
+            let (effect, error) = (result.effect, rung.holdout_rmse);
+            let change = format!("{sign} {effect}: held-out error {error:.2} times the noise");
+            self.changes.push(change);
+            self.since += 1;
+        }
+    }
+
+    /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
+    pub(crate) fn heading(&self) -> String {
+        let changes = self.changes.iter();
+        let lines: Vec<String> = changes
+            .map(|change| format!("by hand: {change}\n"))
+            .collect();
+        let mut text = lines.concat();
+        if self.since > 0 {
+            let last = match self.since {
+                1 => "change".to_owned(),
+                last => format!("{last} changes"),
+            };
+            let _ = writeln!(
+                text,
+                "left before there was an answer to that model: what follows is about the model without the last {last}"
+            );
+        }
+        text
+    }
+}
+
+/// How the screen was left.
+pub(crate) struct Left {
+    exit: Exit,
+    hang_up: Arc<AtomicBool>,
+    pub(crate) standing: Standing,
+}
+
+impl Left {
+    /// Ctrl-C or a signal, which may come until the very end.
+    pub(crate) fn is_interrupted(&self) -> bool {
+        self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
+    }
+}
+
+/// Shows the screen until it is left.
+pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
+    let hang_up = signals::flag()?;
+    let (orders, ordered) = channel();
+    let (told, news) = channel();
+    let sources = DiagnosisSources {
+        title: shown.title.clone(),
+        guess_first: shown.guess_first,
+        news,
+        orders,
+        hang_up: Arc::clone(&hang_up),
+    };
+    let standing = Arc::new(Mutex::new(Standing::default()));
+    let gone = Arc::new(AtomicBool::new(false));
+    let (heard, is_left) = (Arc::clone(&standing), Arc::clone(&gone));
+    // Never joined: an analysis in progress has nothing to put down, and ends with the program.
+    spawn("diagnosis", move || {
+        work(discovery, &shown, &ordered, &told, &heard, &is_left);
+    })?;
+    let held = output::hold();
+    let closed = AtomicBool::new(false);
+    let exit = watched(
+        move || tui::show(DiagnosisScreen::new(sources)),
+        || closed.store(true, Ordering::Release),
+        || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
+    );
+    {
+        // A model that is being written is finished; one that was not begun is not begun any more.
+        let _whole = signals::writing();
+        gone.store(true, Ordering::Release);
+    }
+    drop(held);
+    let standing = lock(&standing).clone();
+    // The screen that said so is gone.
+    standing
+        .written
+        .iter()
+        .for_each(|text| output::message(text));
+    let exit = match exit? {
+        Watched::Left(Exit::WorkerPanicked) => {
+            return Err(Failure::internal("the analysis has panicked"));
+        }
+        Watched::Left(exit) => exit,
+        // Closed, most likely: nothing is energised, and a model that was written is there.
+        Watched::Failed(reason) => {
+            let headline = format!("the screen has failed: {reason}");
+            return Err(Failure::interrupted(headline));
+        }
+        Watched::Panicked(said) => {
+            let headline = format!("the screen has panicked ({said})");
+            return Err(Failure::internal(headline));
+        }
+    };
+    Ok(Left {
+        exit,
+        hang_up,
+        standing,
+    })
+}
+
+fn lock(standing: &Mutex<Standing>) -> MutexGuard<'_, Standing> {
+    standing.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Carries orders out until the screen has gone.
+fn work(
+    mut discovery: Discovery,
+    shown: &Shown,
+    ordered: &Receiver<Order>,
+    told: &Sender<News>,
+    standing: &Mutex<Standing>,
+    gone: &AtomicBool,
+) {
+    let tell = |news: News| {
+        lock(standing).hear(&news);
+        // A screen that has gone needs no news.
+        let _ = told.send(news);
+    };
+    while let Ok(order) = ordered.recv() {
+        if order == Order::Write {
+            tell(match write(&discovery, shown, gone) {
+                Ok(path) => News::Written(format!("model written to {}", path.display())),
+                Err(reason) => News::NotWritten(reason),
+            });
+        } else {
+            discovery.carry_out(order, &tell);
+        }
+    }
+}
+
+/// The model as it stands, in a new file.
+fn write(discovery: &Discovery, shown: &Shown, gone: &AtomicBool) -> Result<PathBuf, String> {
+    let fitted = discovery.fitted().ok_or("there is no fitted model yet")?;
+    let (run, floor) = (Some(shown.fitted_on.clone()), fitted.noise.source);
+    let file = model_file(fitted, &shown.history, run, discovery.ladder(), floor);
+    let wanted = shown.output.as_deref().unwrap_or_else(|| Path::new(MODEL));
+    write_new(wanted, &file.to_toml(), gone)
+}
+
+/// Copies that are tried beside a name that is taken.
+const MOST_COPIES: u32 = 1000;
+
+/// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ... Once the
+/// screen is `gone`, nothing: the program may end in the middle of it.
+fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, String> {
+    let _whole = signals::writing();
+    if gone.load(Ordering::Acquire) {
+        return Err("the screen was left".to_owned());
+    }
+    for copy in 1..=MOST_COPIES {
+        let path = if copy == 1 {
+            wanted.to_owned()
+        } else {
+            let stem = wanted.file_stem().unwrap_or_default().to_string_lossy();
+            let ending = wanted.extension().unwrap_or_default().to_string_lossy();
+            let dot = if ending.is_empty() { "" } else { "." };
+            wanted.with_file_name(format!("{stem}-{copy}{dot}{ending}"))
+        };
+        let made = std::fs::File::create_new(&path);
+        match made.and_then(|mut file| file.write_all(text.as_bytes())) {
+            Ok(()) => return Ok(path),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(format!("{}: {error}", path.display())),
+        }
+    }
+    Err(format!(
+        "{}: {MOST_COPIES} files of that name exist",
+        wanted.display()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::{DiagnosisVerdict, Evidence};
+    use crate::plant::testing::with_a_fan;
+    use crate::plant::{Model, Motor};
+
+    #[test]
+    fn a_name_that_is_taken_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let wanted = folder.path().join("model.toml");
+        let gone = AtomicBool::new(false);
+        let names: Vec<String> = ["first", "second", "third"]
+            .into_iter()
+            .map(|text| {
+                let path = write_new(&wanted, text, &gone).unwrap();
+                assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+                path.file_name().unwrap().to_string_lossy().into_owned()
+            })
+            .collect();
+        assert_eq!(names, ["model.toml", "model-2.toml", "model-3.toml"]);
+        assert_eq!(std::fs::read_to_string(&wanted).unwrap(), "first");
+        let nowhere = folder.path().join("missing/model.toml");
+        assert!(write_new(&nowhere, "text", &gone).is_err());
+        gone.store(true, Ordering::Release);
+        assert!(write_new(&folder.path().join("late.toml"), "text", &gone).is_err());
+        assert!(!folder.path().join("late.toml").exists());
+    }
+
+    /// A motor with a fan, which is not in the model; at rest for long enough to know the noise.
+    fn discovery() -> Discovery {
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        Discovery::new(Model::baseline(Motor::zk_22fc()), evidence)
+    }
+
+    #[test]
+    fn what_is_left_behind_is_about_the_model_as_it_stands() {
+        let mut discovery = discovery();
+        let standing = Mutex::new(Standing::default());
+        let now = || standing.lock().unwrap().clone();
+        // As if the screen were left in the middle: the answer is old, and it is said so.
+        let between = Mutex::new(None);
+        for order in [Order::Diagnose, Order::Add("quadratic_load")] {
+            discovery.carry_out(order, &|news| {
+                standing.lock().unwrap().hear(&news);
+                if let News::Added(_) = news {
+                    *between.lock().unwrap() = Some(now());
+                }
+            });
+            if order == Order::Diagnose {
+                assert_eq!(now().heading(), "");
+                assert_eq!(now().diagnosis.unwrap().effect, Some("quadratic_load"));
+            }
+        }
+        let between = between.into_inner().unwrap().unwrap();
+        let heading = between.heading();
+        assert!(
+            heading.starts_with("by hand: + quadratic_load: held-out error "),
+            "{heading}"
+        );
+        assert!(heading.contains("without the last change"), "{heading}");
+        let last = now();
+        let answered = &last.diagnosis.as_ref().unwrap().baseline.model;
+        assert_eq!(answered.effect_ids(), ["quadratic_load"]);
+        assert_eq!(
+            last.diagnosis.as_ref().unwrap().verdict,
+            DiagnosisVerdict::None
+        );
+        assert_eq!(last.heading().lines().count(), 1, "{}", last.heading());
+    }
+}

@@ -1,0 +1,532 @@
+//! Runs and models that a command judges: read, checked against what cannot be true, and against each other.
+//!
+//! ```text
+//! run, model, hold-out, confirming run --> sanity of the data --> can the others judge it? --> Evidence, notes, cautions
+//! ```
+
+use std::cell::OnceCell;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use super::failure::Failure;
+use super::files::read_model;
+use super::{output, progress};
+use crate::diagnosis::{
+    Evidence, Fingerprint, HoldoutFrom, Kinship, fingerprint, matches, shared_samples,
+};
+use crate::identification::sanity::{self, Finding, Kind};
+use crate::identification::{lost_rows, start};
+use crate::plant::{Model, ModelFile, Motor, Scenario, Slot};
+use crate::recording::LoadedRun;
+use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
+
+/// Shortest hold-out, s: twenty blocks that hold some transients of the current each.
+const SHORTEST_S: f64 = 1.0;
+/// Share of a hold-out's samples that may be those of the fitted run.
+const MOST_SHARED: f64 = 0.5;
+/// One sample of so many without a value is worth a word.
+const MANY_MISSING: usize = 10;
+/// A time without rows that is worth a word: so many mean periods, and so many seconds.
+const LONG_GAP: f64 = 50.0;
+const LONG_GAP_S: f64 = 0.2;
+
+/// The files that a command names.
+#[derive(Clone, Copy)]
+pub(crate) struct EvidenceFiles<'a> {
+    pub(crate) run: &'a Path,
+    /// Without it the run folder's, else a fitted baseline.
+    pub(crate) model: Option<&'a Path>,
+    pub(crate) holdout: Option<&'a Path>,
+    pub(crate) confirm: Option<&'a Path>,
+}
+
+/// What a command that judges a model does with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Judging {
+    /// Compares the model as given.
+    AsGiven,
+    /// Refits the given model: a record that excites nothing still has the verdict that nothing can be said.
+    Refits,
+    /// Has no model but the one that it fits to the data.
+    FitsFirst,
+}
+
+/// A model with the place it came from.
+pub(crate) struct ChosenModel {
+    pub(crate) file: ModelFile,
+    pub(crate) from: String,
+}
+
+/// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
+pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel, Failure> {
+    let in_folder = run.folder.as_ref().map(|folder| folder.join("model.toml"));
+    let in_folder = in_folder.filter(|file| file.exists());
+    let Some(path) = path.map(Path::to_owned).or(in_folder) else {
+        output::message("no model given: the five-parameter baseline is fitted to the run first");
+        let file = ModelFile {
+            model: Model::baseline(Motor::new("fitted")),
+            ..ModelFile::default()
+        };
+        let from = "baseline".to_owned();
+        return Ok(ChosenModel { file, from });
+    };
+    Ok(ChosenModel {
+        file: read_model(&path)?,
+        from: path.display().to_string(),
+    })
+}
+
+/// What a screen or a page calls the data: runs that were set aside are not among them.
+pub(crate) struct About {
+    /// The fitted run and what is held out, by the last part of their names.
+    pub(crate) title: String,
+    /// The runs that are used, the one that is fitted first.
+    pub(crate) runs: Vec<PathBuf>,
+    /// Whether something speaks against the hold-out that is used all the same.
+    pub(crate) holdout_objected: bool,
+}
+
+/// Everything that `compare`, `diagnose`, `add` and `remove` need.
+pub(crate) struct Prepared {
+    pub(crate) run: LoadedRun,
+    pub(crate) model: ChosenModel,
+    pub(crate) evidence: Evidence,
+    pub(crate) about: About,
+}
+
+impl Prepared {
+    /// A result as JSON, with what is to be known of the data.
+    pub(crate) fn result(&self, found: &impl Serialize) -> Value {
+        let mut value = serde_json::to_value(found).unwrap_or_default();
+        value["rows_dropped"] = self.run.run.rows_dropped.into();
+        value["notes"] = self.run.run.notes.clone().into();
+        value
+    }
+}
+
+/// Opens what the command names, the fitted run first (`load` is told whether it is another); data that it cannot judge
+/// end it.
+pub(crate) fn prepare(
+    files: EvidenceFiles<'_>,
+    load: impl Fn(&Path, bool) -> Result<LoadedRun, Failure>,
+    judging: Judging,
+) -> Result<Prepared, Failure> {
+    progress::stage("reads the runs", 0);
+    let mut run = load(files.run, false)?;
+    let mut model = model(files.model, &run)?;
+    let fit_run = Scenario::from_run(&run.run)?;
+    let judging = if model.from == "baseline" {
+        Judging::FitsFirst
+    } else {
+        judging
+    };
+    before_judging(&mut run.run, &fit_run, &model.file.model, judging)?;
+    let found = cautions(&run.run, &fit_run);
+    output::warn(&found);
+    run.run.notes.extend(found);
+    let mut others = Vec::new();
+    let mut other = |path: Option<&Path>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
+        let Some(path) = path else { return Ok(None) };
+        let loaded = load(path, true)?;
+        let scenario = Scenario::from_run(&loaded.run)?;
+        let found = cautions(&loaded.run, &scenario);
+        output::warn(&found);
+        others.extend(found);
+        Ok(Some((loaded, scenario)))
+    };
+    name_voltage(&run.run, &fit_run);
+    let limited = limited_note(&run.run);
+    if let Some(note) = limited.filter(|_| fit_run.input_channel == Channel::VoltageCmd) {
+        output::message(&note);
+        run.run.notes.push(note);
+    }
+    progress::stage("finds where the fit starts", 0);
+    model.file.model = start::complete(&model.file.model, &fit_run)?;
+    let (holdout, confirm) = (other(files.holdout)?, other(files.confirm)?);
+    let notes = &mut run.run.notes;
+    notes.extend(others);
+    let judge = Judge {
+        model: &model.file.model,
+        fitted: &fit_run,
+        judging,
+        fingerprint: OnceCell::new(),
+    };
+    let instead = "the last 40 % of the run are held out instead";
+    let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
+    let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
+    let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes));
+    let evidence = Evidence::new(fit_run, holdout, confirm);
+    let is_run = evidence.holdout_from == HoldoutFrom::Run;
+    let holdout = files.holdout.filter(|_| is_run);
+    if judging == Judging::AsGiven {
+        let fitted = was_fitted_on(&model.file.history.fitted_on, files.run, holdout);
+        objected |= fitted.is_some();
+        output::warn(fitted.as_slice());
+        notes.extend(fitted);
+    }
+    let name = |path: &Path| {
+        let last = path.file_name().unwrap_or_default();
+        last.to_string_lossy().into_owned()
+    };
+    let judged_by = holdout.map_or_else(
+        || "last 40 % held out".to_owned(),
+        |holdout| format!("held out {}", name(holdout)),
+    );
+    let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
+    let used = [Some(files.run), holdout, confirm];
+    let about = About {
+        title: format!("{}, {judged_by}", name(files.run)),
+        runs: used.into_iter().flatten().map(Path::to_owned).collect(),
+        holdout_objected: objected && is_run,
+    };
+    Ok(Prepared {
+        run,
+        model,
+        evidence,
+        about,
+    })
+}
+
+/// Names the column that serves as the voltage, where it is not the only one or not the first choice.
+pub(crate) fn name_voltage(run: &Run, scenario: &Scenario) {
+    match scenario.input_channel {
+        Channel::VoltageCmd => output::message("voltage_cmd_v serves as the voltage"),
+        Channel::Voltage if run.column(Channel::VoltageCmd).is_some() => {
+            output::message("voltage_v serves as the voltage, not the voltage_cmd_v beside it");
+        }
+        _ => {}
+    }
+}
+
+/// How often the command was not what the motor had.
+fn limited_note(run: &Run) -> Option<String> {
+    let limited = run.limited_rows().len();
+    let instead = if run.points(Channel::Voltage).count() == 0 {
+        "what the motor had was not measured: smaller steps would leave the command in force"
+    } else {
+        "there the measured voltage serves"
+    };
+    (limited > 0)
+        .then(|| format!("a limit of the drive held its output at {limited} samples; {instead}"))
+}
+
+/// Whether another run can judge the fit: of the same motor, moving, long enough, and not the data that are fitted.
+struct Judge<'a> {
+    model: &'a Model,
+    fitted: &'a Scenario,
+    judging: Judging,
+    fingerprint: OnceCell<Option<Fingerprint>>,
+}
+
+impl Judge<'_> {
+    /// `other` where it can serve as what `role` says, and whether something speaks against it. Where it cannot, the reason
+    /// goes to stderr and to `notes`, and a command that fits goes on without it; one that compares a model as given
+    /// compares all the same.
+    fn admit(
+        &self,
+        role: &str,
+        other: Option<(LoadedRun, Scenario)>,
+        instead: &str,
+        notes: &mut Vec<String>,
+    ) -> (Option<Scenario>, bool) {
+        let Some((loaded, scenario)) = other else {
+            return (None, false);
+        };
+        let Some((reason, forbids)) = self.objection(&loaded.run, &scenario) else {
+            return (Some(scenario), false);
+        };
+        let sets_aside = forbids && self.judging != Judging::AsGiven;
+        note(
+            notes,
+            if sets_aside {
+                format!("{role}: {reason}; it is not used, {instead}")
+            } else {
+                format!("{role}: {reason}")
+            },
+        );
+        ((!sets_aside).then_some(scenario), true)
+    }
+
+    /// What speaks against it, and whether nothing can be judged by it.
+    fn objection(&self, run: &Run, scenario: &Scenario) -> Option<(String, bool)> {
+        if shared_samples(self.fitted, scenario) > MOST_SHARED {
+            let same = "its samples are those of the run that is fitted, so that it tests nothing";
+            return Some((same.to_owned(), true));
+        }
+        let times = &scenario.sample_time_s;
+        let length_s = times[times.len() - 1] - times[0];
+        if length_s < SHORTEST_S {
+            let short = format!("it lasts {length_s:.3} s, and at least {SHORTEST_S} s are needed");
+            return Some((short, true));
+        }
+        let findings = sanity::examine(run, scenario, self.model);
+        if let Some(finding) = findings.iter().find(|finding| finding.refuses) {
+            let is_of_map = matches!(finding.kind, Kind::Unit | Kind::Swapped | Kind::Reversed);
+            let help = finding.help.replace("--map ", "--map-holdout ");
+            let help = if is_of_map && !help.is_empty() {
+                format!("; {help}")
+            } else {
+                String::new()
+            };
+            return Some((format!("{}{help}", finding.sentence), true));
+        }
+        let (model, fitted) = (self.model, self.fitted);
+        let here = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
+        let found = matches(here?, fingerprint(model, scenario)?);
+        (found.kinship != Kinship::Same).then(|| (found.sentence, found.kinship == Kinship::Other))
+    }
+}
+
+/// To stderr and into the result.
+fn note(notes: &mut Vec<String>, sentence: String) {
+    output::warn(std::slice::from_ref(&sentence));
+    notes.push(sentence);
+}
+
+/// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
+fn was_fitted_on(fitted_on: &[String], run: &Path, holdout: Option<&Path>) -> Option<String> {
+    let judge = holdout.unwrap_or(run);
+    let mut names = fitted_on.iter();
+    let name = names.find(|name| is_same(Path::new(name), judge))?;
+    Some(if holdout.is_some() {
+        format!(
+            "hold-out: the model was fitted on it (its file names {name}), so that its held-out figures are those of a fit and \
+             test nothing"
+        )
+    } else {
+        format!(
+            "the model was fitted on this run (its file names {name}): what is held out, its last 40 %, may have been fitted \
+             too; give another run with --holdout"
+        )
+    })
+}
+
+/// Whether two paths are of one run; a folder that is no longer there is known by its name.
+fn is_same(recorded: &Path, path: &Path) -> bool {
+    let folder = |path: &Path| {
+        let is_samples = path.file_name().is_some_and(|name| name == "samples.csv");
+        let parent = path.parent().filter(|_| is_samples);
+        parent.unwrap_or(path).to_owned()
+    };
+    match (recorded.canonicalize(), path.canonicalize()) {
+        (Ok(recorded), Ok(path)) => folder(&recorded) == folder(&path),
+        _ => folder(recorded).file_name() == folder(path).file_name(),
+    }
+}
+
+/// Whether a confirming run is another than the hold-out, which selected; else the reason goes to stderr and to `notes`.
+fn had_no_part(confirm: &Scenario, holdout: Option<&Scenario>, notes: &mut Vec<String>) -> bool {
+    let shared = holdout.map_or(0.0, |holdout| shared_samples(holdout, confirm));
+    if shared > MOST_SHARED {
+        let sentence = "confirming run: its samples are those of the hold-out, which selected; it is not used, nothing is confirmed";
+        note(notes, sentence.to_owned());
+    }
+    shared <= MOST_SHARED
+}
+
+/// What a run does not say by itself: rows without a voltage, signals without values, times without rows.
+fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
+    let (mut cautions, name) = (Vec::new(), &run.name);
+    let channel = scenario.input_channel;
+    cautions.extend(lost_rows::sentence(run, scenario));
+    let whole = scenario.unknown_input.is_empty();
+    if let (true, Channel::Voltage, Some(cells)) = (whole, channel, run.column(channel)) {
+        let begin_s = scenario.begin_s();
+        let rows = run.time_s().iter().zip(cells);
+        let rows = rows.filter(|(time_s, _)| **time_s >= begin_s);
+        let missing = rows.clone().filter(|(_, cell)| !cell.is_finite()).count();
+        if missing > 0 {
+            let (key, rows) = (channel.key(), rows.count());
+            cautions.push(format!(
+                "{name}: {key} is empty in {missing} of {rows} rows: the value before is taken as held there"
+            ));
+        }
+    }
+    for (channel, cells) in [
+        (Channel::Current, &scenario.current_a),
+        (Channel::Speed, &scenario.speed_rad_s),
+    ] {
+        let missing = cells.iter().filter(|cell| !cell.is_finite()).count();
+        if run.column(channel).is_none() || missing * MANY_MISSING < cells.len() {
+            continue;
+        }
+        let (key, samples) = (channel.key(), cells.len());
+        cautions.push(if missing == samples {
+            format!("{name}: {key} has no value in any sample: it counts as not measured")
+        } else {
+            format!("{name}: {key} is missing in {missing} of {samples} samples: they are left out")
+        });
+    }
+    let times = &scenario.sample_time_s;
+    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let pairs = times.windows(2);
+    let longest = pairs.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    if let Some([from_s, to_s]) = longest
+        && whole
+        && to_s - from_s > LONG_GAP * period_s
+        && to_s - from_s > LONG_GAP_S
+    {
+        cautions.push(format!(
+            "{name}: no rows between {from_s:.3} s and {to_s:.3} s: the voltage is taken as held through it, and what the motor \
+             really did there is taken for an error of the model; cut the file there"
+        ));
+    }
+    cautions
+}
+
+/// Origin and side of each signal that the run has, for JSON.
+pub(crate) fn signals(run: &Run) -> Value {
+    let there = |channel: &Channel| run.column(*channel).is_some();
+    let entries = Channel::ALL.into_iter().filter(there).map(|channel| {
+        let origin = run.origin(channel).name();
+        let side = run.side(channel).map(Side::name);
+        (
+            channel.key().to_owned(),
+            json!({ "origin": origin, "side": side }),
+        )
+    });
+    Value::Object(entries.collect::<Map<_, _>>())
+}
+
+/// Looks at the data before `identify` does. What forbids an answer ends the command, with a result in which every
+/// parameter is null; cautions go to stderr and to the notes of the run.
+pub(crate) fn before_identify(
+    run: &mut Run,
+    scenario: &Scenario,
+    model: &Model,
+    require: &[String],
+    json: bool,
+) -> Result<Vec<Finding>, Failure> {
+    let findings = sanity::examine(run, scenario, model);
+    let Some(refusal) = findings.iter().find(|finding| finding.refuses) else {
+        caution(run, &findings);
+        return Ok(findings);
+    };
+    let slots = model.slots();
+    let parameters = slots.iter().map(|slot| {
+        let value = serde_json::to_value(unanswered(slot, model, refusal));
+        (slot.key(), value.unwrap_or_default())
+    });
+    let value = json!({
+        "scheme": null,
+        "parameters": parameters.collect::<Map<_, _>>(),
+        "rows": run.rows(),
+        "rows_used": scenario.samples(),
+        "rows_dropped": run.rows_dropped,
+        "input": scenario.input_channel.key(),
+        "signals": signals(run),
+        "findings": findings,
+        "notes": notes(run, &findings),
+    });
+    if json {
+        output::result(&value, true, |_| String::new())?;
+    }
+    let others = findings.iter().filter(|finding| *finding != refusal);
+    output::warn(
+        &others
+            .map(|other| other.sentence.clone())
+            .collect::<Vec<_>>(),
+    );
+    let what = match require {
+        [] => "nothing".to_owned(),
+        keys => keys.join(", "),
+    };
+    Err(cannot_identify(&what, refusal))
+}
+
+/// Looks at the data before a command that judges a model; what cannot be judged ends it, the rest is cautions.
+fn before_judging(
+    run: &mut Run,
+    scenario: &Scenario,
+    model: &Model,
+    judging: Judging,
+) -> Result<(), Failure> {
+    let findings = sanity::examine(run, scenario, model);
+    let forbids = |finding: &&Finding| {
+        let excites_nothing = matches!(finding.kind, Kind::Steady | Kind::Standstill);
+        finding.refuses
+            && match judging {
+                Judging::AsGiven => false,
+                Judging::Refits => !excites_nothing,
+                Judging::FitsFirst => true,
+            }
+    };
+    if let Some(refusal) = findings.iter().find(forbids) {
+        return Err(cannot_identify("nothing", refusal));
+    }
+    caution(run, &findings);
+    Ok(())
+}
+
+fn cannot_identify(what: &str, refusal: &Finding) -> Failure {
+    let can = if what == "nothing" { "can" } else { "cannot" };
+    let headline = format!("{what} {can} be identified: {}", refusal.sentence);
+    Failure::not_identifiable(headline, &refusal.help)
+}
+
+fn notes(run: &Run, findings: &[Finding]) -> Vec<String> {
+    let found = findings.iter().map(|finding| finding.sentence.clone());
+    run.notes.iter().cloned().chain(found).collect()
+}
+
+fn caution(run: &mut Run, findings: &[Finding]) {
+    for finding in findings {
+        output::warn(&[format!("{}; {}", finding.sentence, finding.help)]);
+    }
+    run.notes = notes(run, findings);
+}
+
+/// No value, with the reason; what the user fixed stays as given.
+fn unanswered(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEstimate {
+    let key = slot.key();
+    match model.get(slot) {
+        Some(value) if model.fixed.contains(&key) => ParameterEstimate {
+            key,
+            value: Some(value),
+            std: Some(0.0),
+            unit: slot.unit(),
+            verdict: Verdict::Fixed,
+            reason: None,
+        },
+        _ => ParameterEstimate::not_observable(&key, slot.unit(), refusal.sentence.clone()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir(&path).unwrap();
+            path
+        };
+        let (fit, select) = (run("20260101T000000Z-fit"), run("20260101T000000Z-select"));
+        let history = [fit.display().to_string()];
+        // The record moved since.
+        let moved = ["/gone/20260101T000000Z-fit".to_owned()];
+        let samples = fit.join("samples.csv");
+        let of_a_fit = Some("held-out figures are those of a fit");
+        for (case, history, run, holdout, expected) in [
+            ("hold-out", &history, &select, Some(&fit), of_a_fit),
+            ("its samples", &history, &select, Some(&samples), of_a_fit),
+            ("moved", &moved, &select, Some(&fit), of_a_fit),
+            ("same run", &history, &fit, None, Some("its last 40 %")),
+            // The run that a model was fitted on may stand beside one that it was not.
+            ("beside", &history, &fit, Some(&select), None),
+            ("another", &history, &select, None, None),
+        ] {
+            let warning = was_fitted_on(history, run, holdout.map(PathBuf::as_path));
+            let is_told = match (&warning, expected) {
+                (Some(warning), Some(part)) => warning.contains(part),
+                (warning, expected) => warning.is_none() && expected.is_none(),
+            };
+            assert!(is_told, "{case}: {warning:?}");
+        }
+    }
+}

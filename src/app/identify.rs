@@ -1,0 +1,170 @@
+//! The parameters of one run or of several of the same machine: each run by its scheme, then what they say together.
+
+use std::fmt::Write as _;
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use super::evidence::before_identify;
+use super::failure::Failure;
+use super::files::{fitted, read_text};
+use super::output;
+use crate::bench::MotorSection;
+use crate::config_text;
+use crate::identification::added_inertia::{self, Seen};
+use crate::identification::kalman::LoadTrace;
+use crate::identification::nameplate::Comparison;
+use crate::identification::repeat::Repeated;
+use crate::identification::scheme::{self, Data, Identified};
+use crate::identification::{claims, lost_rows, temperature, voltage_departure};
+use crate::plant::{Model, ModelFile, Motor, MotorKey, Scenario};
+use crate::recording::LoadedRun;
+use crate::sample::{Channel, ParameterEstimate, Verdict};
+
+/// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
+/// per cent either way.
+const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
+
+/// One run with what was found in it.
+pub(crate) struct OneRun {
+    pub(crate) loaded: LoadedRun,
+    pub(crate) scenario: Scenario,
+    pub(crate) found: Identified,
+}
+
+/// Everything that `identify` answers.
+pub(crate) struct Answer {
+    pub(crate) runs: Vec<OneRun>,
+    pub(crate) combined: Vec<Repeated>,
+    /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
+    pub(crate) absolute: Option<Vec<ParameterEstimate>>,
+    pub(crate) gear_ratio: Option<f64>,
+    pub(crate) nameplate: Option<Comparison>,
+    /// What the found values, each sound by itself, say together that cannot be.
+    pub(crate) caution: Option<String>,
+}
+
+impl Answer {
+    /// What the model file, `--require` and the exit status go by.
+    pub(crate) fn parameters(&self) -> Vec<ParameterEstimate> {
+        let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
+        let absolute = self.absolute.iter().flatten().filter(|p| is_usable(p));
+        let replaced = |key: &str| absolute.clone().any(|p| p.key == key);
+        let kept = of_runs.filter(|p| !replaced(&p.key));
+        kept.chain(absolute.clone()).cloned().collect()
+    }
+
+    /// Writes the model: `file` with what was found. What was not observable stays as it was given, or is left out.
+    pub(crate) fn write(&self, path: &Path, mut file: ModelFile) -> Result<(), Failure> {
+        output::refuse_existing(path, "--output")?;
+        let mut parameters = self.parameters();
+        parameters.retain(is_usable);
+        file.model = Identified::new("", &file.model, parameters.clone()).model;
+        let names = self.runs.iter().map(|run| run.loaded.run.name.clone());
+        file.history.fitted_on = names.collect();
+        file.history.fitted = fitted(&parameters);
+        output::file(path, &file.to_toml())
+    }
+}
+
+/// A value that may be used: found or given, and not forbidden by physics or by where its signals come from.
+pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
+    parameter.value.is_some() && parameter.verdict != Verdict::Invalid
+}
+
+/// The motor of a nameplate file.
+pub(crate) fn plate(path: &Path) -> Result<Motor, Failure> {
+    let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
+    Ok(file.motor())
+}
+
+/// Identifies one run by the scheme of this name, else by that which its signals suggest.
+pub(crate) fn identify(
+    mut loaded: LoadedRun,
+    model: &Model,
+    scheme: Option<&str>,
+    require: &[String],
+    json: bool,
+) -> Result<OneRun, Failure> {
+    let scenario = Scenario::from_run(&loaded.run)?;
+    let findings = before_identify(&mut loaded.run, &scenario, model, require, json)?;
+    let run = &loaded.run;
+    let scheme = match scheme {
+        Some(id) => scheme::find(id)?,
+        None => scheme::default_for(&scenario),
+    };
+    let mut found = scheme.identify(&Data {
+        run,
+        scenario: &scenario,
+        model,
+    })?;
+    if scenario.input_channel == Channel::VoltageCmd
+        && let Some(departure) = voltage_departure::find(run)
+    {
+        departure.limit(&mut found.parameters);
+        found.notes.push(departure.sentence());
+    }
+    claims::doubt(&mut found.parameters, &findings);
+    let limits = claims::limit(&mut found.parameters, run, &scenario);
+    found.notes.extend(limits);
+    found.notes.extend(lost_rows::sentence(run, &scenario));
+    let found = temperature::complete(found, run, &scenario);
+    Ok(OneRun {
+        loaded,
+        scenario,
+        found,
+    })
+}
+
+/// The absolute scale from a run of the same machine with `added_kg_m2` on its shaft.
+pub(crate) fn absolute(
+    without: &OneRun,
+    with: &OneRun,
+    added_kg_m2: f64,
+) -> Result<Vec<ParameterEstimate>, Failure> {
+    let seen = |run: &'_ OneRun| run.found.model.motor.torque_constant();
+    let (Some(kt_without), Some(kt_with)) = (seen(without), seen(with)) else {
+        return Err(Failure::not_identifiable(
+            "neither run carries a torque constant to start from",
+            "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
+        ));
+    };
+    let without = Seen {
+        parameters: &without.found.parameters,
+        torque_n_m_per_a: kt_without,
+    };
+    let with = Seen {
+        parameters: &with.found.parameters,
+        torque_n_m_per_a: kt_with,
+    };
+    Ok(added_inertia::absolute(&without, &with, added_kg_m2))
+}
+
+/// Kt above Ke would be a machine that gives more power than it takes; far below, most of it would be lost in the iron.
+pub(crate) fn caution(
+    combined: &[Repeated],
+    absolute: Option<&[ParameterEstimate]>,
+) -> Option<String> {
+    let of = |key: MotorKey| move |p: &&ParameterEstimate| p.key == key.key();
+    let kt = absolute?.iter().find(of(MotorKey::TorqueConstant))?.value?;
+    let mut found = combined.iter().map(|repeated| &repeated.estimate);
+    let ke = found.find(of(MotorKey::BackEmf))?.value?;
+    let ratio = kt / ke;
+    (!PLAUSIBLE_RATIO.contains(&ratio)).then(|| {
+        format!(
+            "Kt is {ratio:.2} times Ke, {:.2} to {:.2} is plausible: check the added inertia, the shaft it is given on, \
+             and that both runs are of the same machine",
+            PLAUSIBLE_RATIO.start(),
+            PLAUSIBLE_RATIO.end()
+        )
+    })
+}
+
+/// The load torque over time as a file.
+pub(crate) fn trace_csv(trace: &LoadTrace) -> String {
+    let mut csv = "time_s,load_torque_n_m,load_torque_std_n_m\n".to_owned();
+    for point in &trace.points {
+        let (time_s, torque, std) = (point.time_s, point.load_torque_n_m, point.std_n_m);
+        let _ = writeln!(csv, "{time_s},{torque},{std}");
+    }
+    csv
+}

@@ -1,0 +1,458 @@
+//! Arguments that commands have in common: runs with their columns, a line to a unit, a run on a live drive.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::failure::Failure;
+use super::output;
+use crate::app::evidence::{EvidenceFiles, Judging, Prepared, prepare};
+use crate::app::files::{load, read_text};
+use crate::app::{Audience, MYSTERY, RigOptions, Tap};
+use crate::bench::{BenchFile, Port, Waivers};
+use crate::drive::{Framing, RawClient, RawSettings, Target, standard_gap_s};
+use crate::identification::sanity;
+use crate::recording::{ColumnMap, LoadedRun};
+use crate::sample::{Channel, Origin, Run, Side};
+use crate::workflow::ProgressCell;
+
+/// How foreign columns are read.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct MapArguments {
+    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755; a factor may be
+    /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the last sign of a command that was not zero, for a speed without one
+    /// (speed_rad_s=rpm*0.104719755*sign(duty))
+    #[arg(long, value_name = "MAP")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    map: Option<String>,
+    /// Another map for the hold-out and the confirming run
+    #[arg(long, value_name = "MAP")]
+    map_holdout: Option<String>,
+    /// Where signals come from, as voltage_v=commanded,current_a=supply: measured, estimated, commanded; terminal, supply
+    #[arg(long, value_name = "KEY=WORD,...")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    origin: Option<Provenance>,
+}
+
+impl MapArguments {
+    /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
+    pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
+        self.load_with(path, self.map.as_deref())
+    }
+
+    fn load_with(&self, path: &Path, map: Option<&str>) -> Result<LoadedRun, Failure> {
+        let map = map.map(str::parse::<ColumnMap>).transpose()?;
+        let items = map.as_ref().map(ColumnMap::items).unwrap_or_default();
+        // A header that names another unit than its target's, with no factor in the map.
+        let finding = items.iter().find_map(|item| {
+            let target = item.target.map_or("time_s", Channel::key);
+            sanity::of_header(target, &item.header, item.scaled)
+        });
+        if let Some(finding) = finding {
+            return Err(Failure::usage(finding.sentence, finding.help));
+        }
+        let mut loaded = load(path, map.as_ref())?;
+        if let Some(provenance) = &self.origin {
+            provenance.apply(&mut loaded.run);
+        }
+        Ok(loaded)
+    }
+}
+
+/// Where the signals of a file come from, as the user knows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Provenance {
+    origins: Vec<(Channel, Origin)>,
+    sides: Vec<(Channel, Side)>,
+}
+
+impl FromStr for Provenance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut provenance = Self::default();
+        for item in text.split(',').map(str::trim).filter(|i| !i.is_empty()) {
+            let (key, word) = item
+                .split_once('=')
+                .ok_or_else(|| format!("{item:?} is not of the form KEY=WORD"))?;
+            let (key, word) = (key.trim(), word.trim());
+            let channel = Channel::from_key(key).ok_or_else(|| {
+                let keys = Channel::ALL.map(Channel::key).join(", ");
+                format!("unknown signal {key:?} (allowed: {keys})")
+            })?;
+            let origin = Origin::ALL.into_iter().find(|origin| origin.name() == word);
+            let side = Side::ALL.into_iter().find(|side| side.name() == word);
+            let has_sides = matches!(
+                channel,
+                Channel::Voltage | Channel::VoltageCmd | Channel::Current
+            );
+            match (origin, side) {
+                (Some(origin), _) => provenance.origins.push((channel, origin)),
+                (None, Some(side)) if has_sides => provenance.sides.push((channel, side)),
+                (None, Some(_)) => {
+                    return Err(format!(
+                        "{item:?}: only a voltage or a current is of the terminal or the supply side"
+                    ));
+                }
+                (None, None) => {
+                    let origins = Origin::ALL.map(Origin::name).join(", ");
+                    let sides = Side::ALL.map(Side::name).join(", ");
+                    return Err(format!(
+                        "{item:?}: {word:?} is not allowed (allowed: {origins}, {sides})"
+                    ));
+                }
+            }
+        }
+        Ok(provenance)
+    }
+}
+
+impl Provenance {
+    fn apply(&self, run: &mut Run) {
+        for &(channel, origin) in &self.origins {
+            run.set_origin(channel, origin);
+        }
+        for &(channel, side) in &self.sides {
+            run.set_side(channel, side);
+        }
+    }
+}
+
+/// Fit run, hold-out and confirming run of a command, and the model that they judge.
+#[derive(Args, Clone, Debug)]
+pub(super) struct EvidenceArguments {
+    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
+    #[arg(long, value_name = "RUN2")]
+    holdout: Option<PathBuf>,
+    /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
+    #[arg(long, value_name = "RUN3")]
+    confirm: Option<PathBuf>,
+    #[command(flatten)]
+    map: MapArguments,
+}
+
+impl EvidenceArguments {
+    /// Opens the runs and the model; data that cannot be judged end the command.
+    pub(super) fn prepare(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+    ) -> Result<Prepared, Failure> {
+        let files = EvidenceFiles {
+            run,
+            model,
+            holdout: self.holdout.as_deref(),
+            confirm: self.confirm.as_deref(),
+        };
+        let map = &self.map;
+        let load = |path: &Path, is_other: bool| {
+            let own = map.map_holdout.as_deref().filter(|_| is_other);
+            map.load_with(path, own.or(map.map.as_deref()))
+        };
+        prepare(files, load, judging)
+    }
+}
+
+/// Options of the commands that talk to any Modbus unit.
+#[derive(Args, Clone, Debug)]
+pub(super) struct WireArguments {
+    /// Serial port (Modbus RTU), or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT", conflicts_with = "host")]
+    port: Option<String>,
+    /// Address of a Modbus TCP server
+    #[arg(long, value_name = "HOST:PORT")]
+    host: Option<String>,
+    /// Baud rate of a serial port
+    #[arg(long, value_name = "BAUD", default_value_t = 115_200, value_parser = clap::value_parser!(u32).range(1..))]
+    baud: u32,
+    /// Characters of a serial port: 8N1, 8E1, 8O1 or 8N2
+    #[arg(long, value_name = "FRAMING", default_value = "8N1", value_parser = framing)]
+    framing: Framing,
+    /// Address of the unit on the line
+    #[arg(long, value_name = "UNIT", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
+    unit: u8,
+    /// Time for one reply
+    #[arg(long, value_name = "MS", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=60_000))]
+    timeout_ms: u64,
+    /// Silence before a request over a serial line; without it what the standard says for the baud rate
+    #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
+    gap_us: Option<u64>,
+    /// The same in ms; 0 for a peer that needs no silence to tell frames apart
+    #[arg(long, value_name = "MS", conflicts_with = "gap_us", value_parser = gap_ms)]
+    gap: Option<f64>,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+}
+
+pub(super) fn framing(text: &str) -> Result<Framing, String> {
+    match text.to_ascii_uppercase().as_str() {
+        "8N1" => Ok(Framing::EightNoneOne),
+        "8E1" => Ok(Framing::EightEvenOne),
+        "8O1" => Ok(Framing::EightOddOne),
+        "8N2" => Ok(Framing::EightNoneTwo),
+        _ => Err("expected 8N1, 8E1, 8O1 or 8N2".to_owned()),
+    }
+}
+
+/// Longest silence before a request that may be asked for, ms.
+const LONGEST_GAP_MS: f64 = 1000.0;
+
+fn gap_ms(text: &str) -> Result<f64, String> {
+    let ms = text.parse().ok();
+    ms.filter(|ms| (0.0..=LONGEST_GAP_MS).contains(ms))
+        .ok_or_else(|| format!("{text:?} is not a number of ms from 0 to {LONGEST_GAP_MS}"))
+}
+
+impl WireArguments {
+    pub(super) fn target(&self) -> Result<Target, Failure> {
+        let text = match (&self.port, &self.host) {
+            (Some(port), _) => port.clone(),
+            (None, Some(host)) => format!("tcp:{}", host.strip_prefix("tcp:").unwrap_or(host)),
+            (None, None) => {
+                return Err(Failure::usage(
+                    "no port is given",
+                    "give --port PATH or --host HOST:PORT; `drivebench ports` lists what is plugged in",
+                ));
+            }
+        };
+        Ok(text.parse()?)
+    }
+
+    pub(super) fn settings(&self) -> RawSettings {
+        let gap = self.gap.map(|ms| Duration::from_secs_f64(ms * 1e-3));
+        RawSettings {
+            baud: self.baud,
+            framing: self.framing,
+            unit: self.unit,
+            timeout: Duration::from_millis(self.timeout_ms),
+            gap: gap.or(self.gap_us.map(Duration::from_micros)),
+        }
+    }
+
+    pub(super) fn tap(&self) -> Result<Tap, Failure> {
+        Tap::create(self.tap.as_deref())
+    }
+
+    pub(super) fn open(&self, tap: &Tap) -> Result<RawClient, Failure> {
+        open_line(&self.target()?, &self.settings(), tap)
+    }
+}
+
+/// A line with these settings; a silence below that of the standard is the user's choice, and said.
+pub(super) fn open_line(
+    target: &Target,
+    settings: &RawSettings,
+    tap: &Tap,
+) -> Result<RawClient, Failure> {
+    let client = RawClient::open(target, settings, tap.file())?;
+    if let (Some(gap), Target::Serial { baud, .. }) = (settings.gap, target) {
+        let (baud, framing) = (baud.unwrap_or(settings.baud), settings.framing);
+        let (gap_s, standard_s) = (gap.as_secs_f64(), standard_gap_s(baud, framing));
+        if gap_s < standard_s {
+            output::message(&format!(
+                "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that tells frames by silence may take two for one",
+                1e3 * gap_s,
+                1e3 * standard_s,
+                framing.name()
+            ));
+        }
+    }
+    Ok(client)
+}
+
+/// Options of every command that may energise a motor.
+#[derive(Args, Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches of a command line, each independent of the others"
+)]
+pub(super) struct LiveArguments {
+    /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
+    pub(super) bench: Option<PathBuf>,
+    /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time) or emulator; overrides the bench file
+    #[arg(long, value_name = "PORT")]
+    port: Option<String>,
+    /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
+    /// only, which it does not choose
+    #[arg(long, value_name = "EMULATOR")]
+    emulator: Option<String>,
+    /// Seed of the software drive: draws the specimen and the sensor noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Hide an effect that this number draws in the emulated motor; the truth is sealed into the folder of runs
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
+    mystery: Option<u64>,
+    /// Where run folders are made
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    out: PathBuf,
+    /// No screen and no question: progress on stderr, the result on stdout, and the motor starts once the checks have passed.
+    /// So too with --json, and where stdout is no terminal
+    #[arg(long)]
+    headless: bool,
+    /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
+    #[arg(long)]
+    hardware: bool,
+    #[command(flatten)]
+    waive: Waive,
+    /// First clear a fault that the drive has latched, as after a killed host; then go on as without it: the motor turns
+    #[arg(long)]
+    reset_fault: bool,
+    /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
+    /// drive's watchdog time and 10 s; beside a screen until Space, q or Ctrl-C ends the search
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    reopen_s: Option<f64>,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+    /// Print JSON; as with --headless there is no question before the motor starts
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl LiveArguments {
+    /// Without a terminal, and for JSON, there is no screen.
+    pub(super) fn is_headless(&self) -> bool {
+        use std::io::IsTerminal;
+        self.headless || self.json || !std::io::stdout().is_terminal()
+    }
+
+    /// Who looks at the run.
+    pub(super) fn audience(&self, progress: Option<ProgressCell>) -> Audience {
+        if self.is_headless() {
+            Audience::Headless
+        } else {
+            Audience::Screen(progress)
+        }
+    }
+
+    /// What is asked of the rig.
+    pub(super) fn options(&self, escalate: bool) -> Result<RigOptions, Failure> {
+        Ok(RigOptions {
+            bench: self.bench_file()?,
+            out: self.out.clone(),
+            headless: self.is_headless(),
+            hardware: self.hardware,
+            escalate,
+            waivers: self.waive.waivers(),
+            reset_fault: self.reset_fault,
+            reopen_s: self.reopen_s,
+            tap: self.tap.clone(),
+            mystery: self.mystery.is_some(),
+        })
+    }
+
+    /// The bench file with the command line's overrides.
+    fn bench_file(&self) -> Result<BenchFile, Failure> {
+        let mut bench = match &self.bench {
+            Some(path) => BenchFile::parse(&path.display().to_string(), &read_text(path)?)?,
+            None => BenchFile::embedded_default(),
+        };
+        if let Some(port) = &self.port {
+            if Port::parse(port).is_none() {
+                let headline = format!("--port {port:?} is not a port");
+                let help = "a serial port, tcp:HOST:PORT, sim: or emulator";
+                return Err(Failure::usage(headline, help));
+            }
+            bench.link.port.clone_from(port);
+        }
+        if let Some(emulator) = &self.emulator {
+            bench.emulator.config.clone_from(emulator);
+        }
+        if let Some(seed) = self.seed.or(self.mystery) {
+            bench.emulator.seed = seed;
+        }
+        if self.mystery.is_some() {
+            MYSTERY.clone_into(&mut bench.emulator.config);
+        }
+        Ok(bench)
+    }
+}
+
+/// Checks that may be gone without, each by its own word. What is waived stands in the manifest, the log and the messages.
+#[derive(Args, Clone, Copy, Debug)]
+#[expect(clippy::struct_field_names, reason = "the words of the command line")]
+struct Waive {
+    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
+    /// motor; the waiver is recorded
+    #[arg(long)]
+    waive_watchdog: bool,
+    /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded
+    #[arg(long)]
+    waive_direction: bool,
+    /// Go on although the pulse does not fit the nameplate; the waiver is recorded
+    #[arg(long)]
+    waive_plausibility: bool,
+}
+
+impl Waive {
+    const fn waivers(self) -> Waivers {
+        Waivers {
+            watchdog: self.waive_watchdog,
+            direction: self.waive_direction,
+            plausibility: self.waive_plausibility,
+        }
+    }
+}
+
+/// Longest time that may be asked for, s: a day.
+const MOST_S: f64 = 86_400.0;
+
+/// The time of `--reopen-s`.
+fn seconds(text: &str) -> Result<f64, String> {
+    let parsed = text.parse::<f64>();
+    let seconds = parsed.map_err(|_| "expected a number of seconds".to_owned())?;
+    let allowed = (0.0..=MOST_S).contains(&seconds);
+    allowed
+        .then_some(seconds)
+        .ok_or_else(|| format!("allowed: 0 (off) to {MOST_S} s"))
+}
+
+/// For commands that find a motor of which nothing is known.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(super) struct UnknownMotor {
+    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
+    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
+    #[arg(long)]
+    pub(super) escalate: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn words_set_origin_or_side_and_wrong_ones_are_named() {
+        let provenance: Provenance = "voltage_v=commanded, current_a=supply,current_a=measured"
+            .parse()
+            .unwrap();
+        let mut run = Run::new("r", vec![0.0, 1.0]).unwrap();
+        run.set_column(Channel::Current, vec![1.0, 2.0], Origin::Unknown)
+            .unwrap();
+        provenance.apply(&mut run);
+        assert_eq!(run.origin(Channel::Voltage), Origin::Commanded);
+        assert_eq!(
+            crate::app::evidence::signals(&run),
+            json!({ "current_a": { "origin": "measured", "side": "supply" } })
+        );
+        for (text, part) in [
+            ("volts=measured", "unknown signal"),
+            ("voltage_v", "KEY=WORD"),
+            ("voltage_v=guessed", "allowed: measured"),
+            ("speed_rad_s=supply", "only a voltage or a current"),
+        ] {
+            let error = text.parse::<Provenance>().unwrap_err();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! The event loop of every screen: keys and changes in, effects out, a frame after each change.
+
+use std::io;
+use std::os::fd::AsFd as _;
+use std::time::Duration;
+
+use crossterm::event::{self, Event as TerminalEvent};
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use ratatui::Frame;
+
+use super::keys::{Press, press};
+use super::terminal::Owned;
+use crate::bench::Intent;
+use crate::workflow::Order;
+
+/// Longest time between two looks at what a screen is told: 25 frames a second. A key is answered at once.
+const FRAME: Duration = Duration::from_millis(40);
+
+/// Why a screen was left. The motor's outcome is the worker's to tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// The work was over.
+    Finished,
+    /// `d` when the work was over: the diagnosis is to be gone on with by hand.
+    Diagnosis,
+    /// `q` before the end; the worker has been told to stop.
+    Quit,
+    /// Ctrl-C or a signal; the worker has stopped.
+    Interrupted,
+    /// Ctrl-C three times: the worker did not come back. Wait for it, but not for ever.
+    Forced,
+    /// Another thread panicked; its message is on standard error.
+    WorkerPanicked,
+}
+
+/// What a screen asks of the program.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Effect {
+    Send(Intent),
+    /// Nothing more is to be started, also between two runs, where nobody reads intents.
+    RequestStop,
+    Order(Order),
+    Leave(Exit),
+}
+
+/// A screen as a value, with its ends of the channels.
+pub trait Screen {
+    /// Takes in what it was told since; whether that was anything, and whether it is left for it.
+    fn look(&mut self) -> (bool, Option<Exit>);
+    /// Answers a key; whether it is left for it.
+    fn press(&mut self, press: Press) -> Option<Exit>;
+    /// Whether a panic of another thread is the end of it.
+    fn ends_with_a_panic(&self) -> bool;
+    fn draw(&self, frame: &mut Frame<'_>);
+}
+
+/// Shows a screen on the calling thread until it is left.
+///
+/// # Errors
+/// Standard output is not a terminal, or the terminal fails. A bench must not go on under a screen that has failed or
+/// panicked: that is for the caller to see to.
+pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
+    let mut owned = Owned::take()?;
+    let mut changed = true;
+    loop {
+        let (is_told, exit) = screen.look();
+        if let Some(exit) = exit {
+            return Ok(exit);
+        }
+        if owned.panicked_elsewhere() && screen.ends_with_a_panic() {
+            return Ok(Exit::WorkerPanicked);
+        }
+        if std::mem::take(&mut changed) || is_told {
+            owned.terminal.draw(|frame| screen.draw(frame))?;
+        }
+        // Asked of the terminal itself first: crossterm reads one that is gone for ever.
+        if is_gone(FRAME)? {
+            return Err(io::Error::other("the terminal is gone"));
+        }
+        while event::poll(Duration::ZERO)? {
+            changed = true;
+            // Everything else, as a change of size, only needs a new frame.
+            if let TerminalEvent::Key(key) = event::read()?
+                && let Some(exit) = press(key).and_then(|press| screen.press(press))
+            {
+                return Ok(exit);
+            }
+        }
+    }
+}
+
+/// Waits for a key, for `longest` at most; whether the terminal has been closed.
+pub fn is_gone(longest: Duration) -> io::Result<bool> {
+    let stdout = io::stdout();
+    let mut terminal = [PollFd::new(stdout.as_fd(), PollFlags::POLLIN)];
+    let timeout = PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO);
+    match poll(&mut terminal, timeout) {
+        // A signal, as that of a change of size, ends the wait.
+        Ok(_) | Err(Errno::EINTR) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
+    let seen = terminal[0].revents();
+    Ok(seen.is_some_and(|seen| seen.intersects(gone)))
+}

@@ -1,0 +1,199 @@
+//! What all screens have in common: the line of keys, the help, rules above panels, bars.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget, Wrap};
+
+use super::keys::{self, On};
+use super::theme;
+use crate::text::lines::{cut, wrapped};
+
+/// The smallest screen that can be read.
+const SMALLEST: (u16, u16) = (30, 6);
+/// Widest box of the help, with its frame.
+const WIDEST: u16 = 78;
+/// Column of the keys in the help.
+const KEYS: usize = 11;
+
+/// Whether nothing can be read in this area; then `word` says so in one line, with the key that matters most.
+pub(super) fn is_too_small(
+    word: &str,
+    key: &str,
+    style: Style,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> bool {
+    let is = area.width < SMALLEST.0 || area.height < SMALLEST.1;
+    if is {
+        let text = format!("{word}: {}x{}, {key}", area.width, area.height);
+        Line::styled(text, style).render(area, buffer);
+    }
+    is
+}
+
+/// The last lines: the answer to the last key, else the keys that fit, of which `always` is kept.
+pub(super) fn hints(
+    message: Option<&str>,
+    keys: &[&str],
+    always: &str,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let width = usize::from(area.width);
+    if let Some(message) = message {
+        let rows = wrapped(&format!("> {message}"), width.saturating_sub(1));
+        let style = theme::CAREFUL.patch(theme::BOLD);
+        let lines = rows
+            .into_iter()
+            .map(|row| Line::styled(format!(" {row}"), style));
+        Paragraph::new(lines.collect::<Vec<_>>()).render(area, buffer);
+    } else {
+        Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
+    }
+}
+
+/// The keys that fit into a row: `always` is kept, of the others as many as there is room for, the first first.
+fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
+    let length = |text: &str| text.chars().count();
+    let mut room = width.saturating_sub(1 + length(always));
+    let mut shown = String::from(" ");
+    for key in keys {
+        let needed = length(key) + 2;
+        if needed > room {
+            break;
+        }
+        room -= needed;
+        shown.push_str(key);
+        shown.push_str("  ");
+    }
+    shown + always
+}
+
+/// The keys of a screen and the meaning of its words, over the middle of it, from row `first` on; the last page stays
+/// full. The screen beneath stays live.
+pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer) {
+    let width = area.width.min(WIDEST);
+    let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
+    let height = area
+        .height
+        .min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
+    let place = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    let room = usize::from(height.saturating_sub(2));
+    let hidden = lines.len().saturating_sub(room);
+    let first = first.min(hidden);
+    let title = if hidden > 0 {
+        " help: Up Down scroll, any other key closes it "
+    } else {
+        " help, any key closes it "
+    };
+    Clear.render(place, buffer);
+    let shown: Vec<Line<'static>> = lines.into_iter().skip(first).take(room).collect();
+    let mut block = Block::bordered().title(title);
+    if first < hidden {
+        block = block.title_bottom(Line::from(" more below ").right_aligned());
+    }
+    Paragraph::new(shown).block(block).render(place, buffer);
+}
+
+fn help_lines(on: On, meanings: &[&str], width: usize) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    for (keys, meaning) in keys::help(on) {
+        let text = wrapped(meaning, width.saturating_sub(KEYS).max(1));
+        for (row, text) in text.into_iter().enumerate() {
+            let keys = if row == 0 { keys } else { "" };
+            let keys = Span::styled(format!(" {keys:<KEYS$}"), theme::BOLD);
+            lines.push(Line::from(vec![keys, Span::raw(text)]));
+        }
+    }
+    lines.push(Line::default());
+    for meaning in meanings {
+        let text = wrapped(meaning, width.saturating_sub(2).max(1));
+        for (row, text) in text.into_iter().enumerate() {
+            let indent = if row == 0 { " " } else { "   " };
+            lines.push(Line::raw(format!("{indent}{text}")));
+        }
+    }
+    lines
+}
+
+/// A rule with a title above a panel; returns what is left below it.
+pub(super) fn titled(title: &str, area: Rect, buffer: &mut Buffer) -> Rect {
+    titled_with(title, "", area, buffer)
+}
+
+/// The same with a word at the right end, where there is room for it.
+pub(super) fn titled_with(title: &str, right: &str, area: Rect, buffer: &mut Buffer) -> Rect {
+    let title = cut(title, usize::from(area.width).saturating_sub(2));
+    let needed = title.chars().count() + right.chars().count() + 5;
+    let mut block = Block::new()
+        .borders(Borders::TOP)
+        .border_style(theme::DIM)
+        .title(format!(" {title} "));
+    if !right.is_empty() && needed <= usize::from(area.width) {
+        block = block.title(Line::from(format!(" {right} ")).right_aligned());
+    }
+    let inner = block.inner(area);
+    block.render(area, buffer);
+    inner
+}
+
+/// The full and the empty part of a bar of `length` cells.
+pub(super) fn bar(share: f64, length: usize) -> (String, String) {
+    let share = if share.is_finite() {
+        share.clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let full = ((share * length as f64).round() as usize).min(length);
+    ("█".repeat(full), "░".repeat(length - full))
+}
+
+/// The same with colours.
+pub(super) fn bar_spans(share: f64, length: usize, style: Style) -> [Span<'static>; 2] {
+    let (full, empty) = bar(share, length);
+    [Span::styled(full, style), Span::styled(empty, theme::DIM)]
+}
+
+/// A title and its text as one paragraph of a page.
+pub(super) fn paragraph(title: &str, text: impl Into<String>) -> Line<'static> {
+    let title = Span::styled(format!("{title}: "), theme::BOLD);
+    Line::from(vec![title, Span::raw(text.into())])
+}
+
+/// Paragraphs from row `first` on; the last page stays full.
+pub(super) fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: &mut Buffer) {
+    let width = usize::from(area.width).max(1);
+    // Counted generously, as words are not broken between rows.
+    let rows = lines.iter().map(|line| 1 + line.width() * 5 / (4 * width));
+    let hidden = rows.sum::<usize>().saturating_sub(usize::from(area.height));
+    let offset = u16::try_from(first.min(hidden)).unwrap_or(u16::MAX);
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: true })
+        .scroll((offset, 0))
+        .render(area, buffer);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_keys_that_matter_are_never_cut_off() {
+        let keys = ["a add", "r remove", "e errors"];
+        for width in 16..60 {
+            let shown = keys_that_fit(&keys, "? help  q leave", width);
+            assert!(
+                shown.chars().count() <= width && shown.ends_with("q leave"),
+                "{shown}"
+            );
+        }
+        assert!(keys_that_fit(&keys, "q", 60).starts_with(" a add  r remove  e errors  q"));
+    }
+}

@@ -1,0 +1,165 @@
+//! The screen of a run: what the motor does, what is known of it, and the steps of the workflow around it.
+//!
+//! ```text
+//! LiveSources (cells of the worker) --> LiveScreen::look --> model (what is shown) --update--> Effect --> the worker
+//! +-----------------------------------------------+
+//! | target, phase, drive, rate, lost      Space = STOP
+//! | progress of the run; the step of the workflow |   view
+//! | a trip, the end, a question                   |
+//! | voltage, current, speed | parameters, link    |   scope | parameters   (or one of the other pages)
+//! | notices; keys                                 |
+//! +-----------------------------------------------+
+//! ```
+
+mod model;
+mod parameters;
+mod scope;
+mod view;
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+
+use ratatui::Frame;
+
+use super::application::{Effect, Exit, Screen};
+use super::keys::Press;
+use crate::bench::{Intent, SnapshotCell};
+use crate::workflow::ProgressCell;
+use model::{Event, Model};
+
+pub(super) use parameters::name as parameter_name;
+
+/// What the screen is given; the worker holds the other ends.
+#[derive(Debug)]
+pub struct LiveSources {
+    pub snapshots: SnapshotCell,
+    /// The steps of a workflow, where there is one.
+    pub workflow: Option<ProgressCell>,
+    pub intents: Sender<Intent>,
+    pub worker: WorkerCell,
+    /// Set with every stop: nothing more is to be started, also between two runs, where nobody reads intents.
+    pub stop_requested: Arc<AtomicBool>,
+    /// Set by signals (SIGTERM, SIGHUP): the screen closes by itself as soon as the worker has finished.
+    pub hang_up: Arc<AtomicBool>,
+}
+
+/// The screen with its ends of the channels.
+pub struct LiveScreen {
+    model: Model,
+    sources: LiveSources,
+}
+
+impl LiveScreen {
+    pub fn new(sources: LiveSources) -> Self {
+        Self {
+            model: Model::new(sources.workflow.as_ref().map(ProgressCell::latest)),
+            sources,
+        }
+    }
+
+    fn act(&mut self, event: Event) -> Option<Exit> {
+        let mut exit = None;
+        for effect in self.model.update(event) {
+            match effect {
+                // Between two runs nobody listens; `stop_requested` covers that.
+                Effect::Send(intent) => drop(self.sources.intents.send(intent)),
+                Effect::RequestStop => self.sources.stop_requested.store(true, Ordering::Release),
+                Effect::Leave(reason) => exit = Some(reason),
+                Effect::Order(_) => {}
+            }
+        }
+        exit
+    }
+
+    /// What has changed in the cells since the model last looked.
+    fn changes(&self) -> Vec<Event> {
+        let (model, sources) = (&self.model, &self.sources);
+        let mut events = Vec::new();
+        // The worker publishes before it finishes: read in the other order, the last snapshot cannot be missed.
+        let worker = sources
+            .worker
+            .state(sources.hang_up.load(Ordering::Acquire));
+        let snapshot = sources.snapshots.latest();
+        if !Arc::ptr_eq(&snapshot, &model.snapshot) {
+            events.push(Event::Snapshot(snapshot));
+        }
+        if let Some(latest) = sources.workflow.as_ref().map(ProgressCell::latest) {
+            let shown = model.workflow.as_ref();
+            if !shown.is_some_and(|shown| Arc::ptr_eq(shown, &latest)) {
+                events.push(Event::Workflow(latest));
+            }
+        }
+        if worker != model.worker {
+            events.push(Event::Worker(worker));
+        }
+        events
+    }
+}
+
+impl Screen for LiveScreen {
+    fn look(&mut self) -> (bool, Option<Exit>) {
+        let changes = self.changes();
+        let is_told = !changes.is_empty();
+        (
+            is_told,
+            changes.into_iter().find_map(|event| self.act(event)),
+        )
+    }
+
+    fn press(&mut self, press: Press) -> Option<Exit> {
+        self.act(Event::Press(press))
+    }
+
+    fn ends_with_a_panic(&self) -> bool {
+        self.model.is_finished()
+    }
+
+    fn draw(&self, frame: &mut Frame<'_>) {
+        view::view(&self.model, frame);
+    }
+}
+
+/// Whether the thread that does the work still works.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum WorkerState {
+    #[default]
+    Working,
+    /// Nothing more will happen; the screen stays until it is closed.
+    Finished,
+    /// Nothing more will happen and nobody may be there to press a key (SIGTERM, SIGHUP): the screen closes.
+    Leave,
+}
+
+/// How the worker tells the screen that it is done.
+#[derive(Clone, Debug, Default)]
+pub struct WorkerCell(Arc<AtomicBool>);
+
+impl WorkerCell {
+    /// The work counts as over when what is returned is dropped: held by the worker, it covers every return and a panic.
+    #[must_use = "the work counts as finished as soon as this is dropped"]
+    pub fn finish_on_drop(&self) -> FinishOnDrop {
+        FinishOnDrop(self.clone())
+    }
+
+    fn state(&self, hang_up: bool) -> WorkerState {
+        match (self.0.load(Ordering::Acquire), hang_up) {
+            (false, _) => WorkerState::Working,
+            (true, false) => WorkerState::Finished,
+            (true, true) => WorkerState::Leave,
+        }
+    }
+}
+
+/// See [`WorkerCell::finish_on_drop`].
+#[derive(Debug)]
+pub struct FinishOnDrop(WorkerCell);
+
+impl Drop for FinishOnDrop {
+    fn drop(&mut self) {
+        self.0.0.store(true, Ordering::Release);
+    }
+}

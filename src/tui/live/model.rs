@@ -1,0 +1,257 @@
+//! What is shown of a run, and what each event does to it. Pure: an update returns what the program is to do.
+
+use std::sync::Arc;
+
+use super::WorkerState;
+use crate::bench::{Intent, Phase, Snapshot, Target};
+use crate::sample::DriveState;
+use crate::tui::application::{Effect, Exit};
+use crate::tui::keys::Press;
+use crate::workflow::Progress;
+
+/// Lengths of the time axis that the zoom key goes through, s.
+pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
+/// This many Ctrl-C leave a worker that does not come back; the drive's watchdog is behind that.
+const FORCE: u8 = 3;
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Page {
+    #[default]
+    Live,
+    Parameters,
+    Steps,
+}
+
+impl Page {
+    pub(super) const ALL: [Self; 3] = [Self::Live, Self::Parameters, Self::Steps];
+
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Live => "live",
+            Self::Parameters => "parameters",
+            Self::Steps => "steps",
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Event {
+    Press(Press),
+    Snapshot(Arc<Snapshot>),
+    Workflow(Arc<Progress>),
+    Worker(WorkerState),
+}
+
+/// The state of the screen.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Model {
+    pub(super) snapshot: Arc<Snapshot>,
+    /// What scope and parameters show while the view is frozen; bars, notices and trips stay live.
+    pub(super) frozen: Option<Arc<Snapshot>>,
+    pub(super) workflow: Option<Arc<Progress>>,
+    pub(super) worker: WorkerState,
+    pub(super) page: Page,
+    /// First row of the help, where it is shown.
+    pub(super) help: Option<usize>,
+    /// On hardware a start is asked for twice.
+    pub(super) confirm_start: bool,
+    /// Index into [`ZOOM_S`].
+    pub(super) zoom: usize,
+    /// First line shown of the steps.
+    pub(super) scroll: usize,
+    pub(super) marks: u32,
+    /// Answer to the last key.
+    pub(super) message: Option<String>,
+    /// Leaves, and why, as soon as the worker has finished.
+    pub(super) leaving: Option<Exit>,
+    pub(super) interrupts: u8,
+}
+
+impl Model {
+    pub(super) fn new(workflow: Option<Arc<Progress>>) -> Self {
+        Self {
+            workflow,
+            ..Self::default()
+        }
+    }
+
+    /// The snapshot of the scope and the parameters.
+    pub(super) fn viewed(&self) -> &Snapshot {
+        self.frozen.as_ref().unwrap_or(&self.snapshot)
+    }
+
+    pub(super) fn is_finished(&self) -> bool {
+        self.worker != WorkerState::Working
+    }
+
+    fn shows_report(&self) -> bool {
+        let workflow = self.workflow.as_ref();
+        workflow.is_some_and(|workflow| !workflow.report.is_empty())
+    }
+
+    /// Whether the whole loop is over, so that its runs can be diagnosed by hand.
+    pub(super) fn has_report(&self) -> bool {
+        self.is_finished() && self.shows_report()
+    }
+
+    /// Whether the drive's output may be on, as far as the screen knows.
+    pub(super) fn is_energised(&self) -> bool {
+        let phase = self.snapshot.phase;
+        if self.is_finished() || phase.is_some_and(Phase::is_final) {
+            return false;
+        }
+        phase.is_some_and(Phase::is_recorded)
+            || self.snapshot.drive_state == Some(DriveState::Running)
+    }
+
+    pub(super) fn waits_for_start(&self) -> bool {
+        !self.is_finished() && matches!(self.snapshot.phase, Some(Phase::Safe | Phase::Armed))
+    }
+
+    pub(super) fn is_hardware(&self) -> bool {
+        self.snapshot.target == Target::Hardware
+    }
+
+    /// The pages that there are, in the order of the Tab key.
+    pub(super) fn pages(&self) -> &'static [Page] {
+        let last = if self.workflow.is_some() { 3 } else { 2 };
+        &Page::ALL[..last]
+    }
+
+    /// The page so many places after the one that is shown.
+    pub(super) fn neighbour(&self, by: usize) -> Page {
+        let pages = self.pages();
+        let here = pages.iter().position(|page| *page == self.page);
+        pages[(here.unwrap_or(0) + by) % pages.len()]
+    }
+
+    pub(super) const fn window_s(&self) -> f64 {
+        ZOOM_S[self.zoom]
+    }
+
+    pub(super) fn update(&mut self, event: Event) -> Vec<Effect> {
+        match event {
+            Event::Press(press) => return self.press(press),
+            Event::Worker(state) => return self.worker_is(state),
+            Event::Snapshot(snapshot) => {
+                self.snapshot = snapshot;
+                self.confirm_start &= self.waits_for_start();
+            }
+            Event::Workflow(workflow) => {
+                if !workflow.report.is_empty() && !self.shows_report() {
+                    // The answer that everything was done for.
+                    self.page = Page::Steps;
+                    self.scroll = workflow.steps.len();
+                }
+                self.workflow = Some(workflow);
+            }
+        }
+        Vec::new()
+    }
+
+    fn worker_is(&mut self, state: WorkerState) -> Vec<Effect> {
+        self.worker = state;
+        // What it came to, a failed check for instance, is told where the screen was.
+        let has_shown_nothing = self.snapshot.phase.is_none() && !self.shows_report();
+        let exit = match (state, self.leaving) {
+            (WorkerState::Working, _) => None,
+            (WorkerState::Finished, None) => has_shown_nothing.then_some(Exit::Finished),
+            (WorkerState::Leave, None) => Some(Exit::Finished),
+            (_, leaving) => leaving,
+        };
+        exit.map(Effect::Leave).into_iter().collect()
+    }
+
+    fn press(&mut self, press: Press) -> Vec<Effect> {
+        self.message = None;
+        let confirming = std::mem::take(&mut self.confirm_start);
+        match press {
+            Press::Stop => return self.stop(),
+            Press::Interrupt => return self.interrupt(),
+            Press::Move(rows) if self.help.is_some() => {
+                self.help = self
+                    .help
+                    .map(|row| row.saturating_add_signed(rows as isize));
+            }
+            _ if self.help.is_some() => self.help = None,
+            Press::Yes if confirming && self.waits_for_start() => {
+                return vec![Effect::Send(Intent::Start)];
+            }
+            _ if confirming => self.say("not started"),
+            Press::Quit => return self.quit(),
+            Press::Start if !self.waits_for_start() => self.say("nothing waits for a start"),
+            Press::Start if self.is_hardware() => self.confirm_start = true,
+            Press::Start => return vec![Effect::Send(Intent::Start)],
+            Press::ResetFault if self.is_energised() => self.say("stop first: Space"),
+            Press::ResetFault if self.snapshot.drive_state == Some(DriveState::Fault) => {
+                return vec![Effect::Send(Intent::ResetFault)];
+            }
+            Press::ResetFault => self.say("the drive reports no fault"),
+            Press::Mark if self.is_finished() => self.say("nothing is recorded any more"),
+            Press::Mark => {
+                self.marks += 1;
+                let text = format!("mark {}", self.marks);
+                self.say(format!("{text} set"));
+                return vec![Effect::Send(Intent::Mark(text))];
+            }
+            Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
+            Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
+            Press::Help => self.help = Some(0),
+            Press::Freeze => {
+                let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
+                self.frozen = shown;
+            }
+            Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
+            Press::NextScreen => self.page = self.neighbour(1),
+            Press::PreviousScreen => self.page = self.neighbour(self.pages().len() - 1),
+            Press::Page(index) => self.page = *self.pages().get(index).unwrap_or(&self.page),
+            Press::Move(rows) => self.scroll = self.scroll.saturating_add_signed(rows as isize),
+            _ => {}
+        }
+        Vec::new()
+    }
+
+    fn say(&mut self, text: impl Into<String>) {
+        self.message = Some(text.into());
+    }
+
+    fn stop(&mut self) -> Vec<Effect> {
+        self.say(if self.is_finished() {
+            "already over: nothing is energised, q = quit"
+        } else {
+            "STOP sent"
+        });
+        vec![Effect::Send(Intent::Stop), Effect::RequestStop]
+    }
+
+    fn interrupt(&mut self) -> Vec<Effect> {
+        self.interrupts = self.interrupts.saturating_add(1);
+        if self.is_finished() {
+            return vec![Effect::Leave(Exit::Interrupted)];
+        }
+        self.leaving = Some(Exit::Interrupted);
+        self.say("stopping, then quit");
+        let mut effects = vec![Effect::Send(Intent::Quit), Effect::RequestStop];
+        if self.interrupts >= FORCE {
+            effects.push(Effect::Leave(Exit::Forced));
+        }
+        effects
+    }
+
+    fn quit(&mut self) -> Vec<Effect> {
+        if self.is_finished() {
+            return vec![Effect::Leave(Exit::Finished)];
+        }
+        if self.is_energised() {
+            self.say("stop first: Space");
+            return Vec::new();
+        }
+        if self.leaving.is_some() {
+            return vec![Effect::Leave(Exit::Quit)];
+        }
+        // An intent to start may be under way: the worker must have seen this one before the screen goes.
+        self.leaving = Some(Exit::Quit);
+        self.say("quitting as soon as the work in hand is put down; q again: now");
+        vec![Effect::Send(Intent::Quit), Effect::RequestStop]
+    }
+}
