@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::failure::{Failure, INTERNAL};
 use super::{output, progress};
-use crate::workflow::reproduce::discovery::MysteryAnswer;
+use crate::workflow::reproduce::study::MysteryAnswer;
 
 /// Commissions `count` mystery drives, the first with `seed`. `None` where it was interrupted: a part of a study would not be
 /// the study.

@@ -10,7 +10,7 @@ use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::{mysteries, output, progress, signals};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
-use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery, files, records};
+use crate::workflow::reproduce::study::{self, Answer, Outcome, Size, Study, files, records};
 
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
@@ -135,7 +135,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// What the diagnosis says of the records in the folder that was given; before the study, which takes long.
-fn real_records(arguments: &Arguments) -> Result<Vec<reproduce::discovery::RecordAnswer>, Failure> {
+fn real_records(arguments: &Arguments) -> Result<Vec<study::RecordAnswer>, Failure> {
     let Some(folder) = &arguments.records else {
         return Ok(Vec::new());
     };
@@ -155,7 +155,7 @@ fn real_records(arguments: &Arguments) -> Result<Vec<reproduce::discovery::Recor
 }
 
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-fn study(arguments: &Arguments) -> Result<reproduce::discovery::Discovery, Failure> {
+fn study(arguments: &Arguments) -> Result<Study, Failure> {
     let size = Size {
         sets: arguments.sets.unwrap_or(1),
         seed: arguments.seed.unwrap_or(1),
@@ -182,7 +182,7 @@ fn study(arguments: &Arguments) -> Result<reproduce::discovery::Discovery, Failu
         size.machines()
     ));
     progress::stage("excites and diagnoses machines", size.machines());
-    let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
+    let mut found = study::run(size, &interrupted, tell).ok_or_else(ended)?;
     if size.sets > 0 {
         progress::stage("asks what lines do to a measurement", 0);
         found.lines = Some(reproduce::lines::line_study(LINE_RUNS_BESIDE, size.seed));

@@ -2,8 +2,29 @@
 
 use std::fmt::Write;
 
-use super::escape::escape;
-use super::style::{SCRIPT, STYLE};
+/// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
+pub(super) const STYLE: &str = include_str!("page.css");
+/// A cursor with values over the plots; the page is complete without it.
+const SCRIPT: &str = include_str!("page.js");
+
+/// Text made safe inside HTML and SVG, in content and in quoted attributes alike; control characters, which no HTML may
+/// hold, become U+FFFD.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            '\n' | '\t' => out.push(character),
+            control if control.is_control() => out.push('\u{fffd}'),
+            other => out.push(other),
+        }
+    }
+    out
+}
 
 /// How a statement is to be taken; shown by a word and a mark, the colour only repeats it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
 use super::page::{Cell, Page, Table, Tone};
-use super::plot::{Panel, PanelPlot, Series, Style};
+use super::plot::{Panel, Style, TIME, stacked};
 use super::{Context, Facts, tables};
 use crate::plant::Model;
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
@@ -75,7 +75,7 @@ impl RunReport<'_> {
         }
         page.section("Signals");
         page.figure(
-            plot(run).svg("recorded signals over time"),
+            stacked("recorded signals over time", TIME, &panels(run)),
             "A line is broken where samples are missing.",
         );
         if let Some(speed_loop) = self.speed_loop {
@@ -160,23 +160,8 @@ const fn origin(origin: Origin) -> &'static str {
 }
 
 /// One panel per quantity; a command shares the panel of what it commands.
-fn plot(run: &Run) -> PanelPlot {
+fn panels(run: &Run) -> [Panel; 7] {
     let end_s = run.time_s().last().copied().unwrap_or(0.0);
-    let series = |channel: Channel| {
-        let label = if channel.is_commanded() {
-            "command"
-        } else {
-            channel.name()
-        };
-        if channel.is_commanded() {
-            let events: Vec<(f64, f64)> = run.points(channel).collect();
-            Series::held(label, Style::Command, &events, end_s)
-        } else {
-            let nothing = Vec::new();
-            let values = run.column(channel).unwrap_or(&nothing);
-            Series::sampled(label, Style::After, run.time_s(), values)
-        }
-    };
     let groups: [&[Channel]; 7] = [
         &[Channel::VoltageCmd, Channel::Voltage],
         &[Channel::Current],
@@ -186,22 +171,23 @@ fn plot(run: &Run) -> PanelPlot {
         &[Channel::Bus],
         &[Channel::Temperature],
     ];
-    let mut plot = PanelPlot::default();
-    for group in groups {
+    groups.map(|group| {
         let shown = group[group.len() - 1];
         let mut panel = Panel::new(shown.name(), shown.unit()).with_height(120.0);
-        for channel in group
-            .iter()
-            .filter(|channel| run.points(**channel).next().is_some())
-        {
-            panel = panel.with(series(*channel));
+        for &channel in group {
+            let events: Vec<(f64, f64)> = run.points(channel).collect();
+            let values = run.column(channel).unwrap_or_default();
+            panel = match events.is_empty() {
+                true => panel,
+                false if channel.is_commanded() => panel.held("command", &events, end_s),
+                false => panel.sampled(channel.name(), Style::After, run.time_s(), values),
+            };
         }
         if shown == Channel::Speed {
             panel = panel.with_second_unit("r/min", rpm_from_rad_s(1.0));
         }
-        plot = plot.with(panel);
-    }
-    plot
+        panel
+    })
 }
 
 #[cfg(test)]

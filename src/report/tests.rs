@@ -50,6 +50,14 @@ fn the_checker_sees_tags_that_cross() {
     assert_balanced("<p><b>x</p></b>");
 }
 
+#[test]
+fn markup_becomes_text() {
+    assert_eq!(
+        page::escape("<b a='1'>\"x\" & y</b>\u{0}"),
+        "&lt;b a=&#39;1&#39;&gt;&quot;x&quot; &amp; y&lt;/b&gt;\u{fffd}"
+    );
+}
+
 fn estimate(
     key: &str,
     value: f64,

@@ -25,11 +25,22 @@ pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
         .with(MotorKey::LoadTorque, LOAD_TORQUE_N_M)
 }
 
+pub(super) const COMPLETE: &str = "the motors of the figures are complete";
+
 /// A value of a motor from this file, which sets every one of them.
 pub(super) fn value(motor: &Motor, key: MotorKey) -> f64 {
-    motor
-        .get(key)
-        .expect("the motors of the figures are complete")
+    motor.get(key).expect(COMPLETE)
+}
+
+/// Ta, TM, Ke, J and Mc of a motor, as far as it has them.
+pub(super) fn figures(motor: &Motor) -> [Option<f64>; 5] {
+    [
+        motor.electrical_time_constant_s(),
+        motor.mechanical_time_constant_s(),
+        motor.get(MotorKey::BackEmf),
+        motor.get(MotorKey::Inertia),
+        motor.get(MotorKey::LoadTorque),
+    ]
 }
 
 pub(super) fn stamps(period_s: f64, samples: usize) -> Vec<f64> {
@@ -61,7 +72,7 @@ pub(super) fn driven(
 /// What the plant does under them.
 pub(super) fn simulated(motor: &Motor, scenario: &Scenario, from: State) -> Trajectory {
     Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
-        .expect("the motors of the figures are complete")
+        .expect(COMPLETE)
         .simulate(scenario, from)
 }
 

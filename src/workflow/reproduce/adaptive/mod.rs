@@ -33,8 +33,6 @@ const SIZES: Sizes = Sizes {
     start_rad_s: 250.0,
     load_n_m: 1.0,
 };
-/// Seed of the sensors' noise.
-const SEED: u64 = 1;
 
 /// Figures 5 to 7 of paper A.
 #[derive(Clone, Debug, Serialize)]

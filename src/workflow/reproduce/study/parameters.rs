@@ -31,7 +31,7 @@ fn key<S: serde::Serializer>(parameter: &MotorKey, serializer: S) -> Result<S::O
 }
 
 /// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL_SIGMAS: f64 = 1.96;
+pub(super) const INTERVAL_SIGMAS: f64 = 1.96;
 
 impl ParameterFinding {
     /// By how many of its standard deviations the value is off.

@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use super::{calibration, number, or_dash};
 use crate::report::reproduce::{Column, Reproduction, Section};
 use crate::text::number::{fixed, significant};
-use crate::workflow::reproduce::discovery::{
-    Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,
-    ParameterFinding, Tally, coverage_of, distinct, median_errors,
-};
 use crate::workflow::reproduce::lines::LineStudy;
+use crate::workflow::reproduce::study::{
+    Answer, Bounded, Excitation, Group, Matrix, MysteryAnswer, Outcome, ParameterFinding, Study,
+    Tally, coverage_of, distinct, median_errors,
+};
 
 /// Heads of the columns of the matrix: numbers, which a row's label explains.
 const NUMBERS: [&str; 40] = [
@@ -18,7 +18,7 @@ const NUMBERS: [&str; 40] = [
     "34", "35", "36", "37", "38", "39", "40",
 ];
 
-impl Discovery {
+impl Study {
     /// The page, which as Markdown is `docs/validation.md`.
     pub fn report(&self) -> Reproduction {
         Reproduction {

@@ -113,7 +113,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::emulator::EmulatorConfig;
-    use crate::workflow::reproduce::discovery::sizes::{KNOWN, WRONG_FORM, drawn};
+    use crate::workflow::reproduce::study::sizes::{KNOWN, WRONG_FORM, drawn};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -187,7 +187,7 @@ mod tests {
         ];
         let found = truths(&both, &motor);
         let names: Vec<&str> = found.iter().map(|truth| truth.names[0].0).collect();
-        let background = crate::workflow::reproduce::discovery::sizes::BACKGROUND;
+        let background = crate::workflow::reproduce::study::sizes::BACKGROUND;
         assert_eq!(names, background);
         assert_eq!(found[1].order, Some(7.0));
         assert!((found[2].names[0].1.unwrap() - 0.8e-3).abs() < 1e-12);
