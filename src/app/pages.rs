@@ -10,8 +10,7 @@ use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario};
 use crate::recording::Manifest;
 use crate::report::{CommissionReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target};
-use crate::sample::ParameterEstimate;
-use crate::workflow::{CommissionResult, NamedEstimate};
+use crate::workflow::CommissionResult;
 
 /// A report in both of its forms.
 pub(crate) struct Report {
@@ -108,17 +107,13 @@ pub(crate) fn commission(
         _ => None,
     };
     let truth: Vec<String> = result.truth.iter().map(truth_sentence).collect();
-    let (parameters_before, parameters_after) = (
-        estimates(&result.parameters_before),
-        estimates(&result.parameters),
-    );
     let report = CommissionReport {
         kind: "Commission",
         title: &rig.bench.name,
         context: &context,
         nameplate: Some(&nameplate),
-        parameters_before: &parameters_before,
-        parameters_after: &parameters_after,
+        parameters_before: &result.parameters_before,
+        parameters_after: &result.parameters,
         before: &result.before,
         after: added.then_some(&result.after),
         diagnosis,
@@ -145,10 +140,6 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
         "the answer is wrong"
     };
     format!("the emulator carries {carried}: {verdict}")
-}
-
-fn estimates(named: &[NamedEstimate]) -> Vec<ParameterEstimate> {
-    named.iter().map(|named| named.estimate.clone()).collect()
 }
 
 pub(crate) fn context(manifest: &Manifest, folders: &[&Path]) -> Context {

@@ -1,8 +1,8 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
-use super::page::{Cell, Page, Table, Tone};
+use super::page::{Page, Table, Tone};
 use super::plot::{Panel, Style, TIME, bars, stacked};
-use super::{Context, Target, compared, findings, tables};
+use super::{Context, Target, comparison, findings, tables};
 use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
@@ -63,17 +63,16 @@ impl CommissionReport<'_> {
     /// The page itself, for callers that have more to add.
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
+        let sufficient = self.diagnosis.sufficient;
         let (tone, word) = match self.diagnosis.verdict {
             DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
                 (Tone::Attention, "Effect found, not confirmed")
             }
-            DiagnosisVerdict::Effect if self.diagnosis.sufficient => (Tone::Good, "Effect found"),
+            DiagnosisVerdict::Effect if sufficient => (Tone::Good, "Effect found"),
             DiagnosisVerdict::Effect => (Tone::Attention, "Effect found, not sufficient"),
             DiagnosisVerdict::Ambiguous => (Tone::Attention, "Ambiguous"),
-            DiagnosisVerdict::None if !self.diagnosis.sufficient => {
-                (Tone::Attention, "Nothing found")
-            }
-            DiagnosisVerdict::None => (Tone::Good, "Nothing missing"),
+            DiagnosisVerdict::None if sufficient => (Tone::Good, "Nothing missing"),
+            DiagnosisVerdict::None => (Tone::Attention, "Nothing found"),
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };
         page.lead(tone, word, self.headline());
@@ -90,7 +89,7 @@ impl CommissionReport<'_> {
         tables::parameter_section(&mut page, self.nameplate, before, after);
         findings::effects(&mut page, self.diagnosis);
         self.comparison_section(&mut page);
-        compared::places(&mut page, &self.comparisons());
+        comparison::places(&mut page, &self.comparisons());
         findings::curves(&mut page, self.diagnosis);
         findings::candidates(&mut page, self.diagnosis);
         findings::next_run(&mut page, self.diagnosis);
@@ -118,21 +117,20 @@ impl CommissionReport<'_> {
     }
 
     fn headline(&self) -> String {
-        let mut sentence = capitalised(&self.diagnosis.sentence);
-        if let Some([before, after]) = self.confirm {
-            let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
-            let unit = self.unit_of_error();
-            let confirmed = if self.after.is_some() {
-                format!(
-                    ". On a run that neither fitted nor selected: {old} before, {new} after, in units of {unit}"
-                )
-            } else {
-                format!(". On a run that neither fitted nor selected: {old}, in units of {unit}")
-            };
-            sentence.push_str(&confirmed);
-        }
-        sentence.push('.');
-        sentence
+        let sentence = capitalised(&self.diagnosis.sentence);
+        let Some([before, after]) = self.confirm else {
+            return format!("{sentence}.");
+        };
+        let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
+        let errors = if self.after.is_some() {
+            format!("{old} before, {new} after")
+        } else {
+            old
+        };
+        format!(
+            "{sentence}. On a run that neither fitted nor selected: {errors}, in units of {}.",
+            self.unit_of_error()
+        )
     }
 
     /// Both comparisons with what their model is called; where nothing was added there is but one model.
@@ -182,21 +180,23 @@ impl CommissionReport<'_> {
                 "Where a perfect model would end is not known."
             },
         );
-        let rows = self.ladder.iter().enumerate().map(|(rung, model)| {
-            let change = rung.checked_sub(1).map_or("-".to_owned(), |below| {
-                percent(100.0 * (model.holdout_rmse / self.ladder[below].holdout_rmse - 1.0))
-            });
-            vec![
-                Cell::text(rung.to_string()),
-                Cell::text(rung_name(model)),
-                Cell::text(fixed(model.holdout_rmse, 2)),
-                Cell::text(change),
-            ]
-        });
-        page.table(Table {
-            head: vec!["rung", "model", "held-out error", "change"],
-            rows: rows.collect(),
-        });
+        let change = |rung: usize| {
+            let errors = (
+                self.ladder[rung].holdout_rmse,
+                self.ladder[rung - 1].holdout_rmse,
+            );
+            percent(100.0 * (errors.0 / errors.1 - 1.0))
+        };
+        page.table(
+            Table::of(self.ladder.iter().enumerate())
+                .column("rung", |(rung, _)| rung.to_string())
+                .column("model", |(_, model)| rung_name(model))
+                .column("held-out error", |(_, model)| fixed(model.holdout_rmse, 2))
+                .column("change", |(rung, _)| match rung {
+                    0 => "-".to_owned(),
+                    rung => change(*rung),
+                }),
+        );
     }
 
     fn comparison_section(&self, page: &mut Page) {
@@ -211,7 +211,7 @@ impl CommissionReport<'_> {
                 ),
             );
         }
-        compared::figures(page, &self.comparisons());
+        comparison::figures(page, &self.comparisons());
     }
 }
 

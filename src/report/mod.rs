@@ -12,10 +12,8 @@
 //! never NaN.
 
 pub mod commission;
-mod compared;
 pub mod comparison;
 pub mod conventions;
-mod failing;
 mod findings;
 pub mod page;
 pub mod plot;

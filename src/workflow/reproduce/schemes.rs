@@ -4,7 +4,6 @@
 //! A scheme is given what the paper gives it and nothing more: schemes 1 the resistance, schemes 2 the torque constant,
 //! every other one nothing at all.
 
-use rand::Rng as _;
 use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
@@ -74,19 +73,12 @@ fn record(
     noise: Option<SignalToNoise>,
 ) -> Record {
     let [ta_s, tm_s, ..] = figures(motor).map(|value| value.expect(COMPLETE));
-    let mut rng = random(seed, 1);
-    let mut volts = vec![0.0; REST_SAMPLES];
-    let mut high = true;
     // Between the time constants, but never the same length again and again: that would excite one frequency only.
     let shortest = whole(ta_s / period_s).max(1);
     let longest = whole(3.0 * tm_s / period_s).max(shortest + 3);
-    while volts.len() < samples {
-        let length = rng
-            .random_range(shortest..=longest)
-            .min(samples - volts.len());
-        volts.extend(std::iter::repeat_n(LEVELS_V[usize::from(high)], length));
-        high = !high;
-    }
+    let (rng, turning) = (&mut random(seed, 1), samples - REST_SAMPLES);
+    let mut volts = vec![0.0; REST_SAMPLES];
+    volts.extend(random_binary(rng, LEVELS_V, shortest..=longest, turning));
     let times = stamps(period_s, samples);
     let events = times.iter().copied().zip(volts.iter().copied()).collect();
     let name = format!("period {period_s} s, seed {seed}");

@@ -11,7 +11,7 @@ use crate::control::{
     trial_seen_by,
 };
 use crate::numerics::count::whole;
-use crate::plant::{Model, Motor, MotorKey};
+use crate::plant::{Model, MotorKey};
 
 /// The models are written down in this program: what is made of them does not fail.
 const FIXED: &str = "made from a model and settings that are written down here";
@@ -262,24 +262,4 @@ impl<'a> Trial<'a> {
 /// Whole periods in a time.
 pub(in crate::workflow::reproduce) fn cycles(seconds: f64, period_s: f64) -> usize {
     whole((seconds / period_s).round())
-}
-
-/// Motor of a bench from its time constants.
-pub(in crate::workflow::reproduce) fn motor(
-    name: &str,
-    resistance_ohm: f64,
-    back_emf_v_s_per_rad: f64,
-    electrical_s: f64,
-    mechanical_s: f64,
-    friction_n_m: f64,
-) -> Model {
-    let ke = back_emf_v_s_per_rad;
-    Model::baseline(
-        Motor::new(name)
-            .with(MotorKey::Resistance, resistance_ohm)
-            .with(MotorKey::Inductance, resistance_ohm * electrical_s)
-            .with(MotorKey::BackEmf, ke)
-            .with(MotorKey::Inertia, mechanical_s * ke * ke / resistance_ohm)
-            .with(MotorKey::LoadTorque, friction_n_m),
-    )
 }

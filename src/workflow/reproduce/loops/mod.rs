@@ -11,7 +11,7 @@ mod joining;
 mod measure;
 
 pub use bench::Kind;
-pub(super) use bench::{Bench, Trial, cycles, motor};
+pub(super) use bench::{Bench, Trial, cycles};
 pub use cases::{Case, CaseRow, Comparison};
 pub(super) use cases::{Sizes, comparison};
 pub(super) use joining::{Joining, WithBackEmf};

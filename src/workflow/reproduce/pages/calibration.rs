@@ -90,12 +90,9 @@ pub(super) fn bounds(study: &Study) -> Section {
 /// What the intervals of the motor's parameters hold.
 pub(super) fn parameters(study: &Study) -> Section {
     let of_group = |name: String| {
-        let own = study
-            .answers
-            .iter()
-            .filter(|answer| answer.group.name() == name);
-        let found = coverage(&own.collect::<Vec<_>>());
-        (name, found)
+        let is_own = |answer: &&Answer| answer.group.name() == name;
+        let own: Vec<&Answer> = study.answers.iter().filter(is_own).collect();
+        (name, coverage(&own))
     };
     let by_group = named_groups(&study.answers).into_iter().map(of_group);
     let by_group = by_group.chain([("all".to_owned(), study.coverage.clone())]);

@@ -25,10 +25,11 @@ pub use hall::{AtSpeed, Hall};
 pub use noise::{Disturbance, Noise, Variance};
 
 use super::adaptive::FORGETTING;
-use super::loops::{Bench, Comparison, Sizes, Trial, comparison, cycles, motor};
+use super::loops::{Bench, Comparison, Sizes, Trial, comparison, cycles};
+use super::machine::made_of;
 use super::signal::{random, white};
 use crate::control::{LoadObservingSettings, LoopTiming, PaperBSettings};
-use crate::plant::MotorKey;
+use crate::plant::{Model, MotorKey};
 use crate::units::rad_s_from_rpm;
 
 /// Data of the paper: resistance, T1, Tm and ke; rated torque and current, pole pairs.
@@ -117,14 +118,13 @@ fn bench() -> Bench {
     let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
     Bench {
         name: "paper B's motor with its back-EMF, regulated inside the drive",
-        model: motor(
+        model: Model::baseline(made_of(
             "brushless motor of paper B",
             RESISTANCE_OHM,
             ke,
-            ELECTRICAL_S,
-            MECHANICAL_S,
+            [ELECTRICAL_S, MECHANICAL_S],
             FRICTION_N_M,
-        ),
+        )),
         timing: LoopTiming {
             period_s: PERIOD_S,
             delay_s: 0.0,
