@@ -59,11 +59,8 @@ fn controllers(criterion: &mut Criterion) {
     let pi = || Pi::new(tuning.gains, AntiWindup::Hold, holding);
     cycle(criterion, "pi", pi());
     let forward = FeedForward::new(&model, Actuator::Voltage, None).expect("the model is complete");
-    cycle(
-        criterion,
-        "pi_with_feed_forward",
-        Compensated::new(Box::new(pi()), forward),
-    );
+    let compensated = Compensated::new(Box::new(pi()), forward);
+    cycle(criterion, "pi_with_feed_forward", compensated);
     let settings = AddcSettings::new(holding, 0.15);
     let addc = Addc::new(&model, &plant, &timing, &settings).expect("the plant is an ordinary one");
     cycle(criterion, "addc", addc);
@@ -78,11 +75,8 @@ fn controllers(criterion: &mut Criterion) {
     cycle(criterion, "paper_b", paper);
     let settings = LoadObservingSettings::default();
     let observer = LoadObserving::new(&model, &plant, &timing, &settings);
-    cycle(
-        criterion,
-        "load_observer",
-        observer.expect("our settings are stable"),
-    );
+    let observer = observer.expect("our settings are stable");
+    cycle(criterion, "load_observer", observer);
 }
 
 criterion_group!(benches, controllers);

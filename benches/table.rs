@@ -18,91 +18,48 @@ struct Figure {
     asked_ns: Option<f64>,
 }
 
-const MS: f64 = 1e6;
+/// Id, nanoseconds that are asked (or `-`), what is measured.
+const FIGURES: &str = "\
+rls/guarded_4 | 40 | recursive least squares, guarded form, 4 parameters, one update
+rls/guarded_2 | 20 | the same, 2 parameters
+rls/plain_4 | - | plain reference form, 4 parameters, one update
+rls/plain_2 | - | the same, 2 parameters
+online/push | - | on-line identification (schemes 2 and 3), one sample
+replay/rows | - | replay of a `samples.csv`, one row
+fit/output_error | - | output-error fit of five parameters, 12 s at 1 kHz
+control/pi | 200 | speed controller, one cycle: PI
+control/pi_with_feed_forward | 1000 | the same with feed-forward
+control/addc | 200 | ADDC, with its identification
+control/mrac | 1000 | MRAC
+control/paper_b | 1000 | paper B
+control/load_observer | 1000 | Kalman filter with load torque, feedback and integral
+session/addc | 5000 | whole cycle of a session: guard, on-line identification, ADDC, record, snapshot
+diagnose/nothing_missing | 500e6 | `diagnose` with a second run of 12 s, nothing missing
+diagnose/stribeck_missing | 500e6 | the same, one effect missing
+free_run/baseline | 0.5e6 | free run of the baseline, 12 s at 1 kHz
+free_run/baseline_stamped_commands | - | the same, every command applied at an instant of its own";
 
 /// Effects with a second mass take four states.
 const TWO_MASS: [&str; 2] = ["elastic_coupling", "backlash"];
 
 fn figures() -> Vec<Figure> {
-    let figure = |id: &str, what: &str, asked_ns: Option<f64>| Figure {
-        id: id.to_owned(),
-        what: what.to_owned(),
-        asked_ns,
+    let figure = |line: String| {
+        let mut cells = line.split(" | ").map(str::to_owned);
+        let mut cell = || cells.next().unwrap_or_default();
+        let (id, asked) = (cell(), cell());
+        Figure {
+            id,
+            asked_ns: asked.parse().ok(),
+            what: cell(),
+        }
     };
-    let mut all = vec![
-        figure(
-            "rls/guarded_4",
-            "recursive least squares, guarded form, 4 parameters, one update",
-            Some(40.0),
-        ),
-        figure("rls/guarded_2", "the same, 2 parameters", Some(20.0)),
-        figure(
-            "rls/plain_4",
-            "plain reference form, 4 parameters, one update",
-            None,
-        ),
-        figure("rls/plain_2", "the same, 2 parameters", None),
-        figure(
-            "online/push",
-            "on-line identification (schemes 2 and 3), one sample",
-            None,
-        ),
-        figure("replay/rows", "replay of a `samples.csv`, one row", None),
-        figure(
-            "fit/output_error",
-            "output-error fit of five parameters, 12 s at 1 kHz",
-            None,
-        ),
-        figure("control/pi", "speed controller, one cycle: PI", Some(200.0)),
-        figure(
-            "control/pi_with_feed_forward",
-            "the same with feed-forward",
-            Some(1000.0),
-        ),
-        figure("control/addc", "ADDC, with its identification", Some(200.0)),
-        figure("control/mrac", "MRAC", Some(1000.0)),
-        figure("control/paper_b", "paper B", Some(1000.0)),
-        figure(
-            "control/load_observer",
-            "Kalman filter with load torque, feedback and integral",
-            Some(1000.0),
-        ),
-        figure(
-            "session/addc",
-            "whole cycle of a session: guard, on-line identification, ADDC, record, snapshot",
-            Some(5000.0),
-        ),
-        figure(
-            "diagnose/nothing_missing",
-            "`diagnose` with a second run of 12 s, nothing missing",
-            Some(500.0 * MS),
-        ),
-        figure(
-            "diagnose/stribeck_missing",
-            "the same, one effect missing",
-            Some(500.0 * MS),
-        ),
-        figure(
-            "free_run/baseline",
-            "free run of the baseline, 12 s at 1 kHz",
-            Some(0.5 * MS),
-        ),
-        figure(
-            "free_run/baseline_stamped_commands",
-            "the same, every command applied at an instant of its own",
-            None,
-        ),
-    ];
-    all.extend(CATALOGUE.iter().map(|effect| {
+    let of_effect = CATALOGUE.iter().map(|effect| {
         let id = effect.card().id;
-        let asked_ms = if TWO_MASS.contains(&id) { 4.0 } else { 2.0 };
-        figure(
-            &format!("free_run/{id}"),
-            &format!("free run with `{id}`"),
-            Some(asked_ms * MS),
-        )
-    }));
-    all
+        let asked = if TWO_MASS.contains(&id) { "4e6" } else { "2e6" };
+        format!("free_run/{id} | {asked} | free run with `{id}`")
+    });
+    let all = FIGURES.lines().map(str::to_owned).chain(of_effect);
+    all.map(figure).collect()
 }
 
 /// Nanoseconds for one element.
@@ -125,11 +82,8 @@ fn measured(folder: &Path) -> Option<Measured> {
         .as_f64()
         .unwrap_or(1.0);
     let (iterations, times) = (numbers("iters")?, numbers("times")?);
-    let mut each: Vec<f64> = times
-        .iter()
-        .zip(&iterations)
-        .map(|(time, count)| time / count / elements)
-        .collect();
+    let both = times.iter().zip(&iterations);
+    let mut each: Vec<f64> = both.map(|(time, count)| time / count / elements).collect();
     each.sort_by(f64::total_cmp);
     let quantile = |share: f64| {
         let last = each.len().checked_sub(1)?;

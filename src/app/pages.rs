@@ -18,8 +18,7 @@ use crate::recording::{LoadedRun, Manifest};
 use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
-use crate::sample::ParameterEstimate;
-use crate::workflow::{CommissionResult, NamedEstimate};
+use crate::workflow::CommissionResult;
 
 /// A report in both of its forms.
 pub(crate) struct Report {
@@ -128,8 +127,8 @@ pub(crate) fn commission(
         title: &rig.bench.name,
         context: &context,
         nameplate: Some(&nameplate),
-        parameters_before: &estimates(&result.parameters_before),
-        parameters_after: &estimates(&result.parameters),
+        parameters_before: &result.parameters_before,
+        parameters_after: &result.parameters,
         before: &result.before,
         after: (!diagnosis.effects.is_empty()).then_some(&result.after),
         diagnosis,
@@ -153,10 +152,6 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
         "wrong"
     };
     format!("the emulator carries {carried}: the answer is {verdict}")
-}
-
-fn estimates(named: &[NamedEstimate]) -> Vec<ParameterEstimate> {
-    named.iter().map(|named| named.estimate.clone()).collect()
 }
 
 /// The page of a diagnosis of recorded runs.

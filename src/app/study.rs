@@ -10,10 +10,10 @@ use serde_json::Value;
 
 use super::failure::{Failure, INTERRUPTED};
 use super::{output, progress, signals};
-use crate::workflow::reproduce::discovery::{
-    Answer, Discovery, MysteryAnswer, Outcome, RecordAnswer, Size, discovery, files, records,
-};
 use crate::workflow::reproduce::lines::line_study;
+use crate::workflow::reproduce::study::{
+    self, Answer, MysteryAnswer, Outcome, RecordAnswer, Size, Study, files, records,
+};
 
 /// Records of each kind of line beside the study.
 const LINE_RUNS: usize = 40;
@@ -28,7 +28,7 @@ pub(crate) struct StudyRequest {
 }
 
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-pub(crate) fn study(asked: &StudyRequest) -> Result<Discovery, Failure> {
+pub(crate) fn study(asked: &StudyRequest) -> Result<Study, Failure> {
     // Before the study, which takes long.
     let real = asked
         .records
@@ -58,7 +58,7 @@ pub(crate) fn study(asked: &StudyRequest) -> Result<Discovery, Failure> {
         size.machines()
     ));
     progress::stage("excites and diagnoses machines", size.machines());
-    let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
+    let mut found = study::run(size, &interrupted, tell).ok_or_else(ended)?;
     if size.sets > 0 {
         progress::stage("asks what lines do to a measurement", 0);
         found.lines = Some(line_study(LINE_RUNS, size.seed));

@@ -1,8 +1,8 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
-use super::page::{Cell, Page, Table, Tone};
-use super::plot::{Band, Bar, BarChart, Panel, PanelPlot, Series, Style};
-use super::{Context, Target, compared, findings, tables};
+use super::page::{Page, Table, Tone};
+use super::plot::{Panel, Style, TIME, bars, stacked};
+use super::{Context, Target, comparison, findings, tables};
 use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
@@ -63,17 +63,16 @@ impl CommissionReport<'_> {
     /// The page itself, for callers that have more to add.
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
+        let sufficient = self.diagnosis.sufficient;
         let (tone, word) = match self.diagnosis.verdict {
             DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
                 (Tone::Attention, "Effect found, not confirmed")
             }
-            DiagnosisVerdict::Effect if self.diagnosis.sufficient => (Tone::Good, "Effect found"),
+            DiagnosisVerdict::Effect if sufficient => (Tone::Good, "Effect found"),
             DiagnosisVerdict::Effect => (Tone::Attention, "Effect found, not sufficient"),
             DiagnosisVerdict::Ambiguous => (Tone::Attention, "Ambiguous"),
-            DiagnosisVerdict::None if !self.diagnosis.sufficient => {
-                (Tone::Attention, "Nothing found")
-            }
-            DiagnosisVerdict::None => (Tone::Good, "Nothing missing"),
+            DiagnosisVerdict::None if sufficient => (Tone::Good, "Nothing missing"),
+            DiagnosisVerdict::None => (Tone::Attention, "Nothing found"),
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };
         page.lead(tone, word, self.headline());
@@ -90,7 +89,7 @@ impl CommissionReport<'_> {
         tables::parameter_section(&mut page, self.nameplate, before, after);
         findings::effects(&mut page, self.diagnosis);
         self.comparison_section(&mut page);
-        compared::places(&mut page, &self.comparisons());
+        comparison::places(&mut page, &self.comparisons());
         findings::curves(&mut page, self.diagnosis);
         findings::candidates(&mut page, self.diagnosis);
         findings::next_run(&mut page, self.diagnosis);
@@ -118,21 +117,20 @@ impl CommissionReport<'_> {
     }
 
     fn headline(&self) -> String {
-        let mut sentence = capitalised(&self.diagnosis.sentence);
-        if let Some([before, after]) = self.confirm {
-            let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
-            let unit = self.unit_of_error();
-            let confirmed = if self.after.is_some() {
-                format!(
-                    ". On a run that neither fitted nor selected: {old} before, {new} after, in units of {unit}"
-                )
-            } else {
-                format!(". On a run that neither fitted nor selected: {old}, in units of {unit}")
-            };
-            sentence.push_str(&confirmed);
-        }
-        sentence.push('.');
-        sentence
+        let sentence = capitalised(&self.diagnosis.sentence);
+        let Some([before, after]) = self.confirm else {
+            return format!("{sentence}.");
+        };
+        let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
+        let errors = if self.after.is_some() {
+            format!("{old} before, {new} after")
+        } else {
+            old
+        };
+        format!(
+            "{sentence}. On a run that neither fitted nor selected: {errors}, in units of {}.",
+            self.unit_of_error()
+        )
     }
 
     /// Both comparisons with what their model is called; where nothing was added there is but one model.
@@ -165,48 +163,47 @@ impl CommissionReport<'_> {
             self.unit_of_error()
         ));
         let floor_known = self.diagnosis.noise_floor_from != FloorSource::None;
-        let chart = BarChart {
-            axis: format!("held-out error, in units of {}", self.unit_of_error()),
-            bars: self
-                .ladder
-                .iter()
-                .map(|rung| Bar {
-                    label: rung_name(rung),
-                    value: rung.holdout_rmse,
-                })
-                .collect(),
-            goal: floor_known.then(|| ("noise floor".to_owned(), 1.0)),
-        };
+        let ladder = self.ladder.iter();
+        let ladder: Vec<_> = ladder
+            .map(|rung| (rung_name(rung), rung.holdout_rmse))
+            .collect();
         page.figure(
-            chart.svg("held-out error of each model of the ladder"),
+            bars(
+                "held-out error of each model of the ladder",
+                &format!("held-out error, in units of {}", self.unit_of_error()),
+                &ladder,
+                floor_known.then_some(("noise floor", 1.0)),
+            ),
             if floor_known {
                 "A perfect model of a record without holes ends at the noise floor."
             } else {
                 "Where a perfect model would end is not known."
             },
         );
-        let rows = self.ladder.iter().enumerate().map(|(rung, model)| {
-            let change = rung.checked_sub(1).map_or("-".to_owned(), |below| {
-                percent(100.0 * (model.holdout_rmse / self.ladder[below].holdout_rmse - 1.0))
-            });
-            vec![
-                Cell::text(rung.to_string()),
-                Cell::text(rung_name(model)),
-                Cell::text(fixed(model.holdout_rmse, 2)),
-                Cell::text(change),
-            ]
-        });
-        page.table(Table {
-            head: vec!["rung", "model", "held-out error", "change"],
-            rows: rows.collect(),
-        });
+        let change = |rung: usize| {
+            let errors = (
+                self.ladder[rung].holdout_rmse,
+                self.ladder[rung - 1].holdout_rmse,
+            );
+            percent(100.0 * (errors.0 / errors.1 - 1.0))
+        };
+        page.table(
+            Table::of(self.ladder.iter().enumerate())
+                .column("rung", |(rung, _)| rung.to_string())
+                .column("model", |(_, model)| rung_name(model))
+                .column("held-out error", |(_, model)| fixed(model.holdout_rmse, 2))
+                .column("change", |(rung, _)| match rung {
+                    0 => "-".to_owned(),
+                    rung => change(*rung),
+                }),
+        );
     }
 
     fn comparison_section(&self, page: &mut Page) {
         page.section("Model beside measurement");
         if let Some(run) = self.series {
             page.figure(
-                plot(run).svg("measured and simulated current and speed over time"),
+                stacked("measured and simulated current and speed over time", TIME, &panels(run)),
                 format!(
                     "Free run of the model over {:?} from its {} alone. A line is broken where samples are missing.",
                     run.scenario.name,
@@ -214,7 +211,7 @@ impl CommissionReport<'_> {
                 ),
             );
         }
-        compared::figures(page, &self.comparisons());
+        comparison::figures(page, &self.comparisons());
     }
 }
 
@@ -243,53 +240,42 @@ const fn input_name(input: Input) -> (&'static str, &'static str) {
 }
 
 /// Input, both signals and both residuals over one time axis.
-fn plot(run: ConfirmRun<'_>) -> PanelPlot {
-    let scenario = run.scenario;
+fn panels(run: ConfirmRun<'_>) -> [Panel; 5] {
+    let (scenario, noise) = (run.scenario, run.noise);
     let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
     let (name, unit) = input_name(scenario.input);
-    let input = Series::held("command", Style::Command, &scenario.events, end_s);
-    let current = signal_panels(
+    let input = Panel::new(name, unit).with_height(90.0);
+    let r_min = |panel: Panel| panel.with_second_unit("r/min", rpm_from_rad_s(1.0));
+    let [current, current_left] = signal_panels(
         run,
-        "current",
-        "A",
+        ("current", "A", noise.current_a),
         &scenario.current_a,
         |t| &t.current_a,
-        run.noise.current_a,
     );
-    let speed = signal_panels(
+    let [speed, speed_left] = signal_panels(
         run,
-        "speed",
-        "rad/s",
+        ("speed", "rad/s", noise.speed_rad_s),
         &scenario.speed_rad_s,
         |t| &t.speed_rad_s,
-        run.noise.speed_rad_s,
     );
-    let [current, current_residual] = current;
-    let [speed, speed_residual] = speed;
-    PanelPlot::default()
-        .with(Panel::new(name, unit).with_height(90.0).with(input))
-        .with(current)
-        .with(speed.with_second_unit("r/min", rpm_from_rad_s(1.0)))
-        .with(current_residual)
-        .with(speed_residual.with_second_unit("r/min", rpm_from_rad_s(1.0)))
+    [
+        input.held("command", &scenario.events, end_s),
+        current,
+        r_min(speed),
+        current_left,
+        r_min(speed_left),
+    ]
 }
 
-/// A signal with its models, and what they leave over.
+/// A signal (name, unit, noise) with its models, and what they leave over.
 fn signal_panels(
     run: ConfirmRun<'_>,
-    name: &str,
-    unit: &str,
+    (name, unit, noise): (&str, &str, f64),
     measured: &[f64],
     simulated: fn(&Trajectory) -> &Vec<f64>,
-    noise: f64,
 ) -> [Panel; 2] {
     let time_s = &run.scenario.sample_time_s;
-    let mut signal = Panel::new(name, unit).with(Series::sampled(
-        "measured",
-        Style::Measured,
-        time_s,
-        measured,
-    ));
+    let mut signal = Panel::new(name, unit).sampled("measured", Style::Measured, time_s, measured);
     let mut residual = Panel::new(format!("{name}, simulated - measured"), unit).with_height(110.0);
     // A signal that was not measured has nothing to be compared with.
     let seen = measured.iter().any(|value| value.is_finite());
@@ -308,20 +294,13 @@ fn signal_panels(
             continue;
         };
         let values = simulated(trajectory);
-        signal = signal.with(Series::sampled(label, style, time_s, values));
-        let error: Vec<f64> = values
-            .iter()
-            .zip(measured)
-            .map(|(model, truth)| model - truth)
-            .collect();
-        residual = residual.with(Series::sampled(label, style, time_s, &error));
+        signal = signal.sampled(label, style, time_s, values);
+        let both = values.iter().zip(measured);
+        let error: Vec<f64> = both.map(|(model, truth)| model - truth).collect();
+        residual = residual.sampled(label, style, time_s, &error);
     }
     if run.noise.source != FloorSource::None {
-        residual = residual.with_band(Band {
-            label: "99 % of the noise".to_owned(),
-            from: -BAND_99 * noise,
-            to: BAND_99 * noise,
-        });
+        residual = residual.with_band("99 % of the noise", BAND_99 * noise);
     }
     [signal, residual]
 }

@@ -20,59 +20,57 @@ pub struct Converted {
     pub unit: &'static str,
 }
 
+type Convert = fn(f64) -> f64;
+
 /// Every motor value that has a second convention; only values that were found.
 pub fn of(parameters: &[ParameterEstimate]) -> Vec<Converted> {
-    let mut out = Vec::new();
-    let mut add = |of: MotorKey, key, unit, convert: fn(f64) -> f64| {
-        let Some(found) = parameters.iter().find(|p| p.key == of.key()) else {
-            return;
-        };
-        let Some(value) = found.value.filter(|value| *value > 0.0) else {
-            return;
-        };
-        // Each of them is a power law: the relative deviation stays.
-        let converted = convert(value);
-        out.push(Converted {
-            key,
-            value: converted,
-            std: found.std.map(|std| std / value * converted),
-            unit,
+    let found = |of: MotorKey| {
+        let parameter = parameters.iter().find(|p| p.key == of.key())?;
+        Some((parameter.value?, parameter.std))
+    };
+    let torque =
+        found(MotorKey::TorqueConstant).map_or(MotorKey::BackEmf, |_| MotorKey::TorqueConstant);
+    let conventions: [(MotorKey, &str, &str, Convert); 5] = [
+        (
+            MotorKey::BackEmf,
+            "back_emf_v_per_krpm",
+            "V/krpm",
+            units::v_per_krpm_from_v_s_per_rad,
+        ),
+        (
+            MotorKey::BackEmf,
+            "speed_constant_rpm_per_v",
+            "r/min/V",
+            units::rpm_per_v_from_v_s_per_rad,
+        ),
+        (torque, "torque_constant_n_m_per_a", "N.m/A", |value| value),
+        (
+            MotorKey::Inertia,
+            "inertia_kg_cm2",
+            "kg.cm2",
+            units::kg_cm2_from_kg_m2,
+        ),
+        (
+            MotorKey::Inertia,
+            "gd2_n_m2",
+            "N.m2",
+            units::gd2_n_m2_from_kg_m2,
+        ),
+    ];
+    let converted = conventions
+        .into_iter()
+        .filter_map(|(of, key, unit, convert)| {
+            let (value, std) = found(of).filter(|(value, _)| *value > 0.0)?;
+            // Each of them is a power law: the relative deviation stays.
+            let converted = convert(value);
+            Some(Converted {
+                key,
+                value: converted,
+                std: std.map(|std| std / value * converted),
+                unit,
+            })
         });
-    };
-    add(
-        MotorKey::BackEmf,
-        "back_emf_v_per_krpm",
-        "V/krpm",
-        units::v_per_krpm_from_v_s_per_rad,
-    );
-    add(
-        MotorKey::BackEmf,
-        "speed_constant_rpm_per_v",
-        "r/min/V",
-        units::rpm_per_v_from_v_s_per_rad,
-    );
-    let torque_is_given = parameters
-        .iter()
-        .any(|p| p.key == MotorKey::TorqueConstant.key() && p.value.is_some());
-    let torque = if torque_is_given {
-        MotorKey::TorqueConstant
-    } else {
-        MotorKey::BackEmf
-    };
-    add(torque, "torque_constant_n_m_per_a", "N.m/A", |value| value);
-    add(
-        MotorKey::Inertia,
-        "inertia_kg_cm2",
-        "kg.cm2",
-        units::kg_cm2_from_kg_m2,
-    );
-    add(
-        MotorKey::Inertia,
-        "gd2_n_m2",
-        "N.m2",
-        units::gd2_n_m2_from_kg_m2,
-    );
-    out
+    converted.collect()
 }
 
 /// Inertia and load torque seen from the load side of a gearbox that turns the motor `ratio` times per turn of the load.
@@ -82,17 +80,15 @@ pub fn on_load_shaft(parameters: &[ParameterEstimate], ratio: f64) -> Vec<Parame
         Some(MotorKey::LoadTorque) => Some(ratio),
         _ => None,
     };
-    parameters
-        .iter()
-        .filter_map(|parameter| {
-            let factor = factor(&parameter.key)?;
-            Some(ParameterEstimate {
-                value: parameter.value.map(|value| factor * value),
-                std: parameter.std.map(|std| factor * std),
-                ..parameter.clone()
-            })
+    let seen = |parameter: &ParameterEstimate| {
+        let factor = factor(&parameter.key)?;
+        Some(ParameterEstimate {
+            value: parameter.value.map(|value| factor * value),
+            std: parameter.std.map(|std| factor * std),
+            ..parameter.clone()
         })
-        .collect()
+    };
+    parameters.iter().filter_map(seen).collect()
 }
 
 #[cfg(test)]
@@ -113,13 +109,23 @@ mod tests {
 
     #[test]
     fn the_constants_keep_their_relative_deviation() {
-        let found = of(&[parameter(MotorKey::BackEmf, 0.3538)]);
-        let of_key = |key| found.iter().find(|c| c.key == key).unwrap();
-        assert!((of_key("back_emf_v_per_krpm").value - 37.05).abs() < 0.01);
-        assert!((of_key("speed_constant_rpm_per_v").value - 26.99).abs() < 0.01);
-        assert!((of_key("torque_constant_n_m_per_a").value - 0.3538).abs() < 1e-12);
-        for converted in &found {
-            assert!((converted.std.unwrap() / converted.value - 0.01).abs() < 1e-12);
+        let found = of(&[
+            parameter(MotorKey::BackEmf, 0.3538),
+            parameter(MotorKey::Inertia, 0.0045),
+        ]);
+        // GD2 is 4 g J.
+        for (key, expected, tolerance) in [
+            ("back_emf_v_per_krpm", 37.05, 0.01),
+            ("speed_constant_rpm_per_v", 26.99, 0.01),
+            ("torque_constant_n_m_per_a", 0.3538, 1e-12),
+            ("gd2_n_m2", 0.17652, 1e-5),
+        ] {
+            let own = found.iter().find(|own| own.key == key).unwrap();
+            assert!((own.value - expected).abs() < tolerance, "{own:?}");
+            assert!(
+                (own.std.unwrap() / own.value - 0.01).abs() < 1e-12,
+                "{own:?}"
+            );
         }
     }
 
@@ -134,12 +140,5 @@ mod tests {
         assert_eq!(load.len(), 2);
         assert!((load[0].value.unwrap() - 0.4).abs() < 1e-12);
         assert!((load[1].value.unwrap() - 4.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn gd2_is_four_g_j() {
-        let found = of(&[parameter(MotorKey::Inertia, 0.0045)]);
-        let gd2 = found.iter().find(|c| c.key == "gd2_n_m2").unwrap();
-        assert!((gd2.value - 0.17652).abs() < 1e-5, "{gd2:?}");
     }
 }

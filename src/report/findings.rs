@@ -13,11 +13,8 @@ const MOST_CURVES: usize = 3;
 
 /// Card of each effect that was named, and what it cannot be told from.
 pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
-    let named: Vec<_> = diagnosis
-        .effects
-        .iter()
-        .filter_map(|id| effect::find(id))
-        .collect();
+    let named = diagnosis.effects.iter();
+    let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
         return;
     }
@@ -52,29 +49,21 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
         return;
     }
     page.section("What the error follows");
-    let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) = diagnosis
-        .axis_map
-        .iter()
-        .partition(|map| map.is_followed() && map.knots.len() > 1);
+    let is_followed = |map: &&AxisMap| map.is_followed() && map.knots.len() > 1;
+    let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
+        diagnosis.axis_map.iter().partition(is_followed);
     for map in followed.iter().take(MOST_CURVES) {
-        let unit = if map.equation == "voltage" {
-            "V"
-        } else {
-            "N.m"
-        };
+        let (equation, axis) = (map.equation, axis_name(map.axis));
+        let unit = if equation == "voltage" { "V" } else { "N.m" };
         let chart = AxisChart {
-            title: format!("what the {} equation lacks, {unit}", map.equation),
-            axis: axis_name(map.axis),
+            title: format!("what the {equation} equation lacks, {unit}"),
+            axis,
             knots: &map.knots,
             values: &map.values,
             std: &map.std,
         };
         page.figure(
-            chart.svg(&format!(
-                "{} error over {}",
-                map.equation,
-                axis_name(map.axis)
-            )),
+            chart.svg(&format!("{equation} error over {axis}")),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
                 capitalised(&map.sentence)
@@ -82,11 +71,8 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
         );
     }
     let others = followed.into_iter().skip(MOST_CURVES).chain(rest);
-    page.list(
-        others
-            .map(|map| format!("{}.", capitalised(&map.sentence)))
-            .collect(),
-    );
+    let sentence = |map: &AxisMap| format!("{}.", capitalised(&map.sentence));
+    page.list(others.map(sentence).collect());
     page.paragraph(
         "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
          error falls while its cause is looked for.",
@@ -114,68 +100,42 @@ pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
     if let Some(words) = named.find_map(Candidate::widened) {
         page.paragraph(format!("Intervals of sizes: {words}."));
     }
-    page.table(Table {
-        head: vec![
-            "rank",
-            "effect",
-            "status",
-            "held-out error",
-            "explains",
-            "probability",
-            "size ± 95 %, evidence",
-        ],
-        rows: diagnosis.candidates.iter().map(row).collect(),
-    });
+    let dash = || "-".to_owned();
+    page.table(
+        Table::of(&diagnosis.candidates)
+            .column("rank", |own| own.rank.to_string())
+            .column("effect", |own| Cell::code(own.effect))
+            .column("status", |own| own.status.name())
+            .column("held-out error", |own| {
+                let before = fixed(own.holdout_before, 2);
+                own.holdout_after
+                    .map_or_else(dash, |after| format!("{before} -> {}", fixed(after, 2)))
+            })
+            .column("explains", |own| {
+                own.explained_percent
+                    .map_or_else(dash, |percent| share(percent / 100.0))
+            })
+            .column("probability", |own| match own.status {
+                Status::NotExcited => dash(),
+                _ => probability(own.probability),
+            })
+            .column("size ± 95 %, evidence", |own| {
+                let size = sizes(own).or_else(|| at_most(own)).unwrap_or_else(dash);
+                Cell::text(size).with_note(capitalised(&own.evidence))
+            }),
+    );
 }
 
 const fn has_paid(candidate: &Candidate) -> bool {
     matches!(candidate.status, Status::Supported | Status::Possible)
 }
 
-fn row(candidate: &Candidate) -> Vec<Cell> {
-    let dash = || "-".to_owned();
-    // A size is worth showing only where the effect pays; else the evidence says what would have been seen.
-    let sizes: Vec<String> = candidate
-        .parameters
-        .iter()
-        .filter(|_| has_paid(candidate))
-        .map(size)
-        .chain(
-            candidate
-                .reached
-                .iter()
-                .filter(|_| has_paid(candidate))
-                .flat_map(Reached::peaks)
-                .map(|peak| peak.text(TWO_SIDED_95)),
-        )
-        .collect();
-    vec![
-        Cell::text(candidate.rank.to_string()),
-        Cell::code(candidate.effect),
-        Cell::text(candidate.status.name()),
-        Cell::text(candidate.holdout_after.map_or_else(dash, |after| {
-            format!(
-                "{} -> {}",
-                fixed(candidate.holdout_before, 2),
-                fixed(after, 2)
-            )
-        })),
-        Cell::text(
-            candidate
-                .explained_percent
-                .map_or_else(dash, |percent| share(percent / 100.0)),
-        ),
-        Cell::text(match candidate.status {
-            Status::NotExcited => dash(),
-            _ => probability(candidate.probability),
-        }),
-        Cell::text(if sizes.is_empty() {
-            at_most(candidate).unwrap_or_else(dash)
-        } else {
-            sizes.join("; ")
-        })
-        .with_note(capitalised(&candidate.evidence)),
-    ]
+/// Sizes of an effect that pays, and what they reached; of another the evidence says what would have been seen.
+fn sizes(candidate: &Candidate) -> Option<String> {
+    let peaks = candidate.reached.iter().flat_map(Reached::peaks);
+    let peaks = peaks.map(|peak| peak.text(TWO_SIDED_95));
+    let sizes: Vec<String> = candidate.parameters.iter().map(size).chain(peaks).collect();
+    (has_paid(candidate) && !sizes.is_empty()).then(|| sizes.join("; "))
 }
 
 /// What the size of an effect that is not named is below.
@@ -207,16 +167,14 @@ pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
     page.paragraph(
         "Every run that the limits allow, with the separation that is expected of it, and from which on that run tells.",
     );
-    let rows = next.menu.iter().map(|entry| {
-        vec![
-            Cell::code(entry.program),
-            Cell::text(significant(entry.expected_separation, 2)),
-            Cell::text(significant(entry.needed, 2)),
-            Cell::text(if entry.is_told() { "tells" } else { "does not" }),
-        ]
-    });
-    page.table(Table {
-        head: vec!["run", "expected separation", "tells from", "verdict"],
-        rows: rows.collect(),
-    });
+    let tells = |told| if told { "tells" } else { "does not" };
+    page.table(
+        Table::of(&next.menu)
+            .column("run", |entry| Cell::code(entry.program))
+            .column("expected separation", |entry| {
+                significant(entry.expected_separation, 2)
+            })
+            .column("tells from", |entry| significant(entry.needed, 2))
+            .column("verdict", |entry| tells(entry.is_told())),
+    );
 }

@@ -12,17 +12,13 @@
 //! never NaN.
 
 pub mod commission;
-mod compared;
 pub mod comparison;
 pub mod conventions;
-mod escape;
-mod failing;
 mod findings;
 pub mod page;
 pub mod plot;
 pub mod reproduce;
 pub mod run;
-mod style;
 mod tables;
 
 pub use commission::{CommissionReport, ConfirmRun};

@@ -2,8 +2,31 @@
 
 use std::fmt::Write;
 
-use super::escape::escape;
-use super::style::{SCRIPT, STYLE};
+use crate::text::columns;
+
+/// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
+pub(super) const STYLE: &str = include_str!("page.css");
+/// A cursor with values over the plots; the page is complete without it.
+const SCRIPT: &str = include_str!("page.js");
+
+/// Text made safe inside HTML and SVG, in content and in quoted attributes alike; control characters, which no HTML may
+/// hold, become U+FFFD.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            '\n' | '\t' => out.push(character),
+            control if control.is_control() => out.push('\u{fffd}'),
+            other => out.push(other),
+        }
+    }
+    out
+}
 
 /// How a statement is to be taken; shown by a word and a mark, the colour only repeats it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +57,12 @@ pub struct Cell {
     code: bool,
 }
 
+impl<T: Into<String>> From<T> for Cell {
+    fn from(text: T) -> Self {
+        Self::text(text)
+    }
+}
+
 impl Cell {
     pub fn text(text: impl Into<String>) -> Self {
         Self {
@@ -45,9 +74,8 @@ impl Cell {
     /// A key as it is written in files.
     pub fn code(text: impl Into<String>) -> Self {
         Self {
-            text: text.into(),
             code: true,
-            ..Self::default()
+            ..Self::text(text)
         }
     }
 
@@ -66,6 +94,16 @@ pub struct Table {
 }
 
 impl Table {
+    /// One row for each of these; the columns are still to come.
+    pub fn of<T>(rows: impl IntoIterator<Item = T>) -> Columns<T> {
+        let rows: Vec<T> = rows.into_iter().collect();
+        let table = Self {
+            head: Vec::new(),
+            rows: vec![Vec::new(); rows.len()],
+        };
+        Columns { rows, table }
+    }
+
     /// The cells as comma-separated values; notes are left out.
     pub fn csv(&self) -> String {
         let quoted = |text: &str| {
@@ -85,6 +123,30 @@ impl Table {
             let _ = writeln!(out, "{}", line.join(","));
         }
         out
+    }
+}
+
+/// A table under construction, column by column.
+pub struct Columns<T> {
+    rows: Vec<T>,
+    table: Table,
+}
+
+impl<T> Columns<T> {
+    /// A column: its head, and what it shows of a row.
+    #[must_use]
+    pub fn column<C: Into<Cell>>(mut self, head: &'static str, cell: impl Fn(&T) -> C) -> Self {
+        self.table.head.push(head);
+        for (cells, row) in self.table.rows.iter_mut().zip(&self.rows) {
+            cells.push(cell(row).into());
+        }
+        self
+    }
+}
+
+impl<T> From<Columns<T>> for Table {
+    fn from(columns: Columns<T>) -> Self {
+        columns.table
     }
 }
 
@@ -149,7 +211,8 @@ impl Page {
         }
     }
 
-    pub fn table(&mut self, table: Table) {
+    pub fn table(&mut self, table: impl Into<Table>) {
+        let table = table.into();
         if !table.rows.is_empty() {
             self.blocks.push(Block::Table(table));
         }
@@ -219,77 +282,61 @@ impl Page {
         }
         let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
         for block in &self.blocks {
-            match block {
-                Block::Heading(heading) => {
-                    let _ = writeln!(out, "\n## {heading}");
-                }
-                Block::Paragraph(text) => {
-                    let _ = writeln!(out, "\n{text}");
-                }
-                Block::Notice(text) => {
-                    let _ = writeln!(out, "\n> {text}");
-                }
-                Block::List(items) => {
-                    out.push('\n');
-                    for item in items {
-                        let _ = writeln!(out, "- {item}");
-                    }
-                }
-                Block::Facts(facts) => {
-                    out.push('\n');
-                    for (label, value) in facts {
-                        let _ = writeln!(out, "- {label}: {value}");
-                    }
-                }
-                Block::Table(table) => table_text(&mut out, table),
-                Block::Figure { .. } => {}
-            }
+            let each = |lines: &mut dyn Iterator<Item = String>| {
+                let lines: String = lines.map(|line| format!("- {line}\n")).collect();
+                format!("\n{lines}")
+            };
+            let piece = match block {
+                Block::Heading(heading) => format!("\n## {heading}\n"),
+                Block::Paragraph(text) => format!("\n{text}\n"),
+                Block::Notice(text) => format!("\n> {text}\n"),
+                Block::List(items) => each(&mut items.iter().cloned()),
+                Block::Facts(facts) => each(
+                    &mut facts
+                        .iter()
+                        .map(|(label, value)| format!("{label}: {value}")),
+                ),
+                Block::Table(table) => table_text(table),
+                Block::Figure { .. } => String::new(),
+            };
+            out.push_str(&piece);
         }
         out
     }
 }
 
 fn block_html(out: &mut String, block: &Block) {
-    match block {
-        Block::Heading(_) => {}
-        Block::Paragraph(text) => {
-            let _ = writeln!(out, "<p>{}</p>", escape(text));
-        }
+    let piece = match block {
+        Block::Heading(_) => String::new(),
+        Block::Paragraph(text) => format!("<p>{}</p>\n", escape(text)),
         Block::Notice(text) => {
-            let _ = writeln!(
-                out,
-                "<p class=\"notice\"><strong>Safety.</strong> {}</p>",
-                escape(text)
-            );
+            let text = escape(text);
+            format!("<p class=\"notice\"><strong>Safety.</strong> {text}</p>\n")
         }
         Block::List(items) => {
-            out.push_str("<ul>\n");
-            for item in items {
-                let _ = writeln!(out, "<li>{}</li>", escape(item));
-            }
-            out.push_str("</ul>\n");
+            let item = |item: &String| format!("<li>{}</li>\n", escape(item));
+            format!(
+                "<ul>\n{}</ul>\n",
+                items.iter().map(item).collect::<String>()
+            )
         }
         Block::Facts(facts) => {
-            out.push_str("<dl>\n");
-            for (label, value) in facts {
-                let _ = writeln!(
-                    out,
-                    "<div><dt>{}</dt><dd>{}</dd></div>",
-                    escape(label),
-                    escape(value)
-                );
-            }
-            out.push_str("</dl>\n");
+            let fact = |(label, value): &(String, String)| {
+                let (label, value) = (escape(label), escape(value));
+                format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
+            };
+            format!(
+                "<dl>\n{}</dl>\n",
+                facts.iter().map(fact).collect::<String>()
+            )
         }
-        Block::Table(table) => table_html(out, table),
-        Block::Figure { svg, caption } => {
-            let _ = writeln!(
-                out,
-                "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
-                escape(caption)
-            );
-        }
-    }
+        Block::Table(table) => return table_html(out, table),
+        Block::Figure { svg, caption } => format!(
+            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>\n",
+            escape(caption)
+        ),
+    };
+    out.push_str(&piece);
 }
 
 fn table_html(out: &mut String, table: &Table) {
@@ -304,63 +351,40 @@ fn table_html(out: &mut String, table: &Table) {
             let text = escape(&cell.text);
             // Keys may break after their underscores, else they push the numbers off a narrow screen.
             let text = if cell.code {
-                format!(
-                    "<code>{}</code>",
-                    text.replace('.', ".<wbr>").replace('_', "_<wbr>")
-                )
+                let broken = text.replace('.', ".<wbr>").replace('_', "_<wbr>");
+                format!("<code>{broken}</code>")
             } else {
                 text
             };
-            let class = if is_number(&cell.text) {
-                " class=\"number\""
-            } else {
-                ""
-            };
-            let _ = write!(out, "<td{class}>{text}");
-            if let Some(note) = &cell.note {
-                let _ = write!(out, "<small>{}</small>", escape(note));
-            }
-            out.push_str("</td>");
+            let number = is_number(&cell.text);
+            let class = if number { " class=\"number\"" } else { "" };
+            let note = cell
+                .note
+                .map(|note| format!("<small>{}</small>", escape(&note)));
+            let note = note.unwrap_or_default();
+            let _ = write!(out, "<td{class}>{text}{note}</td>");
         }
         out.push_str("</tr>\n");
     }
     out.push_str("</tbody></table></div>\n");
 }
 
-fn table_text(out: &mut String, table: &Table) {
+fn table_text(table: &Table) -> String {
     let plain = |text: &str| text.replace('|', "/").replace('\n', " ");
-    let rows: Vec<Vec<String>> = table
-        .rows
-        .iter()
-        .map(|row| {
-            padded(row, table.head.len())
-                .map(|cell| plain(&cell.text))
-                .collect()
-        })
-        .collect();
-    let widths: Vec<usize> = (0..table.head.len())
-        .map(|column| {
-            let cells = rows.iter().map(|row| row[column].chars().count());
-            cells
-                .chain([table.head[column].chars().count(), 3])
-                .max()
-                .unwrap_or(3)
-        })
-        .collect();
-    let write_row = |out: &mut String, cells: &mut dyn Iterator<Item = &str>| {
-        let line: Vec<String> = cells
-            .zip(&widths)
-            .map(|(cell, width)| format!("{cell:<width$}"))
-            .collect();
-        let _ = writeln!(out, "| {} |", line.join(" | "));
+    let head = table.head.iter().map(|head| (*head).to_owned()).collect();
+    let rows = table.rows.iter().map(|row| {
+        let cells = padded(row, table.head.len());
+        cells.map(|cell| plain(&cell.text)).collect()
+    });
+    let mut rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
+    let widths = columns::widths(&rows, 3);
+    let rules = widths.iter().map(|width| "-".repeat(*width)).collect();
+    rows.insert(1, rules);
+    let line = |row: &Vec<String>| {
+        let cells = columns::padded(row, &widths).join(" | ");
+        format!("| {cells} |\n")
     };
-    out.push('\n');
-    write_row(out, &mut table.head.iter().copied());
-    let rules: Vec<String> = widths.iter().map(|width| "-".repeat(*width)).collect();
-    write_row(out, &mut rules.iter().map(String::as_str));
-    for row in &rows {
-        write_row(out, &mut row.iter().map(String::as_str));
-    }
+    format!("\n{}", rows.iter().map(line).collect::<String>())
 }
 
 fn padded(row: &[Cell], width: usize) -> impl Iterator<Item = Cell> + '_ {

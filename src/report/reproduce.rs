@@ -1,7 +1,9 @@
 //! The report of a reproduction: a page, and each of its figures and tables as a file of its own.
 
+use std::fmt::{Display, Write as _};
+
 use super::page::{Cell, Page, Table, Tone};
-use super::plot::standalone;
+use super::plot::{Panel, Style, TIME, stacked, standalone};
 
 /// A picture with the name of its file, without ending.
 #[derive(Clone, Debug)]
@@ -21,6 +23,86 @@ pub struct NamedTable {
 
 /// A column of a table: its head, and what it shows of a row.
 pub type Column<'a, T> = (&'static str, &'a dyn Fn(&T) -> String);
+
+/// Series over one axis: drawn in panels, written into a file beside the picture, or both.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    axis: (&'static str, &'static str),
+    /// Head of the axis in the file.
+    column: &'static str,
+    at: Vec<f64>,
+    panels: Vec<Panel>,
+    columns: Vec<(String, Vec<f64>)>,
+}
+
+impl Figure {
+    pub const fn over_time(time_s: Vec<f64>) -> Self {
+        Self {
+            axis: TIME,
+            column: "time_s",
+            at: time_s,
+            panels: Vec::new(),
+            columns: Vec::new(),
+        }
+    }
+
+    pub fn over_samples(count: usize) -> Self {
+        Self {
+            axis: ("sample k", ""),
+            column: "k",
+            ..Self::over_time((0..count).map(|k| k as f64).collect())
+        }
+    }
+
+    /// The next panel; lines are drawn in the latest one.
+    #[must_use]
+    pub fn panel(mut self, panel: Panel) -> Self {
+        self.panels.push(panel);
+        self
+    }
+
+    /// Drawn only.
+    #[must_use]
+    pub fn line(mut self, label: &str, style: Style, values: &[f64]) -> Self {
+        if let Some(panel) = self.panels.pop() {
+            let drawn = panel.sampled(label, style, &self.at, values);
+            self.panels.push(drawn);
+        }
+        self
+    }
+
+    /// Written only.
+    #[must_use]
+    pub fn column(mut self, name: impl Into<String>, values: &[f64]) -> Self {
+        self.columns.push((name.into(), values.to_vec()));
+        self
+    }
+
+    /// Drawn, and written under this name.
+    #[must_use]
+    pub fn series(self, name: &str, label: &str, style: Style, values: &[f64]) -> Self {
+        self.line(label, style, values).column(name, values)
+    }
+}
+
+/// Columns beside an axis; what is not there is an empty cell.
+pub fn csv<N: Display>(axis: &str, at: &[f64], columns: &[(N, Vec<f64>)]) -> String {
+    let mut out = axis.to_owned();
+    for (name, _) in columns {
+        let _ = write!(out, ",{name}");
+    }
+    for (row, at) in at.iter().enumerate() {
+        let _ = write!(out, "\n{at}");
+        for (_, values) in columns {
+            out.push(',');
+            if let Some(value) = values.get(row).filter(|value| value.is_finite()) {
+                let _ = write!(out, "{value}");
+            }
+        }
+    }
+    out.push('\n');
+    out
+}
 
 /// One part of the reproduction: what is shown, under which assumptions.
 #[derive(Clone, Debug, Default)]
@@ -54,6 +136,23 @@ impl Section {
         self
     }
 
+    /// Panels as a picture, and the series behind it as a file.
+    #[must_use]
+    pub fn figure(
+        self,
+        name: &'static str,
+        description: &str,
+        caption: impl Into<String>,
+        figure: &Figure,
+    ) -> Self {
+        let svg = stacked(description, figure.axis, &figure.panels);
+        let section = self.picture(name, svg, caption);
+        if figure.columns.is_empty() {
+            return section;
+        }
+        section.series(name, csv(figure.column, &figure.at, &figure.columns))
+    }
+
     /// A table whose columns are known beforehand.
     #[must_use]
     pub fn table<T>(
@@ -77,15 +176,12 @@ impl Section {
         head: Vec<&'static str>,
         rows: impl IntoIterator<Item = Vec<String>>,
     ) -> Self {
-        let rows = rows.into_iter();
-        let rows = rows.map(|row| row.into_iter().map(Cell::text).collect());
-        let rows = rows.collect();
-        let table = Table { head, rows };
-        let (name, sentence) = (name.into(), sentence.into());
+        let cells = |row: Vec<String>| row.into_iter().map(Cell::text).collect();
+        let rows = rows.into_iter().map(cells).collect();
         self.tables.push(NamedTable {
-            name,
-            sentence,
-            table,
+            name: name.into(),
+            sentence: sentence.into(),
+            table: Table { head, rows },
         });
         self
     }
@@ -173,52 +269,46 @@ impl Reproduction {
 
 #[cfg(test)]
 mod tests {
-    use super::super::plot::{Panel, PanelPlot, Series, Style};
     use super::*;
 
     #[test]
     fn every_figure_and_table_is_a_file_of_its_own() {
-        let series = Series::sampled("a", Style::After, &[0.0, 1.0], &[1.0, 2.0]);
-        let plot = PanelPlot::default().with(Panel::new("TM", "s").with(series));
+        let figure = Figure::over_time(vec![0.0, 1.0])
+            .panel(Panel::new("TM", "s"))
+            .series("a", "a", Style::After, &[1.0, 2.0])
+            .column("b", &[f64::NAN]);
+        let section = Section::new("Figure 2")
+            .figure("figure-2", "TM over the samples", "TM", &figure)
+            .table(
+                "table-1",
+                "Values.",
+                [("8", "1,5")],
+                &[
+                    ("N", &|row| row.0.to_owned()),
+                    ("a, b", &|row| row.1.to_owned()),
+                ],
+            );
         let report = Reproduction {
             title: "paper".into(),
             subtitle: "of 1980".into(),
             lead: ("Met".into(), "nearly".into()),
-            sections: vec![
-                Section::new("Figure 2")
-                    .picture("figure-2", plot.svg("TM over the samples"), "TM")
-                    .table(
-                        "table-1",
-                        "Values.",
-                        [("8", "1,5")],
-                        &[
-                            ("N", &|row| row.0.to_owned()),
-                            ("a, b", &|row| row.1.to_owned()),
-                        ],
-                    )
-                    .series("figure-2", "k\n1\n".to_owned()),
-            ],
+            sections: vec![section],
         };
         let files = report.files();
         let content = |name: &str| &files.iter().find(|file| file.0 == name).unwrap().1;
         assert_eq!(files.len(), 4);
         assert_eq!(content("table-1.csv"), "N,\"a, b\"\n8,\"1,5\"\n");
+        assert_eq!(content("figure-2-series.csv"), "time_s,a,b\n0,1,\n1,2,\n");
         let svg = content("figure-2.svg");
         assert!(svg.starts_with("<?xml") && svg.contains("xmlns=") && svg.contains("<style>"));
         assert_eq!(svg.matches("<style>").count(), 1);
+        let (page, text) = (report.markdown(), report.text());
         assert!(
-            report
-                .markdown()
-                .starts_with("# paper\n\nof 1980\n\n## Met\n\nnearly\n"),
-            "{}",
-            report.markdown()
+            page.starts_with("# paper\n\nof 1980\n\n## Met\n\nnearly\n"),
+            "{page}"
         );
         let link = "\n## Figure 2\n\n![Figure 2](figure-2.svg)\n\nTM\n";
-        assert!(
-            report.markdown().contains(link) && !report.text().contains("!["),
-            "{}",
-            report.markdown()
-        );
-        assert!(report.text().contains("Figure 2") && content("report.html").contains("<svg"));
+        assert!(page.contains(link) && !text.contains("!["), "{page}");
+        assert!(text.contains("Figure 2") && content("report.html").contains("<svg"));
     }
 }

@@ -1,7 +1,7 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
 use super::page::{Cell, Page, Table, Tone};
-use super::plot::{Panel, PanelPlot, Series, Style};
+use super::plot::{Panel, Style, TIME, stacked};
 use super::{Context, Facts, tables};
 use crate::plant::Model;
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
@@ -75,7 +75,7 @@ impl RunReport<'_> {
         }
         page.section("Signals");
         page.figure(
-            plot(run).svg("recorded signals over time"),
+            stacked("recorded signals over time", TIME, &panels(run)),
             "A line is broken where samples are missing.",
         );
         if let Some(speed_loop) = self.speed_loop {
@@ -105,48 +105,34 @@ impl RunReport<'_> {
 
 /// Range and completeness of every recorded channel.
 fn signals(run: &Run) -> Table {
-    let rows = Channel::ALL.into_iter().filter_map(|channel| {
-        run.column(channel)?;
-        let (count, low, high) = run.points(channel).fold(
-            (0usize, f64::INFINITY, f64::NEG_INFINITY),
-            |(count, low, high), (_, value)| (count + 1, low.min(value), high.max(value)),
-        );
-        let range = |value: f64| {
-            let text = significant(value, 4);
-            if channel.unit() == "rad/s" && value.is_finite() {
-                Cell::text(text).with_note(r_min(value))
-            } else {
-                Cell::text(text)
-            }
-        };
-        let period = run
-            .period_s(channel)
-            .filter(|_| !channel.is_commanded())
-            .map_or("-".to_owned(), |period_s| {
-                format!("{} ms", significant(1e3 * period_s, 3))
-            });
-        Some(vec![
-            Cell::text(channel.name()),
-            Cell::text(channel.unit()),
-            Cell::text(origin(run.origin(channel))),
-            range(low),
-            range(high),
-            Cell::text(count.to_string()),
-            Cell::text(period),
-        ])
-    });
-    Table {
-        head: vec![
-            "signal",
-            "unit",
-            "origin",
-            "lowest",
-            "highest",
-            "values",
-            "median period",
-        ],
-        rows: rows.collect(),
-    }
+    let recorded = Channel::ALL.into_iter();
+    let recorded = recorded.filter(|channel| run.column(*channel).is_some());
+    let of = |channel: &Channel| run.points(*channel).map(|point| point.1);
+    let range = |channel: &Channel, value: f64| {
+        let cell = Cell::text(significant(value, 4));
+        if channel.unit() == "rad/s" && value.is_finite() {
+            cell.with_note(r_min(value))
+        } else {
+            cell
+        }
+    };
+    Table::of(recorded)
+        .column("signal", |channel| channel.name())
+        .column("unit", |channel| channel.unit())
+        .column("origin", |channel| origin(run.origin(*channel)))
+        .column("lowest", |channel| {
+            range(channel, of(channel).fold(f64::INFINITY, f64::min))
+        })
+        .column("highest", |channel| {
+            range(channel, of(channel).fold(f64::NEG_INFINITY, f64::max))
+        })
+        .column("values", |channel| of(channel).count().to_string())
+        .column("median period", |channel| {
+            let period = run.period_s(*channel).filter(|_| !channel.is_commanded());
+            let ms = |period_s: f64| format!("{} ms", significant(1e3 * period_s, 3));
+            period.map_or("-".to_owned(), ms)
+        })
+        .into()
 }
 
 const fn origin(origin: Origin) -> &'static str {
@@ -160,23 +146,8 @@ const fn origin(origin: Origin) -> &'static str {
 }
 
 /// One panel per quantity; a command shares the panel of what it commands.
-fn plot(run: &Run) -> PanelPlot {
+fn panels(run: &Run) -> [Panel; 7] {
     let end_s = run.time_s().last().copied().unwrap_or(0.0);
-    let series = |channel: Channel| {
-        let label = if channel.is_commanded() {
-            "command"
-        } else {
-            channel.name()
-        };
-        if channel.is_commanded() {
-            let events: Vec<(f64, f64)> = run.points(channel).collect();
-            Series::held(label, Style::Command, &events, end_s)
-        } else {
-            let nothing = Vec::new();
-            let values = run.column(channel).unwrap_or(&nothing);
-            Series::sampled(label, Style::After, run.time_s(), values)
-        }
-    };
     let groups: [&[Channel]; 7] = [
         &[Channel::VoltageCmd, Channel::Voltage],
         &[Channel::Current],
@@ -186,22 +157,23 @@ fn plot(run: &Run) -> PanelPlot {
         &[Channel::Bus],
         &[Channel::Temperature],
     ];
-    let mut plot = PanelPlot::default();
-    for group in groups {
+    groups.map(|group| {
         let shown = group[group.len() - 1];
         let mut panel = Panel::new(shown.name(), shown.unit()).with_height(120.0);
-        for channel in group
-            .iter()
-            .filter(|channel| run.points(**channel).next().is_some())
-        {
-            panel = panel.with(series(*channel));
+        for &channel in group {
+            let events: Vec<(f64, f64)> = run.points(channel).collect();
+            let values = run.column(channel).unwrap_or_default();
+            panel = match events.is_empty() {
+                true => panel,
+                false if channel.is_commanded() => panel.held("command", &events, end_s),
+                false => panel.sampled(channel.name(), Style::After, run.time_s(), values),
+            };
         }
         if shown == Channel::Speed {
             panel = panel.with_second_unit("r/min", rpm_from_rad_s(1.0));
         }
-        plot = plot.with(panel);
-    }
-    plot
+        panel
+    })
 }
 
 #[cfg(test)]
@@ -211,13 +183,13 @@ mod tests {
     #[test]
     fn a_trip_is_the_first_thing_that_is_said() {
         let mut run = Run::new("r", (0..50).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
-        let speed = (0..50)
-            .map(|k| if k == 20 { f64::NAN } else { f64::from(k) })
-            .collect();
-        run.set_column(Channel::Speed, speed, Origin::Measured)
-            .unwrap();
-        run.set_column(Channel::Current, vec![f64::NAN; 50], Origin::Measured)
-            .unwrap();
+        let speed = |k| if k == 20 { f64::NAN } else { f64::from(k) };
+        for (channel, cells) in [
+            (Channel::Speed, (0..50).map(speed).collect()),
+            (Channel::Current, vec![f64::NAN; 50]),
+        ] {
+            run.set_column(channel, cells, Origin::Measured).unwrap();
+        }
         let context = Context::default();
         let report = RunReport {
             title: "run",
@@ -238,13 +210,8 @@ mod tests {
         let html = report.html();
         assert!(!html.contains("NaN") && !html.contains(">inf"));
         // The lost sample cuts the speed's line in two.
-        let speed = html
-            .split("data-label=\"speed\" d=\"")
-            .nth(1)
-            .unwrap()
-            .split('"')
-            .next()
-            .unwrap();
-        assert_eq!(speed.matches('M').count(), 2);
+        let (_, path) = html.split_once("data-label=\"speed\" d=\"").unwrap();
+        let (path, _) = path.split_once('"').unwrap();
+        assert_eq!(path.matches('M').count(), 2);
     }
 }

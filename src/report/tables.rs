@@ -17,47 +17,42 @@ fn parameters(
         let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
         model.get(&slot)
     };
-    let mut keys: Vec<&str> = after.iter().map(|p| p.key.as_str()).collect();
-    keys.extend(before.iter().map(|p| p.key.as_str()));
-    let mut head = vec!["parameter", "unit"];
+    let mut keys: Vec<&str> = Vec::new();
+    for parameter in after.iter().chain(before) {
+        if !keys.contains(&&parameter.key[..]) {
+            keys.push(&parameter.key);
+        }
+    }
+    let of = |all: &'_ [ParameterEstimate], key: &str| all.iter().find(|p| p.key == key).cloned();
+    let unit = |key: &str| of(after, key).or(of(before, key)).map_or("", |p| p.unit);
+    let mut table = Table::of(keys)
+        .column("parameter", |key| Cell::code(*key))
+        .column("unit", |key| unit(key));
     if nameplate.is_some() {
-        head.push("nameplate");
+        table = table.column("nameplate", |key| {
+            given(key).map_or("-".to_owned(), |v| number::significant(v, 4))
+        });
     }
-    if before.is_empty() {
-        head.extend(["estimate ± std", "verdict"]);
+    let models: &[_] = if before.is_empty() {
+        &[("estimate ± std", "verdict", after)]
     } else {
-        head.extend([
-            "before ± std",
-            "verdict before",
-            "after ± std",
-            "verdict after",
-        ]);
+        &[
+            ("before ± std", "verdict before", before),
+            ("after ± std", "verdict after", after),
+        ]
+    };
+    for (value, verdict, found) in models {
+        table = table
+            .column(value, |key| estimate(of(found, key), given(key))[0].clone())
+            .column(verdict, |key| {
+                estimate(of(found, key), given(key))[1].clone()
+            });
     }
-    let mut rows = Vec::new();
-    for (position, key) in keys.iter().enumerate() {
-        if keys[..position].contains(key) {
-            continue;
-        }
-        let old = before.iter().find(|p| p.key == *key);
-        let new = after.iter().find(|p| p.key == *key);
-        let unit = new.or(old).map_or("", |p| p.unit);
-        let mut row = vec![Cell::code(*key), Cell::text(unit)];
-        if nameplate.is_some() {
-            row.push(Cell::text(
-                given(key).map_or("-".to_owned(), |v| number::significant(v, 4)),
-            ));
-        }
-        if !before.is_empty() {
-            row.extend(estimate(old, given(key)));
-        }
-        row.extend(estimate(new, given(key)));
-        rows.push(row);
-    }
-    Table { head, rows }
+    table.into()
 }
 
 /// Value and verdict; a model that does not have the parameter gives two dashes.
-fn estimate(parameter: Option<&ParameterEstimate>, nameplate: Option<f64>) -> [Cell; 2] {
+fn estimate(parameter: Option<ParameterEstimate>, nameplate: Option<f64>) -> [Cell; 2] {
     let Some(parameter) = parameter else {
         return [Cell::text("-"), Cell::text("not in this model")];
     };
@@ -84,20 +79,14 @@ pub(super) fn parameter_section(
     page.table(parameters(nameplate, before, after));
     let two = !before.is_empty();
     let reason = |when: &str, parameter: &ParameterEstimate| {
-        let when = if two {
-            format!(" ({when})")
-        } else {
-            String::new()
-        };
+        let when = if two { when } else { "" };
         let verdict = parameter.verdict_text();
-        parameter
-            .reason
-            .as_ref()
-            .map(|_| format!("{}{when}: {verdict}", parameter.key))
+        let sentence = format!("{}{when}: {verdict}", parameter.key);
+        parameter.reason.is_some().then_some(sentence)
     };
-    let mut reasons: Vec<String> = before.iter().filter_map(|p| reason("before", p)).collect();
-    reasons.extend(after.iter().filter_map(|p| reason("after", p)));
-    page.list(reasons);
+    let old = before.iter().filter_map(|p| reason(" (before)", p));
+    let new = after.iter().filter_map(|p| reason(" (after)", p));
+    page.list(old.chain(new).collect());
 }
 
 /// What is to be known of the data before any figure is believed; nothing where there is nothing.
@@ -129,7 +118,8 @@ pub(super) fn conditions(page: &mut Page, context: &Context) {
     page.section("Repeat this");
     let seed = context
         .seed
-        .map_or("none".to_owned(), |seed| seed.to_string());
+        .as_ref()
+        .map_or("none".to_owned(), u64::to_string);
     let mut facts: Facts = vec![("seed".to_owned(), seed)];
     facts.extend(context.versions.iter().cloned());
     for (position, folder) in context.run_folders.iter().enumerate() {

@@ -4,8 +4,8 @@ use super::page::Page;
 use super::*;
 use crate::diagnosis::next_experiment::MenuEntry;
 use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, Evidence, Fitted, HoldoutFrom, NextExperiment, Rung,
-    Score, compare, diagnose,
+    Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorOf, Evidence, FailureLocation, Fitted,
+    HoldoutFrom, NextExperiment, ResidualLights, Rung, Score, Status, compare, diagnose,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error;
@@ -24,11 +24,8 @@ fn assert_balanced(html: &str) {
         let end = rest.find('>').expect("a tag ends");
         let (tag, after) = rest.split_at(end);
         rest = &after[1..];
-        let name = tag
-            .trim_start_matches('/')
-            .split([' ', '/'])
-            .next()
-            .unwrap();
+        let mut words = tag.trim_start_matches('/').split([' ', '/']);
+        let name = words.next().unwrap();
         if tag.starts_with('!') || tag.ends_with('/') || ["meta", "br", "wbr"].contains(&name) {
             continue;
         }
@@ -48,6 +45,14 @@ fn assert_balanced(html: &str) {
 #[should_panic(expected = "</p> after")]
 fn the_checker_sees_tags_that_cross() {
     assert_balanced("<p><b>x</p></b>");
+}
+
+#[test]
+fn markup_becomes_text() {
+    assert_eq!(
+        page::escape("<b a='1'>\"x\" & y</b>\u{0}"),
+        "&lt;b a=&#39;1&#39;&gt;&quot;x&quot; &amp; y&lt;/b&gt;\u{fffd}"
+    );
 }
 
 fn estimate(
@@ -84,16 +89,14 @@ fn no_fit() -> Fitted {
     }
 }
 
+/// A comparison of the right shape with these figures: `factor` is the error in units of the noise.
 fn comparison(factor: f64) -> Comparison {
-    use crate::diagnosis::{FailureLocation, ResidualLights};
-    let mut comparison = tiny_comparison();
-    for signal in [
-        &mut comparison.signals.speed_rad_s,
-        &mut comparison.signals.current_a,
-    ]
-    .into_iter()
-    .flatten()
-    {
+    let model = Model::baseline(Motor::zk_22fc());
+    let evidence = Evidence::new(record(&model, 0, 1), None, None);
+    let mut comparison = compare(&model, &evidence, ErrorOf::Model).unwrap();
+    let signals = &mut comparison.signals;
+    for signal in [&mut signals.speed_rad_s, &mut signals.current_a] {
+        let signal = signal.as_mut().unwrap();
         signal.rmse = 0.15 * factor;
         signal.fit_percent = 100.0 - 2.0 * factor;
         signal.one_step_rmse = 0.16;
@@ -101,50 +104,42 @@ fn comparison(factor: f64) -> Comparison {
         signal.holdout.rmse = 0.151 * factor;
         signal.holdout.fit_percent = 100.0 - 2.1 * factor;
     }
+    let white = factor < 1.5;
     comparison.residual = ResidualLights {
         enough_samples: true,
-        white: factor < 1.5,
-        autocorrelation_outside_99_percent: if factor < 1.5 { 0.04 } else { 0.96 },
+        white,
+        autocorrelation_outside_99_percent: if white { 0.04 } else { 0.96 },
         ..ResidualLights::default()
     };
-    comparison.locations = if factor < 1.5 {
-        vec![]
-    } else {
-        vec![FailureLocation {
-            equation: "torque",
-            variable: "speed_rad_s",
-            from: -12.0,
-            to: 12.0,
-            share_of_error: 0.85,
-            share_of_time: 0.11,
-            follows: 0.7,
-            strength: 40.0,
-            sentence: "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time"
-                .to_owned(),
-        }]
+    let sentence = "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time";
+    let place = FailureLocation {
+        equation: "torque",
+        variable: "speed_rad_s",
+        from: -12.0,
+        to: 12.0,
+        share_of_error: 0.85,
+        share_of_time: 0.11,
+        follows: 0.7,
+        strength: 40.0,
+        sentence: sentence.to_owned(),
     };
+    comparison.locations = if white { vec![] } else { vec![place] };
     comparison
 }
 
-/// A comparison of the right shape, whose figures the caller replaces.
-fn tiny_comparison() -> Comparison {
-    let model = Model::baseline(Motor::zk_22fc());
-    let run = record(&model, 0, 1);
-    compare(
-        &model,
-        &Evidence::new(run, None, None),
-        crate::diagnosis::ErrorOf::Model,
-    )
-    .unwrap()
-}
-
-fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
-    use crate::diagnosis::{Candidate, Status};
-    let candidate = |rank, effect, status, after: f64, probability, parameters| Candidate {
+fn candidate(
+    rank: usize,
+    effect: &'static str,
+    status: Status,
+    after: f64,
+    parameters: Vec<ParameterEstimate>,
+) -> Candidate {
+    let explained = 1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0);
+    Candidate {
         effect,
         rank,
         status,
-        probability,
+        probability: f64::from(u8::from(rank == 1)),
         parameters,
         onsets: vec![],
         interval_factor: 1.0,
@@ -153,30 +148,26 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         error_after: Some(after),
         holdout_before: 5.1,
         holdout_after: Some(after),
-        explained_percent: Some(100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0))),
+        explained_percent: Some(100.0 * explained),
         upper_bound: Some(0.004),
         detectable: Some(0.004),
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
         ),
+    }
+}
+
+fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
+    let own = |key: &str, value, std, unit| {
+        let key = format!("stribeck_friction.{key}");
+        estimate(&key, value, std, unit, Verdict::Settled)
     };
     let stribeck = vec![
-        estimate(
-            "stribeck_friction.stribeck_n_m",
-            0.1204,
-            0.0011,
-            "N.m",
-            Verdict::Settled,
-        ),
-        estimate(
-            "stribeck_friction.stribeck_speed_rad_s",
-            8.91,
-            0.12,
-            "rad/s",
-            Verdict::Settled,
-        ),
+        own("stribeck_n_m", 0.1204, 0.0011, "N.m"),
+        own("stribeck_speed_rad_s", 8.91, 0.12, "rad/s"),
     ];
-    let named = verdict == DiagnosisVerdict::Effect;
+    let effect = (verdict == DiagnosisVerdict::Effect).then_some("stribeck_friction");
+    let unrepeated = "whether this machine repeats is not known: too many rows were lost";
     Diagnosis {
         rivals: Vec::new(),
         sensor_floor: Some(1.0),
@@ -184,12 +175,8 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         repeats: None,
         repeat_follows: Vec::new(),
         verdict,
-        effect: named.then_some("stribeck_friction"),
-        effects: if named {
-            vec!["stribeck_friction"]
-        } else {
-            vec![]
-        },
+        effect,
+        effects: effect.into_iter().collect(),
         sufficient: true,
         noise_floor_from: FloorSource::Standstill,
         holdout_from: HoldoutFrom::Run,
@@ -197,23 +184,14 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         holdout_before: 5.1,
         holdout_after: 1.02,
         candidates: vec![
-            candidate(
-                1,
-                "stribeck_friction",
-                Status::Supported,
-                1.02,
-                1.0,
-                stribeck,
-            ),
-            candidate(2, "viscous_friction", Status::RuledOut, 5.08, 0.0, vec![]),
+            candidate(1, "stribeck_friction", Status::Supported, 1.02, stribeck),
+            candidate(2, "viscous_friction", Status::RuledOut, 5.08, vec![]),
         ],
         confusable: vec![],
         ladder: vec![],
         sentence: sentence.to_owned(),
         confirm: None,
-        limits: vec![
-            "whether this machine repeats is not known: too many rows were lost".to_owned(),
-        ],
+        limits: vec![unrepeated.to_owned()],
         equivalences: vec![],
         next_experiment: None,
         unknown: vec![],
@@ -249,30 +227,22 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
         effects,
         holdout_rmse,
     };
-    let before = vec![
-        estimate("resistance_ohm", 1.1432, 0.0041, "ohm", Verdict::Settled),
-        ParameterEstimate::not_observable(
-            "inductance_h",
-            "H",
-            "relative uncertainty 80 % at a period of 10.0 ms",
-        ),
-        estimate(
-            "inertia_kg_m2",
-            0.004_61,
-            0.000_19,
-            "kg.m2",
-            Verdict::Searching,
-        ),
-    ];
-    let mut after = before.clone();
-    after[0] = estimate("resistance_ohm", 1.1003, 0.0007, "ohm", Verdict::Settled);
-    after[2] = estimate(
-        "inertia_kg_m2",
-        0.004_501,
-        0.000_003,
-        "kg.m2",
-        Verdict::Settled,
-    );
+    let motor = |resistance: (f64, f64), inertia: (f64, f64), verdict| {
+        let unseen = "relative uncertainty 80 % at a period of 10.0 ms";
+        vec![
+            estimate(
+                "resistance_ohm",
+                resistance.0,
+                resistance.1,
+                "ohm",
+                Verdict::Settled,
+            ),
+            ParameterEstimate::not_observable("inductance_h", "H", unseen),
+            estimate("inertia_kg_m2", inertia.0, inertia.1, "kg.m2", verdict),
+        ]
+    };
+    let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), Verdict::Searching);
+    let mut after = motor((1.1003, 0.0007), (0.004_501, 0.000_003), Verdict::Settled);
     after.extend(diagnosis.candidates[0].parameters.clone());
     let (old, new) = (comparison(5.0), comparison(1.01));
     let report = CommissionReport {
@@ -313,19 +283,13 @@ fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
     let levels = [
         30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0,
     ];
-    let mut events = vec![(0.0, 0.0)];
-    for step in 0..levels.len() {
-        events.push((
-            0.5 + 0.5 * step as f64,
-            levels[(step + 3 * shift) % levels.len()],
-        ));
-    }
+    let level = |step: usize| levels[(step + 3 * shift) % levels.len()];
+    let steps = (0..levels.len()).map(|step| (0.5 + 0.5 * step as f64, level(step)));
+    let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
     let mut scenario = testing::record(model, events, 0.004, 7.5, seed);
     let samples = scenario.samples();
     // The link lost half a second's speed, and single samples of both.
-    for k in 1000..1100 {
-        scenario.speed_rad_s[k] = f64::NAN;
-    }
+    scenario.speed_rad_s[1000..1100].fill(f64::NAN);
     for k in (150..samples).step_by(177) {
         scenario.current_a[k] = f64::NAN;
         scenario.speed_rad_s[k] = f64::NAN;
@@ -344,36 +308,21 @@ fn commission(truth: &Model, name: &str) -> String {
     let runs = |shift: usize| record(truth, shift, 40 + shift as u64);
     let evidence = Evidence::new(runs(0), Some(runs(1)), Some(runs(2)));
     let found = diagnose(&nameplate, evidence.clone()).unwrap();
-    let before = compare(
-        &found.baseline.model,
-        &evidence,
-        crate::diagnosis::ErrorOf::Structure,
-    )
-    .unwrap();
-    let named = !found.effects.is_empty();
-    let after = named.then(|| {
-        compare(
-            &found.model.model,
-            &evidence,
-            crate::diagnosis::ErrorOf::Structure,
-        )
-        .unwrap()
-    });
+    let compare = |model: &Model| compare(model, &evidence, ErrorOf::Structure).unwrap();
     let confirm = evidence.confirm.as_ref().unwrap();
     let free_run = |model: &Model| -> Trajectory {
-        output_error::predict(model, confirm, &evidence.noise)
-            .unwrap()
-            .trajectory
+        let predicted = output_error::predict(model, confirm, &evidence.noise);
+        predicted.unwrap().trajectory
     };
-    let (old, new) = (
-        free_run(&found.baseline.model),
-        named.then(|| free_run(&found.model.model)),
-    );
+    let (baseline, model) = (&found.baseline.model, &found.model.model);
+    let named = !found.effects.is_empty();
+    let (before, after) = (compare(baseline), named.then(|| compare(model)));
+    let (old, new) = (free_run(baseline), named.then(|| free_run(model)));
     let rung = |model: &Model| Rung {
         effects: model.effect_ids(),
         holdout_rmse: Score::of(model, confirm, &evidence.noise).unwrap().nrms,
     };
-    let confirmed = [rung(&found.baseline.model), rung(&found.model.model)];
+    let confirmed = [rung(baseline), rung(model)];
     let report = CommissionReport {
         kind: "Commission",
         title: "ZK-22FC on the emulator",
@@ -410,14 +359,12 @@ fn the_page_of_a_real_diagnosis_is_whole_and_names_the_effect() {
     assert_balanced(&html);
     assert!(html.contains("Effect found") && html.contains("stribeck_<wbr>friction"));
     for series in ["model before", "model after", "measured", "command"] {
-        assert!(
-            html.contains(&format!("data-label=\"{series}\"")),
-            "{series}"
-        );
+        let label = format!("data-label=\"{series}\"");
+        assert!(html.contains(&label), "{series}");
     }
     assert!(
         !html.contains("NaN") && html.len() < 600_000,
-        "{} bytes",
+        "{}",
         html.len()
     );
 }
@@ -438,24 +385,20 @@ fn the_page_of_a_run_is_whole() {
         let row = run.time_s().partition_point(|t| *t < time_s - 1e-9);
         command[row] = *value;
     }
-    run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
-        .unwrap();
-    run.set_column(Channel::Current, scenario.current_a, Origin::Measured)
-        .unwrap();
-    run.set_column(Channel::Speed, scenario.speed_rad_s, Origin::Measured)
-        .unwrap();
+    for (channel, cells, origin) in [
+        (Channel::VoltageCmd, command, Origin::Commanded),
+        (Channel::Current, scenario.current_a, Origin::Measured),
+        (Channel::Speed, scenario.speed_rad_s, Origin::Measured),
+    ] {
+        run.set_column(channel, cells, origin).unwrap();
+    }
+    let resistance = estimate("resistance_ohm", 1.12, 0.05, "ohm", Verdict::Searching);
     let report = RunReport {
         title: "Run \"first\" & only",
         context: &context(),
         run: &run,
         nameplate: Some(&Model::baseline(Motor::zk_22fc())),
-        parameters: &[estimate(
-            "resistance_ohm",
-            1.12,
-            0.05,
-            "ohm",
-            Verdict::Searching,
-        )],
+        parameters: &[resistance],
         timing: &vec![("period asked".into(), "4 ms".into())],
         trip: None,
         speed_loop: None,

@@ -106,16 +106,12 @@ pub fn r_min(speed_rad_s: f64) -> String {
 
 /// A percentage with one decimal.
 pub fn percent(value: f64) -> String {
-    if value.is_finite() {
-        format!("{} %", fixed(value, 1))
-    } else {
-        MISSING.to_owned()
-    }
+    with_unit(&fixed(value, 1), "%")
 }
 
 /// A share as a percentage without decimals.
 pub fn share(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
+    with_unit(&fixed(100.0 * share, 0), "%")
 }
 
 /// A probability in words that promise no more than it does.
@@ -185,10 +181,6 @@ mod tests {
         ] {
             assert_eq!(significant(value, digits), text);
         }
-        assert_eq!(
-            (fixed(-0.04, 1).as_str(), fixed(-0.06, 1).as_str()),
-            ("0.0", "-0.1")
-        );
         for (value, text) in [
             (-13_107.300_000_000_001, "-13107.3"),
             (-1.200_000_000_000_000_2, "-1.2"),
@@ -199,8 +191,18 @@ mod tests {
         ] {
             assert_eq!(reading(value), text);
         }
-        assert_eq!(with_unit(&significant(0.2, 2), "-"), "0.20");
-        assert_eq!(r_min(-12.0), "-115 r/min");
+        for (found, text) in [
+            (fixed(-0.04, 1), "0.0"),
+            (fixed(-0.06, 1), "-0.1"),
+            (with_unit(&significant(0.2, 2), "-"), "0.20"),
+            (r_min(-12.0), "-115 r/min"),
+            (share(0.126), "13 %"),
+            (share(f64::NAN), "n/a"),
+            (percent(12.34), "12.3 %"),
+            (percent(f64::NAN), "n/a"),
+        ] {
+            assert_eq!(found, text);
+        }
     }
 
     proptest! {

@@ -6,23 +6,24 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use super::named_estimate::NamedEstimate;
+use super::result::with_keys;
 use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
 use crate::identification::output_error::FitError;
 use crate::identification::{start, weak_form};
 use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
-use crate::text::number::with_std;
+use crate::text::number::{fixed, with_std};
 
 /// What one burst said.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct BurstResult {
     /// The capture, a run like any other.
     pub capture: String,
     pub rows: usize,
     pub rate_hz: f64,
     /// Resistance and inductance, with the effects in the circuit.
-    pub parameters: Vec<NamedEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters: Vec<ParameterEstimate>,
     /// Effects that its voltage equation misses.
     pub effects: Vec<&'static str>,
     /// How well that equation holds, or why it could not be asked; never what is missing in the machine.
@@ -32,32 +33,21 @@ pub struct BurstResult {
 impl BurstResult {
     /// Fits the circuit to a burst by itself. Where the burst tells no inductance there is none in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
-        let (rows, rate_hz) = (burst.samples(), rate_hz(burst));
-        match told(nameplate, burst) {
-            Ok(told) => Self {
-                capture,
-                rows,
-                rate_hz,
-                parameters: NamedEstimate::list(&told.estimates),
-                effects: told.effects,
-                sentence: told.sentence,
-            },
-            Err(error) => Self {
-                capture,
-                rows,
-                rate_hz,
-                parameters: Vec::new(),
-                effects: Vec::new(),
-                sentence: format!("it tells nothing: {error}"),
-            },
+        let told = told(nameplate, burst).unwrap_or_else(|error| Self {
+            sentence: format!("it tells nothing: {error}"),
+            ..Self::default()
+        });
+        Self {
+            capture,
+            rows: burst.samples(),
+            rate_hz: rate_hz(burst),
+            ..told
         }
     }
 
     pub fn value(&self, key: MotorKey) -> Option<f64> {
-        self.parameters
-            .iter()
-            .find(|named| named.key == key.key())
-            .and_then(|named| named.estimate.value)
+        let mut parameters = self.parameters.iter();
+        parameters.find(|own| own.key == key.key())?.value
     }
 
     /// The model from which the loop's own runs are fitted: what they cannot tell stays as the burst has it.
@@ -89,49 +79,40 @@ impl BurstResult {
 
     /// What the burst told, for the end of the loop.
     pub fn text(&self) -> String {
-        let figures: Vec<String> = self
-            .parameters
-            .iter()
-            .filter_map(|named| {
-                let (value, std) = (named.estimate.value?, named.estimate.std?);
-                let text = with_std(value, std);
-                Some(format!("{} {text} {}; ", named.key, named.estimate.unit))
-            })
-            .collect();
+        let figure = |own: &ParameterEstimate| {
+            let text = with_std(own.value?, own.std?);
+            Some(format!("{} {text} {}; ", own.key, own.unit))
+        };
+        let figures: String = self.parameters.iter().filter_map(figure).collect();
         format!(
-            "{} samples at {:.0} Hz in {}\n  {}{}",
+            "{} samples at {} Hz in {}\n  {figures}{}",
             self.rows,
-            self.rate_hz,
+            fixed(self.rate_hz, 0),
             self.capture,
-            figures.concat(),
             self.sentence
         )
     }
 }
 
-/// What the voltage equation of a burst says.
-struct Told {
-    estimates: Vec<ParameterEstimate>,
-    effects: Vec<&'static str>,
-    sentence: String,
-}
-
 /// Error of the voltage equation in units of its noise up to which it holds.
-const HOLDS: f64 = 1.15;
+const HOLDS_TIMES_NOISE: f64 = 1.15;
 /// Standard deviations by which a coefficient has to differ from zero, and share of the error that may be left with it.
-const CERTAIN: f64 = 3.0;
-const EXPLAINS: f64 = 0.7;
+const CERTAIN_SIGMAS: f64 = 3.0;
+const EXPLAINS_SHARE: f64 = 0.7;
 
 /// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
 /// and winds up, and a free run would put what its load does into the inductance.
-fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
+fn told(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst)?;
     if let Some(reason) = plain.why_nothing() {
         return Ok(plain.told(Vec::new(), format!("it tells nothing: {reason}")));
     }
     let leaves = format!("its voltage equation leaves {}", plain.level());
-    if plain.over_noise.is_some_and(|over| over <= HOLDS) {
+    if plain
+        .over_noise
+        .is_some_and(|over| over <= HOLDS_TIMES_NOISE)
+    {
         return Ok(plain.told(Vec::new(), leaves));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
@@ -141,7 +122,7 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let better = VoltageBalance::of(&with, burst)?;
     let bears_out = |id: &&str| better.bears_out(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
-    if found.is_empty() || better.rms_v > EXPLAINS * plain.rms_v {
+    if found.is_empty() || better.rms_v > EXPLAINS_SHARE * plain.rms_v {
         return Ok(plain.told(Vec::new(), leaves));
     }
     let sentence = format!(
@@ -184,55 +165,56 @@ impl VoltageBalance {
     /// Why it has no resistance.
     fn why_nothing(&self) -> Option<String> {
         let resistance = self.parameters.first()?;
-        resistance
-            .reason
-            .clone()
-            .filter(|_| resistance.value.is_none())
+        let reason = resistance.reason.clone();
+        reason.filter(|_| resistance.value.is_none())
     }
 
     fn level(&self) -> String {
         self.over_noise.map_or_else(
             || format!("{:.2e} V (its noise is not known)", self.rms_v),
-            |over| format!("{over:.2} times its noise"),
+            |over| format!("{} times its noise", fixed(over, 2)),
         )
     }
 
     /// Whether the size of this effect is told from zero.
     fn bears_out(&self, id: &str) -> bool {
         let prefix = format!("{id}.");
+        let is_told = |p: &ParameterEstimate| {
+            let size = p.value.zip(p.std);
+            size.is_some_and(|(value, std)| value.abs() > CERTAIN_SIGMAS * std)
+        };
         let mut own = self
             .parameters
             .iter()
             .filter(|p| p.key.starts_with(&prefix));
-        own.any(
-            |p| matches!((p.value, p.std), (Some(value), Some(std)) if value.abs() > CERTAIN * std),
-        )
+        own.any(is_told)
     }
 
     /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
     /// range of the current a drop builds up is no part of its equation, and goes into both.
-    fn told(self, effects: Vec<&'static str>, sentence: String) -> Told {
+    fn told(self, effects: Vec<&'static str>, sentence: String) -> BurstResult {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
-        let misses = self.over_noise.filter(|over| *over > HOLDS).map(|over| {
-            format!(
-                "the voltage equation of the burst leaves {over:.2} times its noise: something is missing in it"
-            )
-        });
-        let rests_on = (!effects.is_empty())
-            .then(|| format!("it rests on the form of {}", effects.join(" and ")));
-        let doubt = misses.or(rests_on);
-        let mut estimates = self.parameters;
-        estimates.retain(|estimate| electrical.contains(&estimate.key.as_str()));
-        for estimate in &mut estimates {
+        let doubt = match self.over_noise.filter(|over| *over > HOLDS_TIMES_NOISE) {
+            Some(over) => Some(format!(
+                "the voltage equation of the burst leaves {} times its noise: something is missing in it",
+                fixed(over, 2)
+            )),
+            None if effects.is_empty() => None,
+            None => Some(format!("it rests on the form of {}", effects.join(" and "))),
+        };
+        let mut parameters = self.parameters;
+        parameters.retain(|estimate| electrical.contains(&estimate.key.as_str()));
+        for estimate in &mut parameters {
             if let (Some(reason), Verdict::Settled) = (&doubt, estimate.verdict) {
                 estimate.verdict = Verdict::Searching;
                 estimate.reason = Some(reason.clone());
             }
         }
-        Told {
-            estimates,
+        BurstResult {
+            parameters,
             effects,
             sentence,
+            ..BurstResult::default()
         }
     }
 }
@@ -263,14 +245,16 @@ mod tests {
         };
         let rows = 1000;
         let mut run = Run::new("burst", (0..rows).map(at).collect()).unwrap();
-        let column = |of: &dyn Fn(f64) -> f64| (0..rows).map(|k| of(at(k))).collect::<Vec<_>>();
-        let volts = column(&|time_s| if time_s >= 0.01 - 1e-9 { 5.0 } else { 0.0 });
-        run.set_column(Channel::Voltage, volts, Origin::Measured)
-            .unwrap();
-        run.set_column(Channel::Current, column(&current), Origin::Measured)
-            .unwrap();
-        run.set_column(Channel::Speed, column(&|_| 0.0), Origin::Measured)
-            .unwrap();
+        let volts = |time_s: f64| if time_s >= 0.01 - 1e-9 { 5.0 } else { 0.0 };
+        let columns: [(Channel, &dyn Fn(f64) -> f64); 3] = [
+            (Channel::Voltage, &volts),
+            (Channel::Current, &current),
+            (Channel::Speed, &|_| 0.0),
+        ];
+        for (channel, of) in columns {
+            let cells = (0..rows).map(|k| of(at(k))).collect();
+            run.set_column(channel, cells, Origin::Measured).unwrap();
+        }
         Scenario::from_run(&run).unwrap()
     }
 
@@ -307,19 +291,16 @@ mod tests {
         let burst = testing::record(&truth, events, 1e-4, 0.3, 4);
         let result = BurstResult::of(&plate(), &burst, "c".to_owned());
         let inductance = result.parameters.iter().find(|p| p.key == "inductance_h");
-        let estimate = &inductance.unwrap().estimate;
+        let estimate = inductance.unwrap();
         let (value, std) = (estimate.value.unwrap(), estimate.std.unwrap());
         assert!(
             (value - 0.0099).abs() < 2.5 * std && std < 0.01 * value,
             "{value} +- {std}"
         );
         assert!(result.effects.is_empty(), "{result:?}");
-        assert!(
-            result.sentence.contains("times its noise"),
-            "{}",
-            result.sentence
-        );
-        assert!(!result.sentence.contains("nothing"), "{}", result.sentence);
+        let sentence = &result.sentence;
+        assert!(sentence.contains("times its noise"), "{sentence}");
+        assert!(!sentence.contains("nothing"), "{sentence}");
         // The free run of the five parameters puts the stiction into the inductance.
         let noise = NoiseFloor::from_standstill(&burst).unwrap();
         let free = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &burst, &noise).unwrap();
@@ -333,9 +314,9 @@ mod tests {
     #[test]
     fn what_rests_on_the_form_of_an_effect_is_not_settled() {
         let balance = || VoltageBalance::of(&plate(), &burst(0.0099)).unwrap();
-        let settled = |told: Told| {
+        let settled = |told: BurstResult| {
             let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
-            told.estimates.iter().any(is_settled)
+            told.parameters.iter().any(is_settled)
         };
         assert!(settled(balance().told(Vec::new(), String::new())));
         assert!(!settled(

@@ -3,7 +3,6 @@
 use super::burst::BurstResult;
 use super::discovery::Discovery;
 use super::escalate::{EscalationResult, compared};
-use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
@@ -107,21 +106,18 @@ impl Commission {
         if unknown {
             titles.insert(PLAN, "find the motor");
         }
-        let steps = titles
-            .iter()
-            .map(|title| StepView {
-                title: (*title).to_owned(),
-                state: StepState::Waiting,
-                line: String::new(),
-            })
-            .collect();
+        let steps = titles.iter().map(|title| StepView {
+            title: (*title).to_owned(),
+            state: StepState::Waiting,
+            line: String::new(),
+        });
         let mut commission = Self {
             plate: nameplate.motor.clone(),
             escalation: None,
             burst: None,
             extra: usize::from(unknown),
             nameplate,
-            steps,
+            steps: steps.collect(),
             task: Task::Check,
             scenarios: Vec::new(),
             runs: Vec::new(),
@@ -189,12 +185,12 @@ impl Commission {
             1e3 * report.round_trip_p50_s,
             report.reachable_rate_hz,
         );
-        let next = if self.extra > 0 {
-            Task::Escalate
-        } else {
-            Task::Plan
-        };
-        self.step_done(CHECK, line, next);
+        let unknown = self.extra > 0;
+        self.step_done(
+            CHECK,
+            line,
+            if unknown { Task::Escalate } else { Task::Plan },
+        );
     }
 
     /// What the escalation is doing.
@@ -268,10 +264,8 @@ impl Commission {
             });
         };
         let nameplate = start::complete(&self.nameplate, fit)?;
-        let burst = self
-            .burst
-            .as_ref()
-            .map(|(burst, capture)| BurstResult::of(&nameplate, burst, capture.clone()));
+        let of = |(burst, kept): &(_, String)| BurstResult::of(&nameplate, burst, kept.clone());
+        let burst = self.burst.as_ref().map(of);
         let nameplate = match &burst {
             Some(burst) => burst.improve(nameplate),
             None => nameplate,
@@ -283,13 +277,10 @@ impl Commission {
             holdout: confirm.clone(),
             ..evidence.clone()
         };
-        let known = baseline
-            .parameters
-            .iter()
-            .filter(|p| p.value.is_some())
-            .count();
+        let known = baseline.parameters.iter().filter(|p| p.value.is_some());
         let line = format!(
-            "{known} of {} parameters, {} iterations",
+            "{} of {} parameters, {} iterations",
+            known.count(),
             baseline.parameters.len(),
             baseline.iterations
         );
@@ -346,9 +337,9 @@ impl Commission {
         publish(self.progress());
         self.result = Some(CommissionResult {
             sentence: diagnosis.sentence.clone(),
-            parameters_before: NamedEstimate::list(&diagnosis.baseline.parameters),
-            parameters: NamedEstimate::list(&diagnosis.model.parameters),
-            online: NamedEstimate::list(&self.online),
+            parameters_before: diagnosis.baseline.parameters.clone(),
+            parameters: diagnosis.model.parameters.clone(),
+            online: self.online.clone(),
             nameplate: compared(&self.plate, &diagnosis.model.parameters),
             escalation: self.escalation.clone(),
             burst: burst.map(|burst| burst.beside(&diagnosis)),
@@ -370,11 +361,8 @@ impl Commission {
 
     /// The active step failed; nothing follows.
     pub fn failed(&mut self, reason: &str) {
-        if let Some(step) = self
-            .steps
-            .iter_mut()
-            .find(|step| step.state == StepState::Active)
-        {
+        let mut steps = self.steps.iter_mut();
+        if let Some(step) = steps.find(|step| step.state == StepState::Active) {
             step.state = StepState::Failed;
             reason.clone_into(&mut step.line);
         }
@@ -383,11 +371,7 @@ impl Commission {
 
     /// `index` counts the steps of a known motor.
     fn step_done(&mut self, index: usize, line: String, next: Task) {
-        let index = if index == CHECK {
-            index
-        } else {
-            index + self.extra
-        };
+        let index = index + if index == CHECK { 0 } else { self.extra };
         self.steps[index].state = StepState::Done;
         self.steps[index].line = line;
         if let Some(following) = self.steps.get_mut(index + 1) {
@@ -399,11 +383,8 @@ impl Commission {
 
 fn score(mut effects: Vec<String>, diagnosis: &Diagnosis) -> Truth {
     effects.sort();
-    let mut named: Vec<String> = diagnosis
-        .effects
-        .iter()
-        .map(|id| (*id).to_owned())
-        .collect();
+    let named = diagnosis.effects.iter();
+    let mut named: Vec<String> = named.map(|id| (*id).to_owned()).collect();
     named.sort();
     Truth {
         named_correctly: named == effects,

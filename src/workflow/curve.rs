@@ -13,14 +13,14 @@ pub fn table(
     axis: Axis,
     knots: &[f64],
 ) -> Result<&'static dyn Effect, DefinitionError> {
-    let settings = toml::Table::from_iter([
-        ("equation".to_owned(), toml::Value::from(equation)),
-        ("axis".to_owned(), axis.key().into()),
-        (
-            "knots".to_owned(),
-            toml::Value::Array(knots.iter().copied().map(toml::Value::from).collect()),
-        ),
-    ]);
+    let knots = knots.iter().copied().map(toml::Value::from).collect();
+    let settings = [
+        ("equation", equation.into()),
+        ("axis", axis.key().into()),
+        ("knots", toml::Value::Array(knots)),
+    ];
+    let settings = settings.map(|(key, value)| (key.to_owned(), value));
+    let settings = toml::Table::from_iter(settings);
     effect::define(id, &settings).map(|(effect, _)| effect)
 }
 
@@ -72,16 +72,15 @@ mod tests {
     fn a_curve_over_the_current_takes_the_resistance_out_of_the_fit() {
         let fitted = Model::baseline(Motor::zk_22fc());
         let mut model = fitted.clone();
-        let held =
-            hold_what_the_curve_holds(&mut model, &fitted, "table_i", "voltage", Axis::Current);
-        assert_eq!(held, Some("resistance_ohm"));
-        assert_eq!(model.fixed, ["resistance_ohm"]);
-        let again =
-            hold_what_the_curve_holds(&mut model, &fitted, "table_i", "voltage", Axis::Current);
-        assert!(again.is_none() && model.fixed.len() == 1);
-        let torque =
-            hold_what_the_curve_holds(&mut model, &fitted, "table_w", "torque", Axis::Speed);
-        assert!(torque.is_none());
+        for (id, equation, axis, held) in [
+            ("table_i", "voltage", Axis::Current, Some("resistance_ohm")),
+            ("table_i", "voltage", Axis::Current, None),
+            ("table_w", "torque", Axis::Speed, None),
+        ] {
+            let found = hold_what_the_curve_holds(&mut model, &fitted, id, equation, axis);
+            assert_eq!(found, held, "{id}");
+            assert_eq!(model.fixed, ["resistance_ohm"], "{id}");
+        }
         let curve = table("table_i", "voltage", Axis::Current, &[-1.0, 0.0, 1.0]).unwrap();
         model.effects.push(ActiveEffect::new(curve));
         let without = model.without_effect("table_i").unwrap();

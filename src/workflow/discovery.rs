@@ -129,9 +129,10 @@ impl Discovery {
         }
         let known = self.known.take();
         let is_known = known.is_some();
+        let progress = |event| tell(News::Progress(event));
         let mut diagnosis = match known {
             Some(known) => *known,
-            None => self.search(tell)?,
+            None => diagnose_with(&self.model, self.evidence.clone(), &progress)?,
         };
         if !is_electrical {
             let model = &diagnosis.baseline.model;
@@ -159,19 +160,13 @@ impl Discovery {
         Ok(())
     }
 
-    fn search(&self, tell: Tell<'_>) -> Result<Diagnosis, FitError> {
-        let progress = |event| tell(News::Progress(event));
-        diagnose_with(&self.model, self.evidence.clone(), &progress)
-    }
-
     fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
         let mut present = self.model.effects.iter();
         let present = present.find(|active| active.id() == id);
         let known = present.map(|active| active.effect);
         let Some(effect) = known.or_else(|| effect::find(id)) else {
-            tell(News::Failed(format!(
-                "effect {id:?} is not in the catalogue"
-            )));
+            let reason = format!("effect {id:?} is not in the catalogue");
+            tell(News::Failed(reason));
             return Ok(());
         };
         let evidence = self.evidence.clone();
@@ -240,7 +235,7 @@ impl Discovery {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Mutex, PoisonError};
+    use std::sync::Mutex;
 
     use super::*;
     use crate::diagnosis::DiagnosisVerdict;
@@ -249,12 +244,35 @@ mod tests {
 
     fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
         let news = Mutex::new(Vec::new());
-        discovery.carry_out(order, &|item| {
-            news.lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .push(item);
-        });
-        news.into_inner().unwrap_or_else(PoisonError::into_inner)
+        discovery.carry_out(order, &|item| news.lock().unwrap().push(item));
+        news.into_inner().unwrap()
+    }
+
+    /// The answer with which the news end.
+    #[track_caller]
+    fn answer(news: &[News]) -> &Diagnosis {
+        match news.last() {
+            Some(News::Diagnosed(diagnosis)) => diagnosis,
+            other => panic!("no answer: {other:?}"),
+        }
+    }
+
+    /// Whether the only news is that what was asked for was refused.
+    fn is_refused(news: &[News]) -> bool {
+        let [News::Added(result) | News::Removed(result)] = news else {
+            return false;
+        };
+        !result.accepted
+    }
+
+    fn errors(discovery: &Discovery) -> Vec<f64> {
+        let ladder = discovery.ladder().iter();
+        ladder.map(|rung| rung.holdout_rmse).collect()
+    }
+
+    fn of_a_fan() -> (Model, Evidence) {
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        (Model::baseline(Motor::zk_22fc()), evidence)
     }
 
     #[test]
@@ -267,15 +285,14 @@ mod tests {
             effect: bump,
             values: vec![Some(0.18)],
         });
+        let levels = [30.0, 60.0, 45.0, 20.0, 52.0, 70.0, -30.0, 38.0];
         let record = |shift: usize| {
-            let mut events = vec![(0.0, 0.0)];
-            for step in 0..22_usize {
-                let level = [30.0, 60.0, 45.0, 20.0, 52.0, 70.0, -30.0, 38.0][(step + shift) % 8];
-                let begin_s = 0.5 + 0.25 * step as f64;
-                events.push((begin_s, level));
-                events.push((begin_s + 0.12, level + 5.0));
-            }
-            testing::record(&truth, events, 0.002, 6.0, shift as u64 + 1)
+            let step = |step: usize| {
+                let (level, begin_s) = (levels[(step + shift) % 8], 0.5 + 0.25 * step as f64);
+                [(begin_s, level), (begin_s + 0.12, level + 5.0)]
+            };
+            let events = std::iter::once((0.0, 0.0)).chain((0..22).flat_map(step));
+            testing::record(&truth, events.collect(), 0.002, 6.0, shift as u64 + 1)
         };
         let evidence = Evidence::new(record(0), Some(record(3)), None);
         let model = Model::baseline(Motor::zk_22fc());
@@ -283,87 +300,67 @@ mod tests {
         let nothing = told(&mut discovery, Order::AddCurve(0));
         assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
         let news = told(&mut discovery, Order::Diagnose);
-        let Some(News::Diagnosed(diagnosis)) = news.last() else {
-            panic!("no answer: {:?}", news.last());
-        };
+        let diagnosis = answer(&news);
         assert_eq!(diagnosis.verdict, DiagnosisVerdict::Unexplained);
         // Nothing is in an answer that names nothing.
         let mut statuses = diagnosis.candidates.iter().map(|found| found.status);
         assert!(statuses.all(|status| status != diagnosis::Status::Supported));
         assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
         let news = told(&mut discovery, Order::AddCurve(0));
+        let first = &news[0];
         assert!(
-            matches!(&news[0], News::Added(result) if result.accepted),
-            "{:?}",
-            news[0]
+            matches!(first, News::Added(result) if result.accepted),
+            "{first:?}"
         );
-        let [before, after] = discovery.ladder() else {
-            panic!("{:?}", discovery.ladder());
-        };
+        let errors = errors(&discovery);
         assert!(
-            after.holdout_rmse < 0.6 * before.holdout_rmse,
-            "{before:?} {after:?}"
+            errors.len() == 2 && errors[1] < 0.6 * errors[0],
+            "{errors:?}"
         );
-        assert_eq!(after.effects, ["table_torque_speed"]);
-        let removed = told(&mut discovery, Order::Remove("table_torque_speed"));
-        assert!(matches!(&removed[..], [News::Removed(result)] if !result.accepted));
+        assert_eq!(discovery.ladder()[1].effects, ["table_torque_speed"]);
+        assert!(is_refused(&told(
+            &mut discovery,
+            Order::Remove("table_torque_speed")
+        )));
     }
 
     #[test]
     fn what_is_added_takes_the_error_to_the_floor_and_what_is_useless_is_refused() {
-        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
-        let model = Model::baseline(Motor::zk_22fc());
+        let (model, evidence) = of_a_fan();
         let mut discovery = Discovery::new(model, evidence);
         let news = told(&mut discovery, Order::Diagnose);
         assert!(matches!(news[0], News::Compared(_)), "{:?}", news[0]);
-        let screened = news
-            .iter()
-            .filter(|item| matches!(item, News::Progress(Event::Screened { .. })));
-        assert!(screened.count() > 5);
-        let Some(News::Diagnosed(diagnosis)) = news.last() else {
-            panic!("no answer: {:?}", news.last());
-        };
-        assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        let is_screened = |item: &&News| matches!(item, News::Progress(Event::Screened { .. }));
+        assert!(news.iter().filter(is_screened).count() > 5);
+        assert_eq!(answer(&news).effect, Some("quadratic_load"));
         assert_eq!(discovery.ladder().len(), 1);
 
         let refused = told(&mut discovery, Order::Add("current_offset"));
-        assert!(
-            matches!(&refused[..], [News::Added(result)] if !result.accepted),
-            "{refused:?}"
-        );
+        assert!(is_refused(&refused), "{refused:?}");
         assert!(discovery.fitted().unwrap().model.effects.is_empty());
 
         let news = told(&mut discovery, Order::Add("quadratic_load"));
         assert!(matches!(&news[0], News::Added(result) if result.accepted));
         // What is missing now: nothing.
-        let Some(News::Diagnosed(diagnosis)) = news.last() else {
-            panic!("no answer: {:?}", news.last());
-        };
-        assert_eq!(diagnosis.verdict, DiagnosisVerdict::None);
-        let [before, after] = discovery.ladder() else {
-            panic!("{:?}", discovery.ladder());
-        };
-        assert!(before.holdout_rmse > 1.5, "{before:?}");
+        assert_eq!(answer(&news).verdict, DiagnosisVerdict::None);
+        let errors = errors(&discovery);
         // The floor is known from 200 samples at rest.
-        assert!(after.holdout_rmse < 1.15, "{after:?}");
+        assert!(
+            errors.len() == 2 && errors[0] > 1.5 && errors[1] < 1.15,
+            "{errors:?}"
+        );
 
         let again = told(&mut discovery, Order::Add("quadratic_load"));
         assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");
         let needed = told(&mut discovery, Order::Remove("quadratic_load"));
-        assert!(
-            matches!(&needed[..], [News::Removed(result)] if !result.accepted),
-            "{needed:?}"
-        );
-        assert_eq!(
-            discovery.fitted().unwrap().model.effect_ids(),
-            ["quadratic_load"]
-        );
+        assert!(is_refused(&needed), "{needed:?}");
+        let fitted = discovery.fitted().unwrap();
+        assert_eq!(fitted.model.effect_ids(), ["quadratic_load"]);
     }
 
     #[test]
     fn an_answer_that_there_is_already_is_not_searched_again() {
-        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
-        let model = Model::baseline(Motor::zk_22fc());
+        let (model, evidence) = of_a_fan();
         let found = diagnosis::diagnose(&model, evidence.clone()).unwrap();
         let next = NextExperiment {
             sentence: "turn it backward".to_owned(),

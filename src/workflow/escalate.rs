@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use super::named_estimate::NamedEstimate;
+use super::result::with_keys;
 use crate::bench::{BenchFile, Nameplate, Refusal, Scaled, bounds, scale};
 use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
 use crate::identification::nameplate::{self, Comparison};
@@ -32,13 +32,14 @@ pub struct Escalate {
 }
 
 /// What it leaves behind.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct EscalationResult {
     /// `found`, or the name of what is in the way.
     pub outcome: &'static str,
     pub sentence: String,
     pub stages: Vec<StageRecord>,
-    pub parameters: Vec<NamedEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters: Vec<ParameterEstimate>,
     /// Found against the plate; none where the plate says nothing or nothing was found.
     pub nameplate: Option<Comparison>,
     /// Why no motor was found.
@@ -65,19 +66,12 @@ impl Escalate {
 
     /// Takes the record of the stage and returns what came of it.
     pub fn ran(&mut self, run: &Run, folder: Option<String>) -> Result<StageRecord, ScenarioError> {
-        let reason = self
-            .stage()
-            .map(|stage| stage.reason.clone())
-            .unwrap_or_default();
+        let reason = self.stage().map(|stage| stage.reason.clone());
         self.escalation.learn(run)?;
+        let stage = self.escalation.history().last().cloned();
         let record = StageRecord {
-            stage: self
-                .escalation
-                .history()
-                .last()
-                .cloned()
-                .unwrap_or_else(StageResult::nothing),
-            reason,
+            stage: stage.unwrap_or_else(StageResult::nothing),
+            reason: reason.unwrap_or_default(),
             folder,
         };
         self.records.push(record.clone());
@@ -88,13 +82,8 @@ impl Escalate {
     pub fn result(&self) -> EscalationResult {
         let mut result = EscalationResult {
             outcome: "running",
-            sentence: String::new(),
             stages: self.records.clone(),
-            parameters: Vec::new(),
-            nameplate: None,
-            ending: None,
-            scaled: None,
-            motor: None,
+            ..EscalationResult::default()
         };
         match self.escalation.outcome() {
             None => {}
@@ -106,16 +95,14 @@ impl Escalate {
             Some(Outcome::Found(found)) => {
                 result.outcome = "found";
                 result.nameplate = compared(&self.plate, &found.parameters);
-                result.sentence = format!(
-                    "the motor was found in {} stages{}",
-                    self.records.len(),
-                    match &result.nameplate {
-                        None => String::new(),
-                        Some(comparison) if comparison.fits => ", its nameplate fits".to_owned(),
-                        Some(_) => ", its nameplate does NOT fit".to_owned(),
-                    }
-                );
-                result.parameters = NamedEstimate::list(&found.parameters);
+                let plate = match &result.nameplate {
+                    None => "",
+                    Some(comparison) if comparison.fits => ", its nameplate fits",
+                    Some(_) => ", its nameplate does NOT fit",
+                };
+                let stages = self.records.len();
+                result.sentence = format!("the motor was found in {stages} stages{plate}");
+                result.parameters.clone_from(&found.parameters);
                 result.motor = Some(found.motor.clone());
             }
         }
@@ -151,23 +138,15 @@ impl EscalationResult {
     pub fn text(&self) -> String {
         use std::fmt::Write as _;
         let mut text = format!("{}\n", self.sentence);
-        for (index, record) in self.stages.iter().enumerate() {
-            let _ = writeln!(
-                text,
-                "  {:>2}. {:<10} {}",
-                index + 1,
-                record.stage.kind.name(),
-                record.stage.line
-            );
+        for (index, StageRecord { stage, .. }) in self.stages.iter().enumerate() {
+            let (number, kind) = (index + 1, stage.kind.name());
+            let _ = writeln!(text, "  {number:>2}. {kind:<10} {}", stage.line);
         }
         if let Some(comparison) = &self.nameplate {
             text.push_str(&comparison.text());
         }
-        if let Some(scaled) = self
-            .scaled
-            .as_ref()
-            .filter(|scaled| scaled.refusal.is_some())
-        {
+        let refused = |scaled: &&Scaled| scaled.refusal.is_some();
+        if let Some(scaled) = self.scaled.as_ref().filter(refused) {
             let _ = writeln!(text, "{}", scaled_sentence(scaled));
         }
         text
@@ -189,9 +168,7 @@ pub fn scaled_sentence(scaled: &Scaled) -> String {
 /// The comparison with the plate, where the plate says anything.
 pub fn compared(plate: &Motor, found: &[ParameterEstimate]) -> Option<Comparison> {
     let comparison = nameplate::compare(plate, found);
-    comparison
-        .rows
-        .iter()
-        .any(|row| row.nameplate.is_some())
-        .then_some(comparison)
+    let mut rows = comparison.rows.iter();
+    let says_anything = rows.any(|row| row.nameplate.is_some());
+    says_anything.then_some(comparison)
 }

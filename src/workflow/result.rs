@@ -1,12 +1,29 @@
 //! What a commissioning leaves behind, as `commission --json` prints it.
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::burst::BurstResult;
 use super::escalate::EscalationResult;
-use super::named_estimate::NamedEstimate;
 use crate::diagnosis::{Comparison, Diagnosis, Rung};
 use crate::identification::nameplate;
+use crate::sample::ParameterEstimate;
+
+/// Estimates as a result file lists them: each with its key.
+pub(super) fn with_keys<S: Serializer>(
+    estimates: &[ParameterEstimate],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    struct Keyed<'a> {
+        key: &'a str,
+        #[serde(flatten)]
+        estimate: &'a ParameterEstimate,
+    }
+    serializer.collect_seq(estimates.iter().map(|estimate| Keyed {
+        key: &estimate.key,
+        estimate,
+    }))
+}
 
 /// One recorded run of the loop.
 #[derive(Clone, Debug, Serialize)]
@@ -34,10 +51,13 @@ pub struct CommissionResult {
     /// The refitted baseline and the model with the named effects, on the confirming run.
     pub before: Comparison,
     pub after: Comparison,
-    pub parameters_before: Vec<NamedEstimate>,
-    pub parameters: Vec<NamedEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters_before: Vec<ParameterEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters: Vec<ParameterEstimate>,
     /// What the on-line estimators had found by the end of the fit run.
-    pub online: Vec<NamedEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub online: Vec<ParameterEstimate>,
     /// What was found against the plate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nameplate: Option<nameplate::Comparison>,

@@ -8,8 +8,9 @@
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
-use crate::emulator::mystery::{TrueEffect, Truth};
+use crate::emulator::mystery::{TrueEffect, TrueValue, Truth};
 use crate::plant::{Effect, effect};
+use crate::text::number::{fixed, shortest, with_unit};
 
 /// What counts as saying that nothing is missing.
 const NONE: &str = "none";
@@ -53,26 +54,18 @@ impl Answer {
         let diagnosis = document.get("diagnosis").unwrap_or(document);
         let verdict = diagnosis.get("verdict")?.as_str()?.to_owned();
         let text = |value: &Value| value.as_str().map(str::to_owned);
-        let list = |value: &Value| -> Vec<String> {
-            value
-                .as_array()
-                .into_iter()
-                .flatten()
-                .filter_map(text)
-                .collect()
-        };
+        let each = |value: &'_ Value| value.as_array().cloned().unwrap_or_default();
+        let list = |value: &Value| each(value).iter().filter_map(text).collect::<Vec<_>>();
         let mut effects = list(&diagnosis["effects"]);
         if effects.is_empty() {
             effects.extend(text(&diagnosis["effect"]));
         }
         if verdict == AMBIGUOUS {
             // Only the best guess is among the effects: what it cannot be told from is left open with it.
-            for pair in diagnosis["confusable"].as_array().into_iter().flatten() {
-                let pair = list(pair);
+            for mut pair in each(&diagnosis["confusable"]).iter().map(list) {
                 if pair.iter().any(|id| effects.contains(id)) {
-                    let others = pair.into_iter().filter(|id| !effects.contains(id));
-                    let others: Vec<String> = others.collect();
-                    effects.extend(others);
+                    pair.retain(|id| !effects.contains(id));
+                    effects.extend(pair);
                 }
             }
         }
@@ -81,7 +74,7 @@ impl Answer {
             effects,
             ..Self::default()
         };
-        for candidate in diagnosis["candidates"].as_array().into_iter().flatten() {
+        for candidate in &each(&diagnosis["candidates"]) {
             let Some(id) = text(&candidate["effect"]) else {
                 continue;
             };
@@ -96,13 +89,13 @@ impl Answer {
             }
         }
         // What a commissioning ends with is fitted with every accepted effect, so it counts more.
-        for parameter in document["parameters"].as_array().into_iter().flatten() {
-            if let (Some(key), Some(value)) = (text(&parameter["key"]), parameter["value"].as_f64())
-            {
-                let (id, key) = key.split_once('.').unwrap_or(("", &key));
+        for parameter in &each(&document["parameters"]) {
+            let value = parameter["value"].as_f64();
+            if let Some((key, value)) = parameter["key"].as_str().zip(value) {
+                let (id, key) = key.split_once('.').unwrap_or(("", key));
                 answer
                     .values
-                    .retain(|known| (known.0.as_str(), known.1.as_str()) != (id, key));
+                    .retain(|known| known.0 != id || known.1 != key);
                 answer.values.push((id.to_owned(), key.to_owned(), value));
             }
         }
@@ -110,11 +103,9 @@ impl Answer {
     }
 
     fn value(&self, id: &str, key: &str) -> Option<f64> {
-        let found = self
-            .values
-            .iter()
-            .find(|known| known.0 == id && known.1 == key);
-        found.map(|known| known.2)
+        let mut values = self.values.iter();
+        let found = values.find(|known| known.0 == id && known.1 == key)?;
+        Some(found.2)
     }
 }
 
@@ -208,60 +199,50 @@ fn wrong_order(hidden: &TrueEffect, answer: &Answer) -> Option<(f64, f64)> {
 /// An answer is right if it names what is there and nothing else, or says why it cannot be seen. One that says nothing is
 /// wrong only if it claims that there is nothing.
 fn score(hidden: Option<&TrueEffect>, answer: &Answer) -> (Outcome, String) {
+    use Outcome::{Abstained, Right, Wrong};
     let named = answer.effects.join(", ");
-    let abstains = answer.verdict == AMBIGUOUS;
+    let verdict = answer.verdict.as_str();
     let Some(hidden) = hidden else {
-        return match answer.verdict.as_str() {
-            NONE => (
-                Outcome::Right,
-                "nothing is hidden, and nothing was named".to_owned(),
-            ),
-            "effect" => (
-                Outcome::Wrong,
-                format!("nothing is hidden, {named} was named"),
-            ),
-            _ => (
-                Outcome::Abstained,
-                "nothing is hidden; the answer left that open".to_owned(),
-            ),
+        return match verdict {
+            NONE => (Right, "nothing is hidden, and nothing was named".to_owned()),
+            "effect" => (Wrong, format!("nothing is hidden, {named} was named")),
+            _ => {
+                let reason = "nothing is hidden; the answer left that open";
+                (Abstained, reason.to_owned())
+            }
         };
     };
     let id = &hidden.id;
-    let wrong_order = wrong_order(hidden, answer);
-    match answer.verdict.as_str() {
-        "effect" if answer.effects == [id.clone()] && wrong_order.is_some() => {
-            let (found, order) = wrong_order.unwrap_or_default();
-            (
-                Outcome::Wrong,
-                format!("{id} was named with {found} waves in a turn, it has {order}"),
-            )
+    let is_in = answer.effects.contains(id);
+    match (verdict, wrong_order(hidden, answer)) {
+        ("effect", Some((found, order))) if answer.effects == [id.clone()] => {
+            let reason = format!("{id} was named with {found} waves in a turn, it has {order}");
+            (Wrong, reason)
         }
-        "effect" if answer.effects == [id.clone()] => (Outcome::Right, format!("{id} was named")),
-        "effect" if answer.effects.contains(id) => (
-            Outcome::Wrong,
-            format!("{id} was named, and so was what is not there: {named}"),
-        ),
-        "effect" if hidden.is_foreign => (
-            Outcome::Wrong,
-            format!("{id} is in no catalogue, so that {named} cannot be it"),
-        ),
-        "effect" => (Outcome::Wrong, format!("{named} was named instead of {id}")),
-        UNEXPLAINED if hidden.is_foreign => (
-            Outcome::Right,
-            format!(
-                "{id} is in no catalogue, and the answer is that nothing known explains the run"
-            ),
-        ),
-        NONE if answer.not_excited.contains(id) => (
-            Outcome::Right,
-            format!("the answer says that this run could not show {id}"),
-        ),
-        NONE => (Outcome::Wrong, format!("{id} is hidden and was not seen")),
-        _ if abstains && answer.effects.contains(id) => (
-            Outcome::Abstained,
-            format!("{id} is among what the answer left open: {named}"),
-        ),
-        _ => (Outcome::Abstained, format!("the answer did not name {id}")),
+        ("effect", _) if answer.effects == [id.clone()] => (Right, format!("{id} was named")),
+        ("effect", _) if is_in => {
+            let reason = format!("{id} was named, and so was what is not there: {named}");
+            (Wrong, reason)
+        }
+        ("effect", _) if hidden.is_foreign => {
+            let reason = format!("{id} is in no catalogue, so that {named} cannot be it");
+            (Wrong, reason)
+        }
+        ("effect", _) => (Wrong, format!("{named} was named instead of {id}")),
+        (UNEXPLAINED, _) if hidden.is_foreign => {
+            let what = "the answer is that nothing known explains the run";
+            (Right, format!("{id} is in no catalogue, and {what}"))
+        }
+        (NONE, _) if answer.not_excited.contains(id) => {
+            let reason = format!("the answer says that this run could not show {id}");
+            (Right, reason)
+        }
+        (NONE, _) => (Wrong, format!("{id} is hidden and was not seen")),
+        (AMBIGUOUS, _) if is_in => {
+            let reason = format!("{id} is among what the answer left open: {named}");
+            (Abstained, reason)
+        }
+        _ => (Abstained, format!("the answer did not name {id}")),
     }
 }
 
@@ -296,33 +277,21 @@ fn sizes(truth: &Truth, answer: &Answer) -> Vec<Size> {
     let named = truth.effects.iter();
     let named = named.filter(|effect| answer.effects.contains(&effect.id));
     let of_effects = named.flat_map(|effect| {
-        effect.parameters.iter().filter_map(|parameter| {
-            let value = |prefix: &str| {
-                effect
-                    .parameters
-                    .iter()
-                    .find(|other| other.key.starts_with(prefix))
-            };
-            let scale = match (value("sin_"), value("cos_")) {
-                (Some(sin), Some(cos)) if parameter.key != ORDER => sin.value.hypot(cos.value),
-                _ => parameter.value,
-            };
-            size(
-                &effect.id,
-                &parameter.key,
-                &parameter.unit,
-                parameter.value,
-                scale,
-            )
+        let value = |prefix: &str| {
+            let mut parameters = effect.parameters.iter();
+            Some(parameters.find(|own| own.key.starts_with(prefix))?.value)
+        };
+        let wave = value("sin_").zip(value("cos_"));
+        effect.parameters.iter().filter_map(move |own| {
+            let amplitude = wave.filter(|_| own.key != ORDER);
+            let scale = amplitude.map_or(own.value, |(sin, cos)| sin.hypot(cos));
+            size(&effect.id, &own.key, &own.unit, own.value, scale)
         })
     });
-    of_effects
-        .chain(
-            own.iter()
-                .filter_map(|(key, value, unit)| size("", key, unit, *value, *value)),
-        )
-        .filter(|size| size.error_percent.is_finite())
-        .collect()
+    let own = own.iter();
+    let own = own.filter_map(|(key, value, unit)| size("", key, unit, *value, *value));
+    let all = of_effects.chain(own);
+    all.filter(|size| size.error_percent.is_finite()).collect()
 }
 
 impl Revelation {
@@ -332,11 +301,9 @@ impl Revelation {
         match self.truth.effect() {
             None => lines.push("hidden: nothing; the five-parameter model is the truth".to_owned()),
             Some(hidden) => {
-                let values: Vec<String> = hidden
-                    .parameters
-                    .iter()
-                    .map(|one| format!("{} = {:.4}{}", one.key, Short(one.value), unit(&one.unit)))
-                    .collect();
+                let value =
+                    |own: &TrueValue| format!("{} = {}", own.key, number(own.value, &own.unit));
+                let values: Vec<String> = hidden.parameters.iter().map(value).collect();
                 lines.push(format!("hidden: {} ({})", hidden.id, values.join(", ")));
             }
         }
@@ -358,12 +325,12 @@ impl Revelation {
             } else {
                 format!("{}.{}", size.effect, size.key)
             };
+            let sign = if size.error_percent < 0.0 { "" } else { "+" };
             lines.push(format!(
-                "  {name}: true {:.4}, found {:.4}{} ({:+.1} %)",
-                Short(size.truth),
-                Short(size.found),
-                unit(&size.unit),
-                size.error_percent
+                "  {name}: true {}, found {} ({sign}{} %)",
+                shortest(size.truth, 4),
+                number(size.found, &size.unit),
+                fixed(size.error_percent, 1)
             ));
         }
         if let (Some(looks_like), Some(excite)) = (&self.looks_like, &self.excite) {
@@ -374,47 +341,23 @@ impl Revelation {
     }
 }
 
-/// Behind a number; nothing where there is none.
-fn unit(unit: &str) -> String {
-    if unit.is_empty() || unit == "-" {
-        String::new()
-    } else {
-        format!(" {unit}")
-    }
-}
-
-/// A number of as many significant digits as asked for.
-struct Short(f64);
-
-impl std::fmt::Display for Short {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let digits = f.precision().unwrap_or(4);
-        let rounded: f64 = format!("{:.*e}", digits.saturating_sub(1), self.0)
-            .parse()
-            .unwrap_or(self.0);
-        write!(f, "{rounded}")
-    }
+fn number(value: f64, unit: &str) -> String {
+    with_unit(&shortest(value, 4), unit)
 }
 
 /// The truth with parameters by their key, as every other JSON of the program has them.
 fn with_effects_by_key<S: Serializer>(truth: &Truth, serializer: S) -> Result<S::Ok, S::Error> {
-    let effects: Vec<Value> = truth
-        .effects
-        .iter()
-        .map(|hidden| {
-            let parameters: serde_json::Map<String, Value> = hidden
-                .parameters
-                .iter()
-                .map(|one| {
-                    let value = serde_json::json!({ "value": one.value, "unit": one.unit });
-                    (one.key.clone(), value)
-                })
-                .collect();
-            serde_json::json!({
-                "effect": hidden.id, "in_catalogue": !hidden.is_foreign, "parameters": parameters,
-            })
+    let of_effect = |hidden: &TrueEffect| {
+        let parameter = |own: &TrueValue| {
+            let value = serde_json::json!({ "value": own.value, "unit": own.unit });
+            (own.key.clone(), value)
+        };
+        let parameters: serde_json::Map<_, _> = hidden.parameters.iter().map(parameter).collect();
+        serde_json::json!({
+            "effect": hidden.id, "in_catalogue": !hidden.is_foreign, "parameters": parameters,
         })
-        .collect();
+    };
+    let effects: Vec<Value> = truth.effects.iter().map(of_effect).collect();
     serde_json::json!({ "seed": truth.seed, "effects": effects, "motor": truth.motor })
         .serialize(serializer)
 }

@@ -39,12 +39,8 @@ fn an_answer_is_scored_by_what_it_claims() {
         (&shaker, "abstain", Abstained),
     ];
     for (truth, word, expected) in table {
-        assert_eq!(
-            outcome(truth, &Answer::word(word)),
-            expected,
-            "{:?} {word}",
-            truth.effect()
-        );
+        let found = outcome(truth, &Answer::word(word));
+        assert_eq!(found, expected, "{:?} {word}", truth.effect());
     }
 }
 
@@ -67,16 +63,25 @@ fn an_extra_name_is_a_wrong_answer_and_an_open_one_may_have_the_best_guess() {
         let json = json!({ "verdict": verdict, "effect": effects[0], "effects": effects, "candidates": [] });
         reveal(drop.clone(), Answer::from_json(&json), None)
     };
-    assert_eq!(
-        said("effect", &["voltage_drop", "cogging"]).outcome,
-        Some(Outcome::Wrong)
-    );
-    let open = said("ambiguous", &["voltage_drop", "supply_sag"]);
-    assert_eq!(
-        (open.outcome, open.best_guess_right),
-        (Some(Outcome::Abstained), true)
-    );
-    assert!(!said("ambiguous", &["supply_sag", "voltage_drop"]).best_guess_right);
+    for (verdict, effects, expected, best_guess_right) in [
+        ("effect", ["voltage_drop", "cogging"], Outcome::Wrong, true),
+        (
+            "ambiguous",
+            ["voltage_drop", "supply_sag"],
+            Outcome::Abstained,
+            true,
+        ),
+        (
+            "ambiguous",
+            ["supply_sag", "voltage_drop"],
+            Outcome::Abstained,
+            false,
+        ),
+    ] {
+        let found = said(verdict, &effects);
+        let scored = (found.outcome, found.best_guess_right);
+        assert_eq!(scored, (Some(expected), best_guess_right), "{effects:?}");
+    }
 }
 
 #[test]
@@ -126,26 +131,21 @@ fn sizes_are_compared_and_those_of_a_commissioning_count_more() {
             { "key": "cogging.sin_n_m", "value": value("sin_n_m"), "unit": "N.m" },
         ],
     });
-    let revealed = reveal(
-        cogging.clone(),
-        Answer::from_json(&document),
-        Some("eccentric_load"),
-    );
-    let error = |key: &str| {
-        revealed
-            .sizes
-            .iter()
-            .find(|size| size.key == key)
-            .unwrap()
-            .error_percent
-    };
-    assert!(error("order").abs() < 1e-9 && error("sin_n_m").abs() < 1e-9);
-    assert!((error("cos_n_m") - 10.0).abs() < 1e-9);
-    assert!((error("resistance_ohm") - 2.0).abs() < 1e-9);
-    assert_eq!(
-        revealed.guess.as_ref().map(|guess| guess.right),
-        Some(false)
-    );
+    let answer = Answer::from_json(&document);
+    let revealed = reveal(cogging.clone(), answer, Some("eccentric_load"));
+    for (key, error_percent) in [
+        ("order", 0.0),
+        ("sin_n_m", 0.0),
+        ("cos_n_m", 10.0),
+        ("resistance_ohm", 2.0),
+    ] {
+        let size = revealed.sizes.iter().find(|size| size.key == key).unwrap();
+        assert!(
+            (size.error_percent - error_percent).abs() < 1e-9,
+            "{size:?}"
+        );
+    }
+    assert!(revealed.guess.as_ref().is_some_and(|guess| !guess.right));
     let text = revealed.text();
     for part in [
         "hidden: cogging",
@@ -156,10 +156,8 @@ fn sizes_are_compared_and_those_of_a_commissioning_count_more() {
         assert!(text.contains(part), "{part} in {text}");
     }
     let json = serde_json::to_value(&revealed).unwrap();
-    assert_eq!(
-        json["truth"]["effects"][0]["parameters"]["order"]["value"],
-        value("order")
-    );
+    let parameters = &json["truth"]["effects"][0]["parameters"];
+    assert_eq!(parameters["order"]["value"], value("order"));
     assert_eq!(json["outcome"], "right");
 }
 
@@ -176,16 +174,16 @@ fn a_wave_of_another_order_is_not_what_is_hidden() {
             });
             reveal(hidden.clone(), Answer::from_json(&json), None)
         };
-        let (right, other) = (said(order), said(2.0 * order));
-        assert_eq!(
-            (right.outcome, right.best_guess_right),
-            (Some(Outcome::Right), true)
-        );
-        assert_eq!(
-            (other.outcome, other.best_guess_right),
-            (Some(Outcome::Wrong), false)
-        );
-        assert!(other.reason.unwrap().contains("waves in a turn"));
+        for (order, expected, is_right) in [
+            (order, Outcome::Right, true),
+            (2.0 * order, Outcome::Wrong, false),
+        ] {
+            let found = said(order);
+            let scored = (found.outcome, found.best_guess_right);
+            assert_eq!(scored, (Some(expected), is_right), "{id} {order}");
+            let reason = found.reason.unwrap();
+            assert_eq!(reason.contains("waves in a turn"), !is_right, "{reason}");
+        }
     }
 }
 
@@ -204,10 +202,14 @@ fn sizes_are_those_of_what_was_named() {
         let mut sizes = revealed.sizes.iter();
         sizes.any(|size| size.effect == "voltage_drop")
     };
-    assert!(said("effect", &["voltage_drop"]));
-    assert!(said("ambiguous", &["supply_sag", "voltage_drop"]));
-    assert!(!said("effect", &["supply_sag"]));
-    assert!(!said("unexplained", &[]));
+    for (verdict, effects, has_size) in [
+        ("effect", &["voltage_drop"][..], true),
+        ("ambiguous", &["supply_sag", "voltage_drop"], true),
+        ("effect", &["supply_sag"], false),
+        ("unexplained", &[], false),
+    ] {
+        assert_eq!(said(verdict, effects), has_size, "{verdict} {effects:?}");
+    }
 }
 
 #[test]

@@ -1,17 +1,17 @@
-//! Axes: the range that is shown, round tick values, and where a value falls in the picture.
+//! Axes: the range that is shown, and round tick values with their labels.
 
 use crate::text::number::{exponent_of, places};
 
 /// The range of values along an axis; always finite and wider than nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Domain {
-    pub from: f64,
-    pub to: f64,
+pub(super) struct Domain {
+    pub(super) from: f64,
+    pub(super) to: f64,
 }
 
 impl Domain {
     /// The range of the finite values, widened where it is a single value; `None` where nothing is finite.
-    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+    pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         // Values so large that their span would overflow count as missing.
         let (from, to) = values
             .into_iter()
@@ -36,7 +36,7 @@ impl Domain {
 
     /// Wider by `share` of its length at both ends, so that lines do not touch the frame.
     #[must_use]
-    pub fn padded(self, share: f64) -> Self {
+    pub(super) fn padded(self, share: f64) -> Self {
         let pad = share * (self.to - self.from);
         Self {
             from: self.from - pad,
@@ -46,26 +46,11 @@ impl Domain {
 
     /// The same range in another unit.
     #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
+    pub(super) fn scaled(self, factor: f64) -> Self {
         Self {
             from: self.from * factor,
             to: self.to * factor,
         }
-    }
-}
-
-/// Maps a domain to pixels.
-#[derive(Clone, Copy, Debug)]
-pub struct Scale {
-    pub domain: Domain,
-    pub from_px: f64,
-    pub to_px: f64,
-}
-
-impl Scale {
-    pub fn px(&self, value: f64) -> f64 {
-        let share = (value - self.domain.from) / (self.domain.to - self.domain.from);
-        self.from_px + share * (self.to_px - self.from_px)
     }
 }
 
@@ -76,7 +61,7 @@ const ALL_DIGITS: usize = 17;
 const SAFE_DIGITS: usize = 7;
 
 /// Round values (1, 2 or 5 times a power of ten apart) inside the domain, at most `most` of them.
-pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
+pub(super) fn ticks(domain: Domain, most: usize) -> Vec<f64> {
     let span = domain.to - domain.from;
     let most = most.max(2);
     if !(span.is_finite() && span > 0.0) {
@@ -106,17 +91,16 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
             if step <= 0.0 || first.abs().max(last.abs()) > 1e12 {
                 return Vec::new();
             }
-            return std::iter::successors(Some(first), |k| Some(k + 1.0))
-                .take_while(|k| *k <= last)
-                .map(|k| multiple(k) + 0.0)
-                .collect();
+            let whole = std::iter::successors(Some(first), |k| Some(k + 1.0));
+            let inside = whole.take_while(|k| *k <= last);
+            return inside.map(|k| multiple(k) + 0.0).collect();
         }
     }
     Vec::new()
 }
 
 /// Labels of ticks, all with the same number of decimals.
-pub fn labels(ticks: &[f64]) -> Vec<String> {
+pub(super) fn labels(ticks: &[f64]) -> Vec<String> {
     let step = ticks
         .windows(2)
         .map(|pair| pair[1] - pair[0])
@@ -132,22 +116,15 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
         // Enough digits that the last one is that of the step.
         let first = exponent_of(size.max(step), SAFE_DIGITS);
         let digits = places(first - last);
-        return ticks
-            .iter()
-            .map(|tick| {
-                if *tick == 0.0 {
-                    "0".to_owned()
-                } else {
-                    format!("{tick:.digits$e}")
-                }
-            })
-            .collect();
+        let label = |tick: &f64| match *tick {
+            0.0 => "0".to_owned(),
+            tick => format!("{tick:.digits$e}"),
+        };
+        return ticks.iter().map(label).collect();
     }
     let decimals = places(-last);
-    ticks
-        .iter()
-        .map(|tick| format!("{tick:.decimals$}"))
-        .collect()
+    let label = |tick: &f64| format!("{tick:.decimals$}");
+    ticks.iter().map(label).collect()
 }
 
 #[cfg(test)]

@@ -4,13 +4,13 @@
 const GAP: f64 = 1.8;
 
 /// Pieces of a line between its gaps.
-pub type Pieces = Vec<Vec<(f64, f64)>>;
+pub(super) type Pieces = Vec<Vec<(f64, f64)>>;
 
 /// Cuts `(time, value)` where values are missing.
 ///
 /// A cell may be empty because its row belongs to another quantity, so an empty cell alone is no gap: a line is cut
 /// where the next value comes later than usual.
-pub fn pieces(points: impl IntoIterator<Item = (f64, f64)>) -> Pieces {
+pub(super) fn pieces(points: impl IntoIterator<Item = (f64, f64)>) -> Pieces {
     let present: Vec<(f64, f64)> = points
         .into_iter()
         .filter(|(time_s, value)| time_s.is_finite() && value.is_finite())
@@ -36,7 +36,7 @@ pub fn pieces(points: impl IntoIterator<Item = (f64, f64)>) -> Pieces {
 }
 
 /// A commanded value with its corners: held from each event to the next, the last one until `end_s`.
-pub fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
+pub(super) fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
     let mut line: Vec<(f64, f64)> = Vec::with_capacity(2 * events.len() + 1);
     let present = events
         .iter()
@@ -64,7 +64,7 @@ pub fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
 
 /// At most four points per column of the picture, whatever the number of samples: the extremes of every column stay, and
 /// gaps narrower than a column, which nobody could see, are closed.
-pub fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> Pieces {
+pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> Pieces {
     let width = (to - from) / columns.max(1) as f64;
     let column = |time: f64| ((time - from) / width).floor();
     let mut out = Pieces::new();

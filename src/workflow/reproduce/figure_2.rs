@@ -4,10 +4,13 @@
 //! with the same ratio on the speed sensor it cannot, whatever the form: least squares is then biased. The instrumental
 //! variables are not, but they need hundreds of samples, and are told here when the motor has changed.
 
-use rayon::prelude::*;
-use serde::Serialize;
+use std::array::from_fn;
+use std::ops::Index;
 
-use super::machine::{ZeroOrderHold, forward, motor, value};
+use rayon::prelude::*;
+use serde::{Serialize, Serializer};
+
+use super::machine::{COMPLETE, ZeroOrderHold, figures, forward, motor, value};
 use super::signal::{RatioOf, SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
 use crate::identification::scheme_1::{
@@ -45,25 +48,28 @@ pub enum Method {
 }
 
 impl Method {
-    pub const fn text(self) -> &'static str {
+    /// As it is printed, and in file columns.
+    const fn words(self) -> (&'static str, &'static str) {
         match self {
-            Self::Printed => "scheme 1 printed",
-            Self::Exact => "scheme 1 exact",
-            Self::PrintedBatch => "scheme 1 printed, all samples since the change",
-            Self::InstrumentalVariables => {
-                "scheme 1 instrumental variables, all samples since the change"
-            }
+            Self::Printed => ("scheme 1 printed", "printed"),
+            Self::Exact => ("scheme 1 exact", "exact"),
+            Self::PrintedBatch => (
+                "scheme 1 printed, all samples since the change",
+                "printed_batch",
+            ),
+            Self::InstrumentalVariables => (
+                "scheme 1 instrumental variables, all samples since the change",
+                "instrumental_variables",
+            ),
         }
     }
 
-    /// In file columns.
+    pub const fn text(self) -> &'static str {
+        self.words().0
+    }
+
     pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Printed => "printed",
-            Self::Exact => "exact",
-            Self::PrintedBatch => "printed_batch",
-            Self::InstrumentalVariables => "instrumental_variables",
-        }
+        self.words().1
     }
 
     /// Told of the jump, and without forgetting.
@@ -72,14 +78,39 @@ impl Method {
     }
 }
 
-/// Estimates over time or their spread, by parameter.
-#[derive(Clone, Debug, Serialize)]
-pub struct ByParameter<T> {
-    pub mechanical_time_constant_s: T,
-    pub electrical_time_constant_s: T,
-    pub back_emf_v_s_per_rad: T,
-    pub inertia_kg_m2: T,
-    pub load_torque_n_m: T,
+/// Places of the parameters in [`ByParameter`].
+pub(super) const TM: usize = 0;
+pub(super) const TA: usize = 1;
+pub(super) const KE: usize = 2;
+pub(super) const J: usize = 3;
+pub(super) const MC: usize = 4;
+/// Their heads in files.
+pub(super) const COLUMNS: [&str; 5] = [
+    "tm_s",
+    "ta_s",
+    "back_emf_v_s_per_rad",
+    "inertia_kg_m2",
+    "load_torque_n_m",
+];
+
+/// Estimates over time or their spread, by parameter; an object in JSON.
+#[derive(Clone, Debug)]
+pub struct ByParameter<T>(pub [T; 5]);
+
+impl<T> Index<usize> for ByParameter<T> {
+    type Output = T;
+
+    fn index(&self, which: usize) -> &T {
+        &self.0[which]
+    }
+}
+
+impl<T: Serialize> Serialize for ByParameter<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let time_constants = ["mechanical_time_constant_s", "electrical_time_constant_s"];
+        let keys = time_constants.iter().chain(&COLUMNS[KE..]);
+        serializer.collect_map(keys.zip(&self.0))
+    }
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -152,7 +183,7 @@ pub(super) fn figure_2() -> Figure2 {
         settled_after: FILLING,
         seeds: SEEDS,
         cases: asked.map(case).into(),
-        set: by_parameter(held),
+        set: ByParameter(from_fn(held)),
     }
 }
 
@@ -161,25 +192,8 @@ fn motors() -> [Motor; 2] {
 }
 
 fn truth(motor: &Motor) -> Five {
-    let of = |key| value(motor, key);
-    let time = |time_s: Option<f64>| time_s.expect("the motors of the figures are complete");
-    [
-        time(motor.mechanical_time_constant_s()),
-        time(motor.electrical_time_constant_s()),
-        of(MotorKey::BackEmf),
-        of(MotorKey::Inertia),
-        of(MotorKey::LoadTorque),
-    ]
-}
-
-fn by_parameter<T>(of: impl Fn(usize) -> T) -> ByParameter<T> {
-    ByParameter {
-        mechanical_time_constant_s: of(0),
-        electrical_time_constant_s: of(1),
-        back_emf_v_s_per_rad: of(2),
-        inertia_kg_m2: of(3),
-        load_torque_n_m: of(4),
-    }
+    let [ta, tm, ke, inertia, load] = figures(motor);
+    [tm, ta, ke, inertia, load].map(|value| value.expect(COMPLETE))
 }
 
 fn case(ask: Ask) -> Case {
@@ -195,10 +209,10 @@ fn case(ask: Ask) -> Case {
         } else {
             from + FILLING
         };
-        by_parameter(|which| {
+        ByParameter(from_fn(|which| {
             let told = every.iter().flat_map(|seed| &seed[first..to]);
             Spread::of(truth[which], told.map(|five| five[which]))
-        })
+        }))
     };
     let [before, after] = motors();
     Case {
@@ -208,7 +222,9 @@ fn case(ask: Ask) -> Case {
         before: spread(&before, 0, JUMP_AT),
         after: spread(&after, JUMP_AT, SAMPLES),
         samples_to_follow: (!method.is_batch()).then(|| follows(&every)).flatten(),
-        trace: by_parameter(|which| Trace(every[0].iter().map(|five| five[which]).collect())),
+        trace: ByParameter(from_fn(|which| {
+            Trace(every[0].iter().map(|five| five[which]).collect())
+        })),
     }
 }
 
@@ -257,29 +273,23 @@ fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<
 fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<Five> {
     let (volts, speed) = record(noise, ratio, seed);
     // Scheme 1 takes with each sample the voltage of the interval that ends there.
-    let ending: Vec<f64> = std::iter::once(volts[0])
-        .chain(volts[..SAMPLES - 1].iter().copied())
-        .collect();
+    let ending = [&volts[..1], &volts[..SAMPLES - 1]].concat();
     let resistance = value(&motors()[0], MotorKey::Resistance);
     match method {
         Method::Printed | Method::Exact | Method::PrintedBatch => {
-            let form = if method == Method::Exact {
-                Form::Exact
-            } else {
-                Form::Printed
-            };
+            let exact = method == Method::Exact;
+            let form = if exact { Form::Exact } else { Form::Printed };
             let forgetting = if method.is_batch() { 1.0 } else { FORGETTING };
             let fresh = || Scheme1::new(form, PERIOD_S, forgetting);
             let mut scheme = fresh();
-            (0..SAMPLES)
-                .map(|k| {
-                    if method.is_batch() && k == JUMP_AT {
-                        scheme = fresh();
-                    }
-                    scheme.push(ending[k], speed[k], FORWARD);
-                    five(scheme.parameters(resistance, None).ok())
-                })
-                .collect()
+            let estimate = |k: usize| {
+                if method.is_batch() && k == JUMP_AT {
+                    scheme = fresh();
+                }
+                scheme.push(ending[k], speed[k], FORWARD);
+                five(scheme.parameters(resistance, None).ok())
+            };
+            (0..SAMPLES).map(estimate).collect()
         }
         Method::InstrumentalVariables => by_instruments(&ending, &speed, resistance, whole_trace),
     }
@@ -288,8 +298,7 @@ fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<F
 /// Instrumental variables over all samples since the start or the jump, now and then and at the end of each.
 fn by_instruments(ending: &[f64], speed: &[f64], resistance: f64, whole_trace: bool) -> Vec<Five> {
     // The auxiliary model starts from rest: it is given the voltage of before, under which it runs up, but no speed.
-    let lead = std::iter::repeat_n(ending[0], RUN_UP);
-    let voltage: Vec<f64> = lead.chain(ending.iter().copied()).collect();
+    let voltage = [&[ending[0]; RUN_UP], ending].concat();
     let mut out: Vec<Five> = Vec::with_capacity(SAMPLES);
     let mut before = None;
     for k in 0..SAMPLES {
@@ -299,27 +308,21 @@ fn by_instruments(ending: &[f64], speed: &[f64], resistance: f64, whole_trace: b
         let due = at_end || (whole_trace && length.is_multiple_of(BATCH_STRIDE));
         let held = if length > 1 { out[k - 1] } else { five(None) };
         out.push(if due {
-            let missing = std::iter::repeat_n(f64::NAN, RUN_UP + begin);
-            let seen: Vec<f64> = missing.chain(speed[begin..=k].iter().copied()).collect();
-            let direction: Vec<i8> = seen
-                .iter()
-                .map(|w| if w.is_nan() { 0 } else { FORWARD })
-                .collect();
+            let seen = [&vec![f64::NAN; RUN_UP + begin], &speed[begin..=k]].concat();
+            let forward = |w: &f64| if w.is_nan() { 0 } else { FORWARD };
+            let direction: Vec<i8> = seen.iter().map(forward).collect();
             let series = Series {
                 period_s: PERIOD_S,
                 voltage_v: &voltage[..seen.len()],
                 speed_rad_s: &seen,
             };
             let found = instrumental_variables(&series, &direction, before);
+            let dynamics = found.ok().map(|found| found.dynamics);
             if k + 1 == JUMP_AT {
                 // The motor before the jump is the first guess of the one after it.
-                before = found.as_ref().ok().map(|found| found.dynamics);
+                before = dynamics;
             }
-            five(
-                found
-                    .ok()
-                    .and_then(|found| found.dynamics.values(resistance, None).ok()),
-            )
+            five(dynamics.and_then(|dynamics| dynamics.values(resistance, None).ok()))
         } else {
             held
         });
@@ -332,13 +335,8 @@ const FORWARD: i8 = 1;
 
 fn five(values: Option<Scheme1Values>) -> Five {
     values.map_or([f64::NAN; 5], |found| {
-        [
-            found.tm_s,
-            found.ta_s,
-            found.ke,
-            found.inertia,
-            found.load_torque,
-        ]
+        let (ke, inertia) = (found.ke, found.inertia);
+        [found.tm_s, found.ta_s, ke, inertia, found.load_torque]
     })
 }
 
@@ -352,47 +350,38 @@ mod tests {
         use NoiseModel::{EquationError, Sensor};
         let figure = figure_2();
         let case = |noise, of, method| figure.case(noise, of, method).unwrap();
-        let tm = |half: &ByParameter<Spread>| half.mechanical_time_constant_s;
-        let ta = |half: &ByParameter<Spread>| half.electrical_time_constant_s;
+        let error = |half: &ByParameter<Spread>, which: usize| half[which].error_percent;
 
         // Equation error: TM follows its doubling, Ta stays; 11 % of TM is the printed form's own at T/Ta = 0.2.
         for of in [RatioOf::Amplitude, RatioOf::Power] {
-            let printed = case(EquationError, of, Printed);
-            assert!((5.0..15.0).contains(&tm(&printed.before).error_percent));
-            assert!((1.6..2.2).contains(&(tm(&printed.after).median / tm(&printed.before).median)));
-            assert!(
-                ta(&printed.before).error_percent.abs() < 5.0
-                    && ta(&printed.after).error_percent.abs() < 6.0
-            );
-            assert!(
-                printed
-                    .samples_to_follow
-                    .is_some_and(|samples| samples < 250)
-            );
+            let Case {
+                before,
+                after,
+                samples_to_follow,
+                ..
+            } = case(EquationError, of, Printed);
+            assert!((5.0..15.0).contains(&error(before, TM)));
+            assert!((1.6..2.2).contains(&(after[TM].median / before[TM].median)));
+            assert!(error(before, TA).abs() < 5.0 && error(after, TA).abs() < 6.0);
+            assert!(samples_to_follow.is_some_and(|samples| samples < 250));
         }
         let exact = case(EquationError, RatioOf::Power, Exact);
-        assert!(
-            tm(&exact.before).error_percent.abs() < 3.0,
-            "{:?}",
-            exact.before
-        );
+        assert!(error(&exact.before, TM).abs() < 3.0, "{:?}", exact.before);
 
         // Sensor noise of the same power: Ta lost, the doubling not seen, more samples do not help.
         for method in [Printed, PrintedBatch] {
             let lost = case(Sensor, RatioOf::Power, method);
-            assert!(
-                ta(&lost.before).error_percent < -75.0 && ta(&lost.after).error_percent < -75.0
-            );
-            assert!(tm(&lost.before).error_percent > 100.0 && lost.samples_to_follow.is_none());
+            assert!(error(&lost.before, TA) < -75.0 && error(&lost.after, TA) < -75.0);
+            assert!(error(&lost.before, TM) > 100.0 && lost.samples_to_follow.is_none());
         }
         // The instrumental variables have no such bias.
         let free = case(Sensor, RatioOf::Power, InstrumentalVariables);
         for half in [&free.before, &free.after] {
+            let small = [TA, TM].map(|which| error(half, which).abs() < 3.0);
             assert!(
-                ta(half).error_percent.abs() < 3.0 && tm(half).error_percent.abs() < 3.0,
+                small == [true; 2] && half[TA].told_percent > 90.0,
                 "{half:?}"
             );
-            assert!(ta(half).told_percent > 90.0, "{half:?}");
         }
     }
 

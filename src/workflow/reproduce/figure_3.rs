@@ -5,7 +5,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::machine::{forward, motor, value};
+use super::machine::{Turning, forward, motor, value};
 use super::signal::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
@@ -75,8 +75,8 @@ pub(super) fn figure_3() -> Figure3 {
 }
 
 fn case(motor: &Motor, ask: Ask) -> Case {
-    let traces: Vec<[Vec<f64>; 2]> = (0..SEEDS)
-        .into_par_iter()
+    let seeds = (0..SEEDS).into_par_iter();
+    let traces: Vec<[Vec<f64>; 2]> = seeds
         .map(|seed| estimates(motor, ask, SHOWN_SEED + seed))
         .collect();
     let spread = |key: MotorKey, which: usize| {
@@ -86,12 +86,7 @@ fn case(motor: &Motor, ask: Ask) -> Case {
         Spread::of(value(motor, key), settled.copied())
     };
     let (noise, signal_to_noise, current_noise, integral) = ask;
-    let (inertia_kg_m2, load_torque_n_m) = (
-        spread(MotorKey::Inertia, 0),
-        spread(MotorKey::LoadTorque, 1),
-    );
-    let [inertia_trace, load_torque_trace] =
-        traces.into_iter().next().unwrap_or_default().map(Trace);
+    let [inertia_trace, load_torque_trace] = traces[0].clone().map(Trace);
     Case {
         noise,
         signal_to_noise,
@@ -104,8 +99,8 @@ fn case(motor: &Motor, ask: Ask) -> Case {
             CurrentIntegral::Rectangle => "rectangle",
             CurrentIntegral::Trapezoid => "trapezoid",
         },
-        inertia_kg_m2,
-        load_torque_n_m,
+        inertia_kg_m2: spread(MotorKey::Inertia, 0),
+        load_torque_n_m: spread(MotorKey::LoadTorque, 1),
         inertia_trace,
         load_torque_trace,
     }
@@ -116,8 +111,13 @@ fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
     let (noise, ratio, current_noise, integral) = ask;
     let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
     let clean = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, None);
-    let mut speed: Vec<f64> = clean.iter().map(|at| at.speed_rad_s).collect();
-    let mut current: Vec<f64> = clean.iter().map(|at| at.current_a).collect();
+    let columns = |turning: &[Turning]| -> (Vec<f64>, Vec<f64>) {
+        turning
+            .iter()
+            .map(|at| (at.speed_rad_s, at.current_a))
+            .unzip()
+    };
+    let (mut speed, mut current) = columns(&clean);
     let errors = white(&mut random(seed, 2), SAMPLES);
     match noise {
         NoiseModel::EquationError => {
@@ -125,8 +125,7 @@ fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
             let deviation = ratio.noise_beside(&steps);
             let strikes: Vec<f64> = errors.iter().map(|error| deviation * error).collect();
             let struck = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, Some(&strikes));
-            speed = struck.iter().map(|at| at.speed_rad_s).collect();
-            current = struck.iter().map(|at| at.current_a).collect();
+            (speed, current) = columns(&struck);
         }
         NoiseModel::Sensor => {
             if current_noise {
@@ -138,12 +137,12 @@ fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
     }
     let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
     let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
-    let (mut inertia, mut load) = (Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES));
-    for k in 0..SAMPLES {
+    let estimate = |k: usize| {
         scheme.push(PERIOD_S * k as f64, current[k], speed[k]);
         let found = scheme.estimates(torque);
-        inertia.push(found[0].value.unwrap_or(f64::NAN));
-        load.push(found[1].value.unwrap_or(f64::NAN));
-    }
+        let [inertia, load] = [0, 1].map(|which: usize| found[which].value.unwrap_or(f64::NAN));
+        (inertia, load)
+    };
+    let (inertia, load) = (0..SAMPLES).map(estimate).unzip();
     [inertia, load]
 }

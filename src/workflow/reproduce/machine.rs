@@ -14,22 +14,49 @@ const LOAD_TORQUE_N_M: f64 = 2.0;
 
 /// A motor with the resistance and back-EMF constant of the ZK-22FC and these time constants, s.
 pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
-    Motor::new(format!("Ta {ta_s} s, TM {tm_s} s"))
-        .with(MotorKey::Resistance, RESISTANCE_OHM)
-        .with(MotorKey::Inductance, ta_s * RESISTANCE_OHM)
-        .with(MotorKey::BackEmf, BACK_EMF)
-        .with(
-            MotorKey::Inertia,
-            tm_s * BACK_EMF * BACK_EMF / RESISTANCE_OHM,
-        )
-        .with(MotorKey::LoadTorque, LOAD_TORQUE_N_M)
+    let name = format!("Ta {ta_s} s, TM {tm_s} s");
+    made_of(
+        &name,
+        RESISTANCE_OHM,
+        BACK_EMF,
+        [ta_s, tm_s],
+        LOAD_TORQUE_N_M,
+    )
 }
+
+/// A motor with these time constants: electrical and mechanical, s.
+pub(super) fn made_of(
+    name: &str,
+    resistance_ohm: f64,
+    back_emf_v_s_per_rad: f64,
+    [ta_s, tm_s]: [f64; 2],
+    load_torque_n_m: f64,
+) -> Motor {
+    let ke = back_emf_v_s_per_rad;
+    Motor::new(name)
+        .with(MotorKey::Resistance, resistance_ohm)
+        .with(MotorKey::Inductance, ta_s * resistance_ohm)
+        .with(MotorKey::BackEmf, ke)
+        .with(MotorKey::Inertia, tm_s * ke * ke / resistance_ohm)
+        .with(MotorKey::LoadTorque, load_torque_n_m)
+}
+
+pub(super) const COMPLETE: &str = "the motors of the figures are complete";
 
 /// A value of a motor from this file, which sets every one of them.
 pub(super) fn value(motor: &Motor, key: MotorKey) -> f64 {
-    motor
-        .get(key)
-        .expect("the motors of the figures are complete")
+    motor.get(key).expect(COMPLETE)
+}
+
+/// Ta, TM, Ke, J and Mc of a motor, as far as it has them.
+pub(super) fn figures(motor: &Motor) -> [Option<f64>; 5] {
+    [
+        motor.electrical_time_constant_s(),
+        motor.mechanical_time_constant_s(),
+        motor.get(MotorKey::BackEmf),
+        motor.get(MotorKey::Inertia),
+        motor.get(MotorKey::LoadTorque),
+    ]
 }
 
 pub(super) fn stamps(period_s: f64, samples: usize) -> Vec<f64> {
@@ -61,7 +88,7 @@ pub(super) fn driven(
 /// What the plant does under them.
 pub(super) fn simulated(motor: &Motor, scenario: &Scenario, from: State) -> Trajectory {
     Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
-        .expect("the motors of the figures are complete")
+        .expect(COMPLETE)
         .simulate(scenario, from)
 }
 

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! machine (exact discrete motor), signal (excitation, noise, spread) -> figure_2, figure_3, transient (Figure 4, Table 1)
-//!                                       schemes (one record, every scheme) -> sampling, noise
+//!                                       schemes (one record, every scheme) -> errors against period and noise
 //! loops (machines, regulators, trials) -> adaptive: Figures 5 to 7 of paper A
 //!                                      -> paper_b: Figures 4 and 5 of paper B, convergence, noise, Hall edges
 //! lines (a drive behind a line, every kind) -> LineStudy: error and coverage against stamps, late and lost replies
@@ -13,18 +13,16 @@
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
 pub mod adaptive;
-pub mod discovery;
 mod figure_2;
 mod figure_3;
 pub mod lines;
 mod loops;
 mod machine;
-mod noise;
 mod pages;
 pub mod paper_b;
-mod sampling;
 mod schemes;
 mod signal;
+pub mod study;
 mod transient;
 
 use serde::{Serialize, Serializer};
@@ -33,10 +31,8 @@ pub use adaptive::AdaptiveLoop;
 pub use figure_2::{ByParameter, Figure2, Method};
 pub use figure_3::Figure3;
 pub use loops::{Case, CaseRow, Comparison, Kind, LoadChange, Named, Step};
-pub use noise::NoiseSweep;
 pub use paper_b::{PaperB, paper_b};
-pub use sampling::{AtTa, Curve, Sampling, Sweep};
-pub use schemes::{Errors, NAMES};
+pub use schemes::{AtTa, Curve, Errors, NAMES, NoiseSweep, Sampling, Sweep};
 pub use signal::{RatioOf, SignalToNoise, Spread};
 pub use transient::{Figure4, Table1};
 
@@ -128,9 +124,9 @@ pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
     part("Figure 4 and Table 1");
     let (figure_4, table_1) = (transient::figure_4(), transient::table_1());
     part("errors against the period");
-    let sampling = sampling::sampling();
+    let sampling = schemes::sampling();
     part("errors against the noise");
-    let noise = noise::noise();
+    let noise = schemes::noise();
     let adaptive = adaptive::adaptive_loop(&mut part);
     PaperA {
         paper: "paper-a",

@@ -1,72 +1,61 @@
-//! One emulated record, and what each scheme of the catalogue makes of it.
+//! What every scheme of the catalogue makes of one emulated record, and what the paper does not show: how slowly each may
+//! sample, and its error against the noise of the sensors.
 //!
 //! A scheme is given what the paper gives it and nothing more: schemes 1 the resistance, schemes 2 the torque constant,
 //! every other one nothing at all.
 
-use rand::Rng as _;
-use serde::Serialize;
+use rayon::prelude::*;
+use serde::{Serialize, Serializer};
 
-use super::LEVELS_V;
-use super::machine::{driven, simulated, stamps, value};
-use super::signal::{SignalToNoise, random, white, with_noise};
+use super::machine::{COMPLETE, driven, figures, forward, motor, simulated, stamps, value};
+use super::signal::{SignalToNoise, random, random_binary, white, with_noise};
+use super::{HOLD, LEVELS_V, PERIOD_S, TA_S, TM_S};
 use crate::identification::scheme::{CATALOGUE, Data, Scheme};
+use crate::identification::scheme_1::{Form, Scheme1};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::median;
 use crate::plant::{Model, Motor, MotorKey, Scenario, State};
-use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use crate::sample::{Channel, Origin, Run};
+
+/// Names of the errors, in the order of [`Errors`].
+pub const NAMES: [&str; 5] = ["Ta", "TM", "Ke", "J", "Mc"];
 
 /// Error of each parameter, per cent of the truth; `None` where the scheme does not give it or the data do not carry it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Errors {
-    pub electrical_time_constant: Option<f64>,
-    pub mechanical_time_constant: Option<f64>,
-    pub back_emf: Option<f64>,
-    pub inertia: Option<f64>,
-    pub load_torque: Option<f64>,
-}
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors(pub [Option<f64>; 5]);
 
 impl Errors {
-    pub const COUNT: usize = 5;
-
-    pub const fn to_array(self) -> [Option<f64>; Self::COUNT] {
-        [
-            self.electrical_time_constant,
-            self.mechanical_time_constant,
-            self.back_emf,
-            self.inertia,
-            self.load_torque,
-        ]
-    }
-
-    /// Of what was found, in the order of [`Errors::to_array`].
-    pub(super) fn between(found: [Option<f64>; Self::COUNT], truth: &Motor) -> Self {
+    /// Of what was found, in the order of [`NAMES`].
+    fn between(found: [Option<f64>; 5], truth: &Motor) -> Self {
         let truth = figures(truth);
         let error = |which: usize| Some(100.0 * (found[which]? / truth[which]? - 1.0));
-        Self::from_array(std::array::from_fn(error))
+        Self(std::array::from_fn(error))
     }
 
-    pub(super) const fn from_array(values: [Option<f64>; Self::COUNT]) -> Self {
-        let [
-            electrical_time_constant,
-            mechanical_time_constant,
-            back_emf,
-            inertia,
-            load_torque,
-        ] = values;
-        Self {
-            electrical_time_constant,
-            mechanical_time_constant,
-            back_emf,
-            inertia,
-            load_torque,
-        }
+    /// Median of each error; none where fewer than half of the records tell it.
+    fn medians(all: &[Self]) -> Self {
+        Self(std::array::from_fn(|which| {
+            let told: Vec<f64> = all.iter().filter_map(|errors| errors.0[which]).collect();
+            (2 * told.len() > all.len()).then(|| median(&told))
+        }))
     }
 }
 
-/// Names of the errors in the order of [`Errors::to_array`].
-pub const NAMES: [&str; Errors::COUNT] = ["Ta", "TM", "Ke", "J", "Mc"];
+impl Serialize for Errors {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let keys = [
+            "electrical_time_constant",
+            "mechanical_time_constant",
+            "back_emf",
+            "inertia",
+            "load_torque",
+        ];
+        serializer.collect_map(keys.iter().zip(&self.0))
+    }
+}
 
 /// What all schemes see.
-pub(super) struct Record {
+struct Record {
     motor: Motor,
     run: Run,
     scenario: Scenario,
@@ -76,31 +65,20 @@ pub(super) struct Record {
 const REST_SAMPLES: usize = 30;
 
 /// From rest under two voltages in turn, each held between Ta and 3 TM; noise on current and speed where `noise` says.
-pub(super) fn record(
+fn record(
     motor: &Motor,
     period_s: f64,
     samples: usize,
     seed: u64,
     noise: Option<SignalToNoise>,
 ) -> Record {
-    let time = |time_s: Option<f64>| time_s.expect("the motors of the figures are complete");
-    let (ta_s, tm_s) = (
-        time(motor.electrical_time_constant_s()),
-        time(motor.mechanical_time_constant_s()),
-    );
-    let mut rng = random(seed, 1);
-    let mut volts = vec![0.0; REST_SAMPLES];
-    let mut high = true;
+    let [ta_s, tm_s, ..] = figures(motor).map(|value| value.expect(COMPLETE));
     // Between the time constants, but never the same length again and again: that would excite one frequency only.
     let shortest = whole(ta_s / period_s).max(1);
     let longest = whole(3.0 * tm_s / period_s).max(shortest + 3);
-    while volts.len() < samples {
-        let length = rng
-            .random_range(shortest..=longest)
-            .min(samples - volts.len());
-        volts.extend(std::iter::repeat_n(LEVELS_V[usize::from(high)], length));
-        high = !high;
-    }
+    let (rng, turning) = (&mut random(seed, 1), samples - REST_SAMPLES);
+    let mut volts = vec![0.0; REST_SAMPLES];
+    volts.extend(random_binary(rng, LEVELS_V, shortest..=longest, turning));
     let times = stamps(period_s, samples);
     let events = times.iter().copied().zip(volts.iter().copied()).collect();
     let name = format!("period {period_s} s, seed {seed}");
@@ -134,12 +112,11 @@ pub(super) fn record(
 }
 
 /// The schemes that take part: all that read these records.
-pub(super) fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
+fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
     // Inverse dynamics filters, which takes many samples per time constant; a step response takes one long step.
-    CATALOGUE
-        .iter()
-        .copied()
-        .filter(|scheme| !["inverse-dynamics", "step-response"].contains(&scheme.id()))
+    let apart = ["inverse-dynamics", "step-response"];
+    let all = CATALOGUE.iter().copied();
+    all.filter(move |scheme| !apart.contains(&scheme.id()))
 }
 
 /// What the paper lets a scheme know.
@@ -161,43 +138,298 @@ fn known(scheme: &dyn Scheme, truth: &Motor) -> Model {
 }
 
 /// What `scheme` finds in `record`.
-pub(super) fn errors(scheme: &dyn Scheme, record: &Record) -> Errors {
+fn errors(scheme: &dyn Scheme, record: &Record) -> Errors {
     let model = known(scheme, &record.motor);
     let data = Data {
         run: &record.run,
         scenario: &record.scenario,
         model: &model,
     };
-    match scheme.identify(&data) {
-        Ok(found) => errors_of(&found.parameters, &model.motor, &record.motor),
-        Err(_) => Errors::default(),
-    }
-}
-
-fn errors_of(found: &[ParameterEstimate], known: &Motor, truth: &Motor) -> Errors {
-    let told = |key: MotorKey| {
-        found
-            .iter()
-            .find(|parameter| parameter.key == key.key())
-            .and_then(|parameter| parameter.value)
-            .or_else(|| known.get(key))
+    let Ok(found) = scheme.identify(&data) else {
+        return Errors::default();
     };
-    let mut all = Motor::new("found");
+    let mut all = model.motor.clone();
     for key in MotorKey::ALL {
-        if let Some(value) = told(key) {
+        let mut parameters = found.parameters.iter();
+        let own = parameters.find(|parameter| parameter.key == key.key());
+        if let Some(value) = own.and_then(|parameter| parameter.value) {
             all.set(key, value);
         }
     }
-    Errors::between(figures(&all), truth)
+    Errors::between(figures(&all), &record.motor)
 }
 
-/// Ta, TM, Ke, J and Mc of a motor, as far as it has them.
-fn figures(motor: &Motor) -> [Option<f64>; Errors::COUNT] {
-    [
-        motor.electrical_time_constant_s(),
-        motor.mechanical_time_constant_s(),
-        motor.get(MotorKey::BackEmf),
-        motor.get(MotorKey::Inertia),
-        motor.get(MotorKey::LoadTorque),
-    ]
+/// Errors of one scheme at each ratio.
+#[derive(Clone, Debug, Serialize)]
+pub struct Curve {
+    pub scheme: &'static str,
+    pub errors: Vec<Errors>,
+}
+
+/// For each scheme asked for, the medians over the records of each ratio.
+fn curves(records: &[Vec<Record>], asked: impl Fn(&str) -> bool) -> Vec<Curve> {
+    let curve = |scheme: &'static dyn Scheme| {
+        let median = |records: &Vec<Record>| {
+            let found = records.par_iter().map(|record| errors(scheme, record));
+            Errors::medians(&found.collect::<Vec<_>>())
+        };
+        Curve {
+            scheme: scheme.id(),
+            errors: records.par_iter().map(median).collect(),
+        }
+    };
+    let asked = taking_part().filter(|scheme| asked(scheme.id()));
+    asked.map(curve).collect()
+}
+
+/// T/Ta and T/TM: two to a factor of three and a half.
+const PERIOD_RATIOS: [f64; 11] = [0.01, 0.02, 0.03, 0.06, 0.1, 0.2, 0.3, 0.6, 1.0, 2.0, 3.0];
+/// TM/Ta of the motor that is swept over T/Ta: both poles real and well apart.
+const WELL_DAMPED: f64 = 5.0;
+/// TM/Ta of the motor that is swept over T/TM: with the same T/Ta, so that it is its armature circuit that oscillates.
+const OSCILLATING: f64 = 1.0;
+/// Ta of the first motor is that of the ZK-22FC; the second has its TM and a choke before the armature.
+const ZK_22FC_TA_S: f64 = 0.009;
+const TA_WITH_CHOKE_S: f64 = 0.03;
+const FEWEST_SAMPLES: usize = 400;
+/// Mechanical time constants that a record lasts at least.
+const LEAST_LENGTH: f64 = 40.0;
+const SEED: u64 = 1;
+/// TM/Ta of the motors that are sampled at T = Ta.
+const AT_TA: [f64; 5] = [1.0, 2.0, 5.0, 10.0, 30.0];
+
+/// One motor sampled with ever longer periods, without noise.
+#[derive(Clone, Debug, Serialize)]
+pub struct Sweep {
+    /// `T/Ta` or `T/TM`.
+    pub against: &'static str,
+    pub tm_over_ta: f64,
+    pub electrical_time_constant_s: f64,
+    pub ratios: Vec<f64>,
+    pub curves: Vec<Curve>,
+}
+
+/// The printed and the exact form of scheme 1 at T = Ta.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AtTa {
+    pub tm_over_ta: f64,
+    pub printed: Errors,
+    pub exact: Errors,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Sampling {
+    pub sweeps: Vec<Sweep>,
+    pub at_ta: Vec<AtTa>,
+}
+
+pub(super) fn sampling() -> Sampling {
+    Sampling {
+        sweeps: vec![
+            sweep("T/Ta", ZK_22FC_TA_S, WELL_DAMPED),
+            sweep("T/TM", TA_WITH_CHOKE_S, OSCILLATING),
+        ],
+        at_ta: AT_TA.map(at_ta).into(),
+    }
+}
+
+fn sweep(against: &'static str, ta_s: f64, tm_over_ta: f64) -> Sweep {
+    let tm_s = tm_over_ta * ta_s;
+    let motor = motor(ta_s, tm_s);
+    let unit_s = if against == "T/TM" { tm_s } else { ta_s };
+    let sampled = |ratio: f64| {
+        let period_s = ratio * unit_s;
+        let samples = whole(LEAST_LENGTH * tm_s / period_s).max(FEWEST_SAMPLES);
+        vec![record(&motor, period_s, samples, SEED, None)]
+    };
+    let records: Vec<_> = PERIOD_RATIOS.into_par_iter().map(sampled).collect();
+    Sweep {
+        against,
+        tm_over_ta,
+        electrical_time_constant_s: ta_s,
+        ratios: PERIOD_RATIOS.into(),
+        curves: curves(&records, |_| true),
+    }
+}
+
+fn at_ta(tm_over_ta: f64) -> AtTa {
+    let motor = motor(ZK_22FC_TA_S, tm_over_ta * ZK_22FC_TA_S);
+    let volts = random_binary(&mut random(SEED, 1), LEVELS_V, HOLD, FEWEST_SAMPLES);
+    let turning = forward(&[(&motor, FEWEST_SAMPLES)], ZK_22FC_TA_S, &volts, None);
+    let of = |form: Form| {
+        let mut scheme = Scheme1::new(form, ZK_22FC_TA_S, 1.0);
+        for (k, at) in turning.iter().enumerate() {
+            // The voltage of the interval that ends at this sample.
+            scheme.push(volts[k.saturating_sub(1)], at.speed_rad_s, 1);
+        }
+        let found = scheme.parameters(value(&motor, MotorKey::Resistance), None);
+        found.map_or_else(
+            |_| Errors::default(),
+            |found| {
+                let (ta_s, tm_s) = (found.ta_s, found.tm_s);
+                let found = [ta_s, tm_s, found.ke, found.inertia, found.load_torque];
+                Errors::between(found.map(Some), &motor)
+            },
+        )
+    };
+    AtTa {
+        tm_over_ta,
+        printed: of(Form::Printed),
+        exact: of(Form::Exact),
+    }
+}
+
+/// Ratios of power.
+const NOISE_RATIOS: [f64; 6] = [10.0, 100.0, 1e3, 1e4, 1e5, 1e6];
+const SAMPLES: usize = 3000;
+const SEEDS: u64 = 5;
+const LONG_SAMPLES: usize = 20_000;
+const LONG_SEEDS: u64 = 7;
+
+/// Medians over the seeds against signal-to-noise, the noise on the sensors.
+#[derive(Clone, Debug, Serialize)]
+pub struct NoiseSweep {
+    pub electrical_time_constant_s: f64,
+    pub mechanical_time_constant_s: f64,
+    pub period_s: f64,
+    pub samples: usize,
+    pub seeds: u64,
+    /// Of power, on speed and current alike.
+    pub signal_to_noise: Vec<f64>,
+    pub curves: Vec<Curve>,
+    pub long: Long,
+}
+
+/// Schemes 1 on a long record at the worst ratio: what the number of samples mends, and what it does not.
+#[derive(Clone, Debug, Serialize)]
+pub struct Long {
+    pub signal_to_noise: f64,
+    pub samples: usize,
+    pub seeds: u64,
+    pub curves: Vec<Curve>,
+}
+
+pub(super) fn noise() -> NoiseSweep {
+    let motor = motor(TA_S, TM_S);
+    let records = |ratios: &[f64], samples: usize, seeds: u64| -> Vec<Vec<Record>> {
+        let of = |ratio: &f64| {
+            let noise = Some(SignalToNoise::power(*ratio));
+            let record = |seed| record(&motor, PERIOD_S, samples, seed, noise);
+            (0..seeds).map(record).collect()
+        };
+        ratios.par_iter().map(of).collect()
+    };
+    let long = records(&NOISE_RATIOS[..1], LONG_SAMPLES, LONG_SEEDS);
+    NoiseSweep {
+        electrical_time_constant_s: TA_S,
+        mechanical_time_constant_s: TM_S,
+        period_s: PERIOD_S,
+        samples: SAMPLES,
+        seeds: SEEDS,
+        signal_to_noise: NOISE_RATIOS.into(),
+        curves: curves(&records(&NOISE_RATIOS, SAMPLES, SEEDS), |_| true),
+        long: Long {
+            signal_to_noise: NOISE_RATIOS[0],
+            samples: LONG_SAMPLES,
+            seeds: LONG_SEEDS,
+            curves: curves(&long, |id| id.starts_with('1')),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places in [`Errors`].
+    const TA: usize = 0;
+    const TM: usize = 1;
+
+    fn errors_of<'a>(curves: &'a [Curve], id: &str) -> &'a [Errors] {
+        let found = curves.iter().find(|curve| curve.scheme == id);
+        &found.unwrap().errors
+    }
+
+    #[test]
+    fn at_ta_the_printed_form_errs_as_derived_and_the_exact_one_does_not() {
+        // TM/Ta, then the errors of Ta and TM in per cent, as derived from the printed inverse.
+        let derived = [
+            (1.0, [-22.0, 105.0]),
+            (2.0, [1.0, 53.0]),
+            (5.0, [25.0, 22.0]),
+            (10.0, [35.0, 12.0]),
+            (30.0, [44.0, 5.0]),
+        ];
+        for (row, (tm_over_ta, expected)) in AT_TA.map(at_ta).iter().zip(derived) {
+            assert!((row.tm_over_ta - tm_over_ta).abs() < 1e-12);
+            for (found, expected) in row.printed.0.iter().zip(expected) {
+                assert!((found.unwrap() - expected).abs() < 4.0, "{row:?}");
+            }
+            for error in row.exact.0 {
+                assert!(error.unwrap().abs() < 1e-3, "{row:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_exact_form_holds_where_the_printed_one_errs_by_tens_of_per_cent() {
+        for sweep in &sampling().sweeps {
+            let curve = |id: &str| errors_of(&sweep.curves, id);
+            for errors in curve("1-exact") {
+                for error in errors.0 {
+                    assert!(error.unwrap().abs() < 0.1, "{} {errors:?}", sweep.against);
+                }
+            }
+            for (ratio, errors) in sweep.ratios.iter().zip(curve("1")) {
+                let [ta, tm] = [TA, TM].map(|which| errors.0[which].unwrap_or(f64::NAN));
+                if (*ratio - 1.0).abs() < 1e-9 {
+                    assert!(ta.abs() > 20.0 && tm > 20.0, "{errors:?}");
+                }
+                if *ratio < 0.011 {
+                    assert!(ta.abs() < 1.0 && tm.abs() < 2.0, "{errors:?}");
+                }
+            }
+            // What a scheme says it cannot tell counts as any error.
+            let inertia = |id, row: usize| curve(id)[row].0[3].map_or(f64::INFINITY, f64::abs);
+            for (row, ratio) in sweep.ratios.iter().enumerate().filter(|(_, r)| **r <= 0.3) {
+                assert!(inertia("2", row) < 1.0, "{} {ratio}", sweep.against);
+                assert!(inertia("3", row) < 0.2, "{} {ratio}", sweep.against);
+            }
+            let mut ratios = sweep.ratios.iter();
+            let at_one = ratios.position(|r| (r - 1.0).abs() < 1e-9).unwrap();
+            assert!(inertia("2-rectangle", at_one) > 3.0 * inertia("2", at_one));
+        }
+    }
+
+    #[test]
+    fn least_squares_is_biased_by_sensor_noise_and_instruments_are_not() {
+        let sweep = noise();
+        let ta = |errors: &Errors| errors.0[TA].unwrap();
+        let tm = |errors: &Errors| errors.0[TM].unwrap();
+        let [printed, free] = ["1", "1-iv"].map(|id| errors_of(&sweep.curves, id));
+        assert!(
+            ta(&printed[0]) < -75.0 && tm(&printed[0]).abs() > 50.0,
+            "{printed:?}"
+        );
+        let last = printed.len() - 1;
+        // With a clean speed the printed form is left with its own error of the period.
+        assert!(ta(&printed[last]).abs() < 3.0 && (5.0..15.0).contains(&tm(&printed[last])));
+        for id in ["1-iv", "output-error"] {
+            for errors in errors_of(&sweep.curves, id) {
+                assert!(
+                    ta(errors).abs() < 4.0 && tm(errors).abs() < 4.0,
+                    "{id} {errors:?}"
+                );
+            }
+        }
+        assert!(ta(&free[last]).abs() < 0.1);
+        // Many samples make the bias no smaller; the other one shrinks.
+        let [printed, free] = ["1", "1-iv"].map(|id| errors_of(&sweep.long.curves, id)[0]);
+        for of in [ta, tm] {
+            assert!(
+                of(&printed).abs() > 10.0 * of(&free).abs(),
+                "{printed:?} {free:?}"
+            );
+        }
+    }
 }

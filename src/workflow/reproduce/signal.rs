@@ -50,11 +50,16 @@ impl SignalToNoise {
 
     /// As it is printed: `10 (power)`.
     pub fn text(self) -> String {
-        let of = match self.of {
-            RatioOf::Power => "power",
-            RatioOf::Amplitude => "amplitude",
-        };
-        format!("{} ({of})", self.value)
+        format!("{} ({})", self.value, self.of.name())
+    }
+}
+
+impl RatioOf {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Amplitude => "amplitude",
+        }
     }
 }
 
@@ -91,10 +96,8 @@ pub(super) fn white(random: &mut ChaCha8Rng, samples: usize) -> Vec<f64> {
 
 /// `signal + deviation * noise`.
 pub(super) fn with_noise(signal: &[f64], noise: &[f64], deviation: f64) -> Vec<f64> {
-    signal
-        .iter()
-        .zip(noise)
-        .map(|(signal, noise)| signal + deviation * noise)
+    let both = signal.iter().zip(noise);
+    both.map(|(signal, noise)| signal + deviation * noise)
         .collect()
 }
 

@@ -104,7 +104,7 @@ const FORGETTING: f64 = 0.98;
 const PERIODS_S: [f64; 5] = [0.001, 0.002, 0.003, 0.004, 0.004_5];
 const SEEDS: u64 = 200;
 /// Half width of a 95 % interval in standard deviations.
-const INTERVAL: f64 = 1.96;
+const INTERVAL_SIGMAS: f64 = 1.96;
 
 /// J and Mc.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -167,11 +167,11 @@ pub(super) fn table_1() -> Table1 {
         forgetting: FORGETTING,
         seeds: SEEDS,
         rows: rows(&motor, PERIOD_S),
-        by_period: PERIODS_S
+        by_period: (PERIODS_S
             .iter()
-            .flat_map(|period_s| rows(&motor, *period_s))
-            .filter(|row| row.n == 20 || row.n == 50)
-            .collect(),
+            .flat_map(|period_s| rows(&motor, *period_s)))
+        .filter(|row| row.n == 20 || row.n == 50)
+        .collect(),
     }
 }
 
@@ -185,39 +185,28 @@ fn truth(motor: &Motor) -> Values {
 fn rows(motor: &Motor, period_s: f64) -> Vec<Row> {
     let clean = start(motor, period_s, SAMPLES);
     let truth = truth(motor);
-    let silent = |integral| -> Vec<Values> {
-        let found = at_each_n(motor, period_s, &clean, integral);
-        found
-            .iter()
-            .map(|[inertia, load]| Values {
-                inertia_kg_m2: inertia.0,
-                load_torque_n_m: load.0,
-            })
-            .collect()
+    let silent = |integral| at_each_n(motor, period_s, &clean, integral);
+    let rectangle = silent(CurrentIntegral::Rectangle);
+    let trapezoid = silent(CurrentIntegral::Trapezoid);
+    let noisy = |seed| {
+        let record = noisy(&clean, seed);
+        at_each_n(motor, period_s, &record, CurrentIntegral::Trapezoid)
     };
-    let (rectangle, trapezoid) = (
-        silent(CurrentIntegral::Rectangle),
-        silent(CurrentIntegral::Trapezoid),
-    );
-    let noisy: Vec<Vec<Estimates>> = (0..SEEDS)
-        .into_par_iter()
-        .map(|seed| {
-            let record = noisy(&clean, seed);
-            at_each_n(motor, period_s, &record, CurrentIntegral::Trapezoid)
-        })
-        .collect();
+    let noisy: Vec<Vec<Estimates>> = (0..SEEDS).into_par_iter().map(noisy).collect();
     let over_seeds = |row: usize, which: usize, truth: f64| {
         OverSeeds::of(truth, noisy.iter().map(|seed| seed[row][which]))
     };
+    let values = |inertia_kg_m2: f64, load_torque_n_m: f64| Values {
+        inertia_kg_m2,
+        load_torque_n_m,
+    };
+    let of = |estimates: &Estimates| values(estimates[0].0, estimates[1].0);
     let rows = PRINTED.iter().enumerate().map(|(row, printed)| Row {
         period_s,
         n: printed.0,
-        paper: Values {
-            inertia_kg_m2: printed.1 * 1e-6,
-            load_torque_n_m: printed.2,
-        },
-        rectangle: rectangle[row],
-        trapezoid: trapezoid[row],
+        paper: values(printed.1 * 1e-6, printed.2),
+        rectangle: of(&rectangle[row]),
+        trapezoid: of(&trapezoid[row]),
         inertia_with_noise: over_seeds(row, 0, truth.inertia_kg_m2),
         load_torque_with_noise: over_seeds(row, 1, truth.load_torque_n_m),
     });
@@ -242,12 +231,10 @@ fn at_each_n(
         scheme.push(time_s, record.current_a[k], record.speed_rad_s[k]);
         if PRINTED.iter().any(|printed| printed.0 == k) {
             let estimates = scheme.estimates(torque);
+            let or_nan = |value: Option<f64>| value.unwrap_or(f64::NAN);
             found.push([0, 1].map(|which| {
-                let estimate = &estimates[which];
-                (
-                    estimate.value.unwrap_or(f64::NAN),
-                    estimate.std.unwrap_or(f64::NAN),
-                )
+                let own = &estimates[which];
+                (or_nan(own.value), or_nan(own.std))
             }));
         }
     }
@@ -258,10 +245,8 @@ impl OverSeeds {
     fn of(truth: f64, estimates: impl Iterator<Item = (f64, f64)>) -> Self {
         let all: Vec<(f64, f64)> = estimates.collect();
         let told: Vec<f64> = all.iter().map(|e| e.0).filter(|v| v.is_finite()).collect();
-        let covered = all
-            .iter()
-            .filter(|(value, std)| (value - truth).abs() <= INTERVAL * std)
-            .count();
+        let holds = |(value, std): &&(f64, f64)| (value - truth).abs() <= INTERVAL_SIGMAS * std;
+        let covered = all.iter().filter(holds).count();
         let centre = mean(&told);
         let percent = |count: usize| 100.0 * count as f64 / all.len().max(1) as f64;
         Self {

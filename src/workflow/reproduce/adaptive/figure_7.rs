@@ -3,9 +3,11 @@
 
 use serde::Serialize;
 
-use super::{MECHANICAL_S, PERIOD_S, SEED};
-use crate::control::{Course, SpeedController, TrialPoint, trial};
-use crate::workflow::reproduce::loops::{Bench, Kind, Named, Step, cycles, rms, square, steps};
+use super::{MECHANICAL_S, PERIOD_S};
+use crate::control::TrialPoint;
+use crate::workflow::reproduce::loops::{
+    Bench, Kind, Named, Step, Trial, cycles, error, limited_percent, rms, square, steps,
+};
 
 /// Start and brake: standstill to full speed and back, each for so long, s.
 const FULL_RAD_S: f64 = 250.0;
@@ -96,10 +98,8 @@ impl Figure7 {
 
     /// Jumps without noise in whose first step no limit was met.
     pub fn fair(&self) -> impl Iterator<Item = [&Adaptation; 3]> {
-        self.cases().filter(|case| {
-            case.iter()
-                .all(|one| !one.noise && one.limited_percent == 0.0)
-        })
+        let is_fair = |one: &&Adaptation| !one.noise && one.limited_percent == 0.0;
+        self.cases().filter(move |case| case.iter().all(is_fair))
     }
 
     /// Where ADDC is the slower one.
@@ -138,12 +138,7 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
     for noise in [false, true] {
         for mechanical_s in [MECHANICAL_S[1], MECHANICAL_S[2]] {
             for height_rad_s in HEIGHTS_RAD_S {
-                let jump = Jump {
-                    mechanical_s,
-                    height_rad_s,
-                    noise,
-                };
-                let found = RIVALS.map(|kind| jump.run(bench, kind));
+                let found = RIVALS.map(|kind| jump(bench, kind, mechanical_s, height_rad_s, noise));
                 let is_fair = found.iter().all(|(found, _)| found.limited_percent == 0.0);
                 if is_fair && !noise && mechanical_s < MECHANICAL_S[0] {
                     let traces = found
@@ -168,110 +163,72 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
 }
 
 fn start_and_brake(bench: &Bench, kind: Kind) -> Saturated {
-    let course = Course {
-        reference_rad_s: &square(FULL_HALF_S, 0.0, FULL_RAD_S),
-        inertia_kg_m2: &|_| bench.inertia(),
-        load_n_m: &|_| 0.0,
-    };
-    let trace = run(
-        bench,
-        &mut *bench.controller(kind),
-        &course,
-        FULL_HALF_S * FULL_STEPS as f64,
-        true,
-    );
+    let seconds = FULL_HALF_S * FULL_STEPS as f64;
+    let trial = Trial::of(bench, square(FULL_HALF_S, 0.0, FULL_RAD_S));
+    let trace = trial.run(&mut *bench.controller(kind), seconds);
     let rows = cycles(FULL_HALF_S, PERIOD_S);
     let counted = cycles(COUNTED_S, PERIOD_S);
-    let cycles = trace
-        .chunks(rows)
-        .map(|chunk| Cycle {
-            to_rad_s: chunk[0].reference_rad_s,
-            error_rad_s: rms(chunk[rows - counted..]
-                .iter()
-                .map(|point| point.reference_rad_s - point.speed_rad_s)),
-            limited_percent: 100.0 * chunk.iter().filter(|point| point.limited).count() as f64
-                / rows as f64,
-        })
-        .collect();
+    let cycle = |chunk: &[TrialPoint]| Cycle {
+        to_rad_s: chunk[0].reference_rad_s,
+        error_rad_s: rms(chunk[rows - counted..].iter().map(error)),
+        limited_percent: limited_percent(chunk),
+    };
     Saturated {
         controller: kind,
-        cycles,
+        cycles: trace.chunks(rows).map(cycle).collect(),
         trace,
     }
 }
 
-fn run(
+/// How a regulator gets over a jump of TM that comes with a step of the reference, and its trace about the jump.
+fn jump(
     bench: &Bench,
-    controller: &mut dyn SpeedController,
-    course: &Course<'_>,
-    seconds: f64,
-    noise: bool,
-) -> Vec<TrialPoint> {
-    let mut machine = bench.machine();
-    if !noise {
-        (machine.speed_noise_rad_s, machine.current_noise_a) = (0.0, 0.0);
-    }
-    let length = cycles(seconds, PERIOD_S);
-    trial(&machine, course, controller, &bench.limiter(), length, SEED)
-}
-
-struct Jump {
+    kind: Kind,
     mechanical_s: f64,
     height_rad_s: f64,
     noise: bool,
-}
-
-impl Jump {
-    fn run(&self, bench: &Bench, kind: Kind) -> (Adaptation, Vec<TrialPoint>) {
-        let half = 0.5 * self.height_rad_s;
-        let jump_s = STEPS_BEFORE as f64 * SMALL_HALF_S;
-        let ratio = self.mechanical_s / MECHANICAL_S[0];
-        let course = Course {
-            reference_rad_s: &square(SMALL_HALF_S, MIDDLE_RAD_S + half, MIDDLE_RAD_S - half),
-            inertia_kg_m2: &|t| bench.inertia() * if t >= jump_s - 1e-9 { ratio } else { 1.0 },
-            load_n_m: &|_| 0.0,
-        };
+) -> (Adaptation, Vec<TrialPoint>) {
+    let half = 0.5 * height_rad_s;
+    let jump_s = STEPS_BEFORE as f64 * SMALL_HALF_S;
+    let ratio = mechanical_s / MECHANICAL_S[0];
+    let run = |bench_told: &Bench, ratio: &dyn Fn(f64) -> f64| {
+        let reference = square(SMALL_HALF_S, MIDDLE_RAD_S + half, MIDDLE_RAD_S - half);
+        let mut trial = Trial::of(bench, reference).with_inertia_ratio(bench, ratio);
+        if !noise {
+            trial.machine.speed_noise_rad_s = 0.0;
+            trial.machine.current_noise_a = 0.0;
+        }
         let seconds = (STEPS_BEFORE + STEPS_AFTER) as f64 * SMALL_HALF_S;
-        let mut controller = bench.controller(kind);
-        let trace = run(bench, &mut *controller, &course, seconds, self.noise);
-        // The same regulator made for the new TM, on a shaft that always had it.
-        let told = bench.with_inertia_ratio(ratio);
-        let always = Course {
-            inertia_kg_m2: &|_| told.inertia(),
-            ..course
-        };
-        let mut controller = told.controller(kind);
-        let adapted = run(bench, &mut *controller, &always, seconds, self.noise);
-        let rows = cycles(SMALL_HALF_S, PERIOD_S);
-        let from = STEPS_BEFORE * rows;
-        let away: Vec<f64> = trace[from..]
-            .iter()
-            .zip(&adapted[from..])
-            .map(|(now, adapted)| (now.speed_rad_s - adapted.speed_rad_s).abs())
-            .collect();
-        let over_height = |sum: f64| PERIOD_S * sum / self.height_rad_s;
-        let outside = |away: &f64| *away > ADAPTED_SHARE * self.height_rad_s;
-        let back = away.iter().rposition(outside).map_or(0, |last| last + 1);
-        let step = |trace: &[TrialPoint]| steps(trace).swap_remove(STEPS_BEFORE);
-        let (first, adapted_first) = (step(&trace), step(&adapted));
-        let cost = |step: &Step| step.response.absolute_error_rad / self.height_rad_s;
-        let adaptation = Adaptation {
-            controller: kind,
-            mechanical_s: self.mechanical_s,
-            height_rad_s: self.height_rad_s,
-            noise: self.noise,
-            error_s: cost(&first),
-            adapted_error_s: cost(&adapted_first),
-            first_deviation_s: over_height(away[..rows].iter().sum()),
-            last_deviation_s: over_height(away[away.len() - rows..].iter().sum()),
-            adapted_after_s: (back < away.len() - rows).then_some(PERIOD_S * back as f64),
-            limited_percent: first.limited_percent,
-        };
-        let from_s = jump_s - 2.0 * SMALL_HALF_S;
-        let shown = trace
-            .into_iter()
-            .filter(|point| point.time_s >= from_s)
-            .collect();
-        (adaptation, shown)
-    }
+        trial.run(&mut *bench_told.controller(kind), seconds)
+    };
+    let trace = run(bench, &|t| if t >= jump_s - 1e-9 { ratio } else { 1.0 });
+    // The same regulator made for the new TM, on a shaft that always had it.
+    let adapted = run(&bench.with_inertia_ratio(ratio), &|_| ratio);
+    let rows = cycles(SMALL_HALF_S, PERIOD_S);
+    let after = STEPS_BEFORE * rows..;
+    let pairs = trace[after.clone()].iter().zip(&adapted[after]);
+    let away: Vec<f64> = pairs
+        .map(|(now, adapted)| (now.speed_rad_s - adapted.speed_rad_s).abs())
+        .collect();
+    let over_height = |sum: f64| PERIOD_S * sum / height_rad_s;
+    let outside = |away: &f64| *away > ADAPTED_SHARE * height_rad_s;
+    let back = away.iter().rposition(outside).map_or(0, |last| last + 1);
+    let step = |trace: &[TrialPoint]| steps(trace).swap_remove(STEPS_BEFORE);
+    let (first, adapted_first) = (step(&trace), step(&adapted));
+    let cost = |step: &Step| step.response.absolute_error_rad / height_rad_s;
+    let adaptation = Adaptation {
+        controller: kind,
+        mechanical_s,
+        height_rad_s,
+        noise,
+        error_s: cost(&first),
+        adapted_error_s: cost(&adapted_first),
+        first_deviation_s: over_height(away[..rows].iter().sum()),
+        last_deviation_s: over_height(away[away.len() - rows..].iter().sum()),
+        adapted_after_s: (back < away.len() - rows).then_some(PERIOD_S * back as f64),
+        limited_percent: first.limited_percent,
+    };
+    let from_s = jump_s - 2.0 * SMALL_HALF_S;
+    let shown = trace.into_iter().filter(|point| point.time_s >= from_s);
+    (adaptation, shown.collect())
 }

@@ -14,8 +14,10 @@ use serde::Serialize;
 pub use figure_7::{Adaptation, Cycle, Figure7, Saturated, Slower};
 pub use steps::{Figure5, Figure6, SteppedBy};
 
-use super::loops::{Bench, Comparison, Sizes, comparison, motor};
+use super::loops::{Bench, Comparison, Sizes, comparison};
+use super::machine::made_of;
 use crate::control::{LoadObservingSettings, LoopTiming, PaperBSettings};
+use crate::plant::Model;
 
 /// Mechanical time constants of Figure 6, s; the regulators are made for the first.
 pub const MECHANICAL_S: [f64; 3] = [0.2, 0.05, 1.0];
@@ -33,8 +35,6 @@ const SIZES: Sizes = Sizes {
     start_rad_s: 250.0,
     load_n_m: 1.0,
 };
-/// Seed of the sensors' noise.
-const SEED: u64 = 1;
 
 /// Figures 5 to 7 of paper A.
 #[derive(Clone, Debug, Serialize)]
@@ -75,14 +75,13 @@ pub(super) fn chosen() -> String {
 fn bench() -> Bench {
     Bench {
         name: "paper A's motor behind a link",
-        model: motor(
+        model: Model::baseline(made_of(
             "ZK-22FC at TM = 0.2 s",
             1.1,
             0.3538,
-            0.009,
-            MECHANICAL_S[0],
+            [0.009, MECHANICAL_S[0]],
             0.455,
-        ),
+        )),
         timing: LoopTiming {
             period_s: PERIOD_S,
             delay_s: DELAY_CYCLES * PERIOD_S,

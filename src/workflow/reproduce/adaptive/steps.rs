@@ -3,10 +3,10 @@
 
 use serde::Serialize;
 
-use super::{FORGETTING, HALF_S, LEVELS_RAD_S, MECHANICAL_S, PERIOD_S, SEED};
-use crate::control::{Course, TrialPoint, trial};
+use super::{FORGETTING, HALF_S, LEVELS_RAD_S, MECHANICAL_S, PERIOD_S};
+use crate::control::TrialPoint;
 use crate::numerics::count::whole;
-use crate::workflow::reproduce::loops::{Bench, Joining, Step, cycles, square, steps};
+use crate::workflow::reproduce::loops::{Bench, Joining, Step, Trial, cycles, square, steps};
 
 /// Steps of the reference before the adaptation joins, and in all.
 const FIXED_STEPS: usize = 4;
@@ -58,14 +58,9 @@ fn joined(
 ) -> (Vec<TrialPoint>, Joining) {
     let mut controller = Joining::new(bench.pi(), bench.addc(), joins_at);
     let [low, high] = LEVELS_RAD_S;
-    let course = Course {
-        reference_rad_s: &square(HALF_S, high, low),
-        inertia_kg_m2: &|t| mechanical_s(t) / MECHANICAL_S[0] * bench.inertia(),
-        load_n_m: &|_| 0.0,
-    };
-    let length = cycles(length_s, PERIOD_S);
-    let (machine, limiter) = (bench.machine(), bench.limiter());
-    let trace = trial(&machine, &course, &mut controller, &limiter, length, SEED);
+    let trace = Trial::of(bench, square(HALF_S, high, low))
+        .with_inertia_ratio(bench, |t| mechanical_s(t) / MECHANICAL_S[0])
+        .run(&mut controller, length_s);
     (trace, controller)
 }
 

@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use super::*;
-use crate::workflow::reproduce::loops::{Case, Kind};
+use crate::workflow::reproduce::loops::{Case, Kind, Step};
 
 /// Computed once for the tests that read it.
 fn figure_7() -> &'static Figure7 {
@@ -14,19 +14,14 @@ fn figure_7() -> &'static Figure7 {
 #[test]
 fn figure_5_the_response_gets_better_when_the_adaptation_joins() {
     let figure = steps::figure_5(&bench());
-    let worst = |steps: &[crate::workflow::reproduce::loops::Step]| {
-        steps
-            .iter()
-            .map(|step| step.response.overshoot_percent)
-            .fold(0.0, f64::max)
+    let worst = |steps: &[Step]| {
+        let overshoots = steps.iter().map(|step| step.response.overshoot_percent);
+        overshoots.fold(0.0, f64::max)
     };
+    let mut adapted = figure.after[1..].iter();
     assert!(worst(&figure.before) > 25.0);
     assert!(worst(&figure.after[1..]) < 10.0);
-    assert!(
-        figure.after[1..]
-            .iter()
-            .all(|step| step.response.settling_s.is_some())
-    );
+    assert!(adapted.all(|step| step.response.settling_s.is_some()));
 }
 
 #[test]
@@ -38,18 +33,13 @@ fn figure_6_the_fixed_gains_deteriorate_as_the_paper_shows_and_the_adaptive_ones
         assert_eq!(row.fixed.response.settling_s, None, "{row:?}");
     }
     for row in figure.adapted(1).chain(figure.adapted(2)) {
-        assert!(row.adaptive.response.overshoot_percent < 10.0, "{row:?}");
-        assert!(
-            row.adaptive
-                .response
-                .settling_s
-                .is_some_and(|s| s <= row.allowed_settling_s),
-            "{row:?}"
-        );
-        assert!(
-            (row.estimate_s / row.mechanical_s - 1.0).abs() < 0.1,
-            "{row:?}"
-        );
+        let response = row.adaptive.response;
+        let settles = response
+            .settling_s
+            .is_some_and(|s| s <= row.allowed_settling_s);
+        assert!(response.overshoot_percent < 10.0 && settles, "{row:?}");
+        let error = row.estimate_s / row.mechanical_s - 1.0;
+        assert!(error.abs() < 0.1, "{row:?}");
     }
 }
 
@@ -100,7 +90,7 @@ fn every_regulator_is_in_the_table_in_every_case() {
     let others = [Kind::Pi, Kind::Addc, Kind::MracDisconnected, Kind::PaperB];
     assert!(
         others
-            .iter()
-            .all(|kind| dip(*kind) > dip(Kind::LoadObserver))
+            .into_iter()
+            .all(|kind| dip(kind) > dip(Kind::LoadObserver))
     );
 }

@@ -68,23 +68,14 @@ pub struct Recorded {
     pub length_s: f64,
 }
 
-struct Row {
-    time_s: f64,
-    half_width_s: f64,
-    values: [f64; 3],
-}
+/// Time, half-width of the stamp, s; voltage, current, speed.
+type Row = (f64, f64, [f64; 3]);
 
 /// A motor of its own for each seed, near that of paper A, under voltage steps of its own.
 pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut near = |value: f64| value * rng.random_range(-0.4..0.4_f64).exp();
-    let truth = [
-        near(1.1),
-        near(0.0099),
-        near(0.3538),
-        near(4.5e-3),
-        near(0.455),
-    ];
+    let truth = [1.1, 0.0099, 0.3538, 4.5e-3, 0.455].map(&mut near);
     let mut plant = Plant::new(motor(truth), &[]);
     let mut far = FarEnd {
         plant: &mut plant,
@@ -96,11 +87,8 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
     while cycle_s < LENGTH_S {
         if cycle_s >= held_until_s {
             let size: f64 = rng.random_range(10.0..70.0);
-            wanted = if rng.random::<f64>() < 0.6 {
-                size
-            } else {
-                -size
-            };
+            let forward = rng.random::<f64>() < 0.6;
+            wanted = if forward { size } else { -size };
             held_until_s = cycle_s + rng.random_range(0.1..0.5);
         }
         let mut within = |span_s: f64| {
@@ -147,19 +135,13 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
                 read(far.plant.current_a(), 0.01, 0.01),
                 read(far.plant.speed_rad_s(), 0.03, std::f64::consts::TAU / 60.0),
             ];
+            let half_width_s = 0.5 * (first_byte_s - asked_s);
             let (time_s, half_width_s) = if errors.stamps {
-                (
-                    0.5 * (asked_s + first_byte_s),
-                    0.5 * (first_byte_s - asked_s),
-                )
+                (0.5 * (asked_s + first_byte_s), half_width_s)
             } else {
                 (sampled_s, f64::NAN)
             };
-            rows.push(Row {
-                time_s,
-                half_width_s,
-                values,
-            });
+            rows.push((time_s, half_width_s, values));
         }
         cycle_s = free_s.max(cycle_s + 1.0 / pace.rate_hz);
     }
@@ -219,13 +201,9 @@ fn run_of(rows: &[Row], commands: &[(f64, f64)], errors: Errors) -> Run {
     /// Time, command, half-width, voltage, current, speed.
     type Line = (f64, [f64; 5]);
     let missing = f64::NAN;
-    let mut lines: Vec<Line> = rows
-        .iter()
-        .map(|row| {
-            let [u, i, w] = row.values;
-            (row.time_s, [missing, row.half_width_s, u, i, w])
-        })
-        .collect();
+    let line =
+        |&(time_s, half_width_s, [u, i, w]): &Row| (time_s, [missing, half_width_s, u, i, w]);
+    let mut lines: Vec<Line> = rows.iter().map(line).collect();
     if errors.voltage == VoltageKnown::Commanded {
         for &(time_s, volts) in commands {
             match lines.binary_search_by(|line| line.0.total_cmp(&time_s)) {

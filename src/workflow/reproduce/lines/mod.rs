@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::identification::{scheme, stamps};
-use crate::numerics::statistics;
+use crate::numerics::statistics::median;
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
 
@@ -100,28 +100,16 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         drive_cycle_s,
     };
     let all = ALL_ERRORS;
-    let (clocked, prompt, fine) = (
-        Errors {
-            stamps: false,
-            ..all
-        },
-        Errors {
-            jitter: false,
-            ..all
-        },
-        Errors {
-            quantised: false,
-            ..all
-        },
-    );
-    let own = Errors {
-        quantised: false,
-        ..clocked
+    let but = |change: fn(&mut Errors)| {
+        let mut errors = all;
+        change(&mut errors);
+        errors
     };
-    let sampled = Errors {
-        voltage: VoltageKnown::Sampled,
-        ..all
-    };
+    let clocked = but(|errors| errors.stamps = false);
+    let prompt = but(|errors| errors.jitter = false);
+    let fine = but(|errors| errors.quantised = false);
+    let own = but(|errors| (errors.stamps, errors.quantised) = (false, false));
+    let sampled = but(|errors| errors.voltage = VoltageKnown::Sampled);
     let slow = pace(20.0, 4.2e-3, 8.0e-3, 4e-3);
     let links = [
         ("own, stream", pace(200.0, 0.2e-3, 0.4e-3, 1e-3), own),
@@ -145,32 +133,24 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
             lines.push(row(name, pace, errors, runs, seed, Told::All));
         }
     }
+    let believed = Told::StampsBelieved;
     let causes = [
-        ("all causes, stamps believed", all, Told::StampsBelieved),
+        ("all causes, stamps believed", all, believed),
         ("all causes", all, Told::All),
         ("no error of stamps", clocked, Told::All),
-        ("no jitter, stamps believed", prompt, Told::StampsBelieved),
-        (
-            "no quantisation, stamps believed",
-            fine,
-            Told::StampsBelieved,
-        ),
-        (
-            "voltage sampled only, stamps believed",
-            sampled,
-            Told::StampsBelieved,
-        ),
+        ("no jitter, stamps believed", prompt, believed),
+        ("no quantisation, stamps believed", fine, believed),
+        ("voltage sampled only, stamps believed", sampled, believed),
         ("voltage sampled only", sampled, Told::All),
     ];
-    let causes = causes
-        .into_iter()
-        .map(|(name, errors, told)| row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told))
-        .collect();
+    let cause = |(name, errors, told): (&str, Errors, Told)| {
+        row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told)
+    };
     LineStudy {
         runs,
         seed,
         lines,
-        causes,
+        causes: causes.map(cause).into(),
     }
 }
 
@@ -190,23 +170,19 @@ pub fn row(
     seed: u64,
     told: Told,
 ) -> LineRow {
-    let seeds = seed..seed + runs as u64;
-    let found: Vec<(Recorded, Vec<ParameterEstimate>)> = seeds
-        .into_par_iter()
-        .map(|seed| {
-            let recorded = record(seed, pace, errors);
-            let estimates = match told {
-                Told::All => identify(&recorded.run),
-                Told::StampsBelieved => identify(&recorded.run.without(Channel::TimeHalfWidth)),
-            };
-            (recorded, estimates)
-        })
-        .collect();
-    let mut half_widths: Vec<f64> = found
-        .iter()
-        .flat_map(|(recorded, _)| recorded.run.points(Channel::TimeHalfWidth))
-        .map(|(_, half_width_s)| half_width_s)
-        .collect();
+    let identified = |seed| {
+        let recorded = record(seed, pace, errors);
+        let estimates = match told {
+            Told::All => identify(&recorded.run),
+            Told::StampsBelieved => identify(&recorded.run.without(Channel::TimeHalfWidth)),
+        };
+        (recorded, estimates)
+    };
+    let seeds = (seed..seed + runs as u64).into_par_iter();
+    let found: Vec<(Recorded, Vec<ParameterEstimate>)> = seeds.map(identified).collect();
+    let recorded = found.iter().map(|(recorded, _)| &recorded.run);
+    let half_widths = recorded.flat_map(|run| run.points(Channel::TimeHalfWidth));
+    let mut half_widths: Vec<f64> = half_widths.map(|point| point.1).collect();
     half_widths.sort_by(f64::total_cmp);
     let at = |share: usize| half_widths.get(half_widths.len() * share / 100).copied();
     let rates = found.iter().map(|(r, _)| r.samples as f64 / r.length_s);
@@ -260,13 +236,6 @@ fn parameter_row(j: usize, found: &[(Recorded, Vec<ParameterEstimate>)]) -> Para
         sizes.push(100.0 * (value / truth - 1.0).abs());
         stds.push(100.0 * std / truth);
     }
-    let median = |values: &[f64]| {
-        if values.is_empty() {
-            f64::NAN
-        } else {
-            statistics::median(values)
-        }
-    };
     row.bias_percent = median(&signed);
     row.error_percent = median(&sizes);
     row.std_percent = median(&stds);

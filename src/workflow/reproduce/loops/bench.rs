@@ -1,24 +1,26 @@
-//! A machine with its loop, and every regulator made for it.
+//! A machine with its loop, every regulator made for it, and a trial of one on the other.
 
 use serde::Serialize;
 
-use super::WithBackEmf;
+use super::joining::WithBackEmf;
 use crate::control::tuning::{Request, Tuning, tune};
 use crate::control::{
-    Actuator, Addc, AddcSettings, AntiWindup, CurrentLimit, Holding, Limiter, LinearPlant,
-    LoadObserving, LoadObservingSettings, LoopTiming, Mrac, MracScales, PaperB, PaperBPlant,
-    PaperBSettings, Pi, SpeedController, TrialMachine,
+    Actuator, Addc, AddcSettings, AntiWindup, Course, CurrentLimit, Direct, Holding, Limiter,
+    LinearPlant, LoadObserving, LoadObservingSettings, LoopTiming, Mrac, MracScales, PaperB,
+    PaperBPlant, PaperBSettings, Pi, SpeedController, SpeedSensor, TrialMachine, TrialPoint,
+    trial_seen_by,
 };
 use crate::numerics::count::whole;
-use crate::plant::{Model, Motor, MotorKey};
+use crate::plant::{Model, MotorKey};
 
 /// The models are written down in this program: what is made of them does not fail.
 const FIXED: &str = "made from a model and settings that are written down here";
 
 /// A regulator of the comparison.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
+    #[default]
     Pi,
     Addc,
     /// Not in the table: ADDC as paper A has it, without a watch for jumps.
@@ -187,22 +189,77 @@ impl Bench {
     }
 }
 
-/// Motor of a bench from its time constants.
-pub(in crate::workflow::reproduce) fn motor(
-    name: &str,
-    resistance_ohm: f64,
-    back_emf_v_s_per_rad: f64,
-    electrical_s: f64,
-    mechanical_s: f64,
-    friction_n_m: f64,
-) -> Model {
-    let ke = back_emf_v_s_per_rad;
-    Model::baseline(
-        Motor::new(name)
-            .with(MotorKey::Resistance, resistance_ohm)
-            .with(MotorKey::Inductance, resistance_ohm * electrical_s)
-            .with(MotorKey::BackEmf, ke)
-            .with(MotorKey::Inertia, mechanical_s * ke * ke / resistance_ohm)
-            .with(MotorKey::LoadTorque, friction_n_m),
-    )
+/// A function of the time, s.
+type OverTime<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
+
+/// What a regulator is put through, from standstill.
+pub(in crate::workflow::reproduce) struct Trial<'a> {
+    pub machine: TrialMachine,
+    pub limiter: Limiter,
+    pub sensor: Box<dyn SpeedSensor>,
+    /// Of the sensors' noise.
+    pub seed: u64,
+    reference_rad_s: OverTime<'a>,
+    inertia_kg_m2: OverTime<'a>,
+    load_n_m: OverTime<'a>,
+}
+
+impl<'a> Trial<'a> {
+    /// On the machine of a bench as its regulators know it, on the true speed and the sensors' noise, without a load.
+    pub(crate) fn of(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Self {
+        let inertia = bench.inertia();
+        Self {
+            machine: bench.machine(),
+            limiter: bench.limiter(),
+            sensor: Box::new(Direct),
+            seed: 1,
+            reference_rad_s: Box::new(reference_rad_s),
+            inertia_kg_m2: Box::new(move |_| inertia),
+            load_n_m: Box::new(|_| 0.0),
+        }
+    }
+
+    /// The inertia over that of the model.
+    #[must_use]
+    pub(crate) fn with_inertia_ratio(self, bench: &Bench, ratio: impl Fn(f64) -> f64 + 'a) -> Self {
+        let inertia = bench.inertia();
+        Self {
+            inertia_kg_m2: Box::new(move |t| inertia * ratio(t)),
+            ..self
+        }
+    }
+
+    #[must_use]
+    pub(crate) fn with_load(self, load_n_m: impl Fn(f64) -> f64 + 'a) -> Self {
+        Self {
+            load_n_m: Box::new(load_n_m),
+            ..self
+        }
+    }
+
+    pub(crate) fn run(
+        mut self,
+        controller: &mut dyn SpeedController,
+        seconds: f64,
+    ) -> Vec<TrialPoint> {
+        let course = Course {
+            reference_rad_s: &self.reference_rad_s,
+            inertia_kg_m2: &self.inertia_kg_m2,
+            load_n_m: &self.load_n_m,
+        };
+        trial_seen_by(
+            &mut *self.sensor,
+            &self.machine,
+            &course,
+            controller,
+            &self.limiter,
+            cycles(seconds, self.machine.period_s),
+            self.seed,
+        )
+    }
+}
+
+/// Whole periods in a time.
+pub(in crate::workflow::reproduce) fn cycles(seconds: f64, period_s: f64) -> usize {
+    whole((seconds / period_s).round())
 }

@@ -2,16 +2,14 @@
 
 use serde::Serialize;
 
-use super::{Bench, Kind, LoadChange, Step, effort_v, load_change, square, steps};
-use crate::control::{Course, PaperBSettings, TrialPoint, trial};
-use crate::numerics::count::whole;
-
-const SEED: u64 = 1;
+use super::{Bench, Kind, Step, Trial, effort_v, error, load_change, square, steps, within};
+use crate::control::{PaperBSettings, TrialPoint};
 
 /// What a bench is put through.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Case {
+    #[default]
     Nominal,
     Lighter,
     Heavier,
@@ -49,7 +47,7 @@ impl Case {
 }
 
 /// One regulator in one case: the worst of the steps that count, or of the two changes of the load.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct CaseRow {
     pub controller: Kind,
     pub case: Case,
@@ -124,91 +122,64 @@ const COUNTED_FROM: usize = JUMP + 1;
 fn row(bench: &Bench, sizes: &Sizes, kind: Kind, case: Case) -> CaseRow {
     let half_s = sizes.half_s;
     let [low, high] = sizes.levels_rad_s;
-    let middle = 0.5 * (low + high);
     let reference: Box<dyn Fn(f64) -> f64> = match case {
         Case::Start => Box::new(square(half_s, sizes.start_rad_s, 0.0)),
-        Case::Load => Box::new(move |_| middle),
+        Case::Load => Box::new(move |_| 0.5 * (low + high)),
         _ => Box::new(square(half_s, high, low)),
     };
     let jump_s = half_s * JUMP as f64;
     let [on_s, off_s, end_s] = [2.0, 3.0, 4.0].map(|halves| halves * half_s);
-    let inertia = bench.inertia();
-    let load = |t: f64| {
-        if case == Case::Load && t >= on_s && t < off_s {
-            sizes.load_n_m
-        } else {
-            0.0
-        }
+    let loaded = move |t: f64| case == Case::Load && t >= on_s && t < off_s;
+    let load = |t| if loaded(t) { sizes.load_n_m } else { 0.0 };
+    let trace = Trial::of(bench, reference)
+        .with_inertia_ratio(bench, |t| if t >= jump_s { case.ratio() } else { 1.0 })
+        .with_load(load)
+        .run(&mut *bench.controller(kind), half_s * STEPS as f64);
+    let found = if case == Case::Load {
+        of_load(&trace, [on_s, off_s, end_s])
+    } else {
+        of_steps(&steps(&trace)[COUNTED_FROM..])
     };
-    let course = Course {
-        reference_rad_s: &*reference,
-        inertia_kg_m2: &|t| inertia * if t >= jump_s { case.ratio() } else { 1.0 },
-        load_n_m: &load,
-    };
-    let cycles = cycles(half_s * STEPS as f64, bench.timing.period_s);
-    let mut controller = bench.controller(kind);
-    let (machine, limiter) = (bench.machine(), bench.limiter());
-    let trace = trial(&machine, &course, &mut *controller, &limiter, cycles, SEED);
-    if case == Case::Load {
-        let changes = [
-            load_change(&trace, on_s, off_s),
-            load_change(&trace, off_s, end_s),
-        ];
-        return of_load(kind, &changes, &trace, on_s, end_s);
-    }
-    of_steps(kind, case, &steps(&trace)[COUNTED_FROM..])
-}
-
-fn of_steps(kind: Kind, case: Case, counted: &[Step]) -> CaseRow {
-    let settling = counted
-        .iter()
-        .map(|step| step.response.settling_s)
-        .try_fold(0.0, |worst: f64, settling| Some(worst.max(settling?)));
-    let mean =
-        |of: fn(&Step) -> f64| counted.iter().map(of).sum::<f64>() / counted.len().max(1) as f64;
-    let overshoot = counted.iter().map(|step| step.response.overshoot_percent);
     CaseRow {
         controller: kind,
         case,
-        overshoot_percent: Some(overshoot.fold(0.0, f64::max)),
-        settling_s: Some(settling),
-        absolute_error_rad: mean(|step| step.response.absolute_error_rad),
-        dip_rad_s: None,
-        recovery_s: None,
-        effort_v: mean(|step| step.effort_v),
+        ..found
     }
 }
 
-fn of_load(
-    kind: Kind,
-    changes: &[LoadChange; 2],
-    trace: &[TrialPoint],
-    from_s: f64,
-    to_s: f64,
-) -> CaseRow {
-    let seen = trace
-        .iter()
-        .filter(|point| point.time_s >= from_s && point.time_s < to_s);
-    let seen: Vec<TrialPoint> = seen.copied().collect();
-    let period_s = trace[1].time_s - trace[0].time_s;
-    let error = |point: &TrialPoint| (point.reference_rad_s - point.speed_rad_s).abs();
-    let recovery = changes
-        .iter()
-        .map(|change| change.recovery_s)
-        .try_fold(0.0, |worst: f64, recovery| Some(worst.max(recovery?)));
+/// The longest of these times; none where one of them never comes.
+fn longest(times_s: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
+    let mut times_s = times_s.into_iter();
+    times_s.try_fold(0.0, |worst: f64, time_s| Some(worst.max(time_s?)))
+}
+
+fn of_steps(counted: &[Step]) -> CaseRow {
+    let mean =
+        |of: fn(&Step) -> f64| counted.iter().map(of).sum::<f64>() / counted.len().max(1) as f64;
+    let overshoot = counted.iter().map(|step| step.response.overshoot_percent);
+    let settling = counted.iter().map(|step| step.response.settling_s);
     CaseRow {
-        controller: kind,
-        case: Case::Load,
-        overshoot_percent: None,
-        settling_s: None,
-        absolute_error_rad: period_s * seen.iter().map(error).sum::<f64>(),
-        dip_rad_s: Some(changes[0].dip_rad_s.max(changes[1].dip_rad_s)),
-        recovery_s: Some(recovery),
-        effort_v: effort_v(&seen),
+        overshoot_percent: Some(overshoot.fold(0.0, f64::max)),
+        settling_s: Some(longest(settling)),
+        absolute_error_rad: mean(|step| step.response.absolute_error_rad),
+        effort_v: mean(|step| step.effort_v),
+        ..CaseRow::default()
     }
 }
 
-/// Whole periods in a time.
-pub(in crate::workflow::reproduce) fn cycles(seconds: f64, period_s: f64) -> usize {
-    whole((seconds / period_s).round())
+fn of_load(trace: &[TrialPoint], [on_s, off_s, end_s]: [f64; 3]) -> CaseRow {
+    let changes = [
+        load_change(trace, on_s, off_s),
+        load_change(trace, off_s, end_s),
+    ];
+    let seen = within(trace, on_s, end_s);
+    let period_s = trace[1].time_s - trace[0].time_s;
+    let errors = seen.iter().map(|point| error(point).abs());
+    CaseRow {
+        absolute_error_rad: period_s * errors.sum::<f64>(),
+        dip_rad_s: Some(changes[0].dip_rad_s.max(changes[1].dip_rad_s)),
+        recovery_s: Some(longest(changes.map(|change| change.recovery_s))),
+        effort_v: effort_v(&seen),
+        ..CaseRow::default()
+    }
 }

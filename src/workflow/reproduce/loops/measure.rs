@@ -39,28 +39,25 @@ pub struct LoadChange {
 /// Every step of the reference, cut where it changes; the first begins at standstill.
 pub(in crate::workflow::reproduce) fn steps(trace: &[TrialPoint]) -> Vec<Step> {
     let chunks = trace.chunk_by(|a, b| a.reference_rad_s.to_bits() == b.reference_rad_s.to_bits());
-    let mut from_rad_s = 0.0;
-    chunks
-        .map(|chunk| {
-            let first = chunk[0];
-            let points: Vec<_> = chunk.iter().map(|p| (p.time_s, p.speed_rad_s)).collect();
-            let to_rad_s = first.reference_rad_s;
-            let response = response(&points, first.speed_rad_s, to_rad_s);
-            let covered = (to_rad_s - first.speed_rad_s) / (to_rad_s - from_rad_s);
-            let step = Step {
-                at_s: first.time_s,
-                from_rad_s,
-                to_rad_s,
-                response,
-                overshoot_of_reference_percent: covered * response.overshoot_percent,
-                limited_percent: 100.0 * chunk.iter().filter(|point| point.limited).count() as f64
-                    / chunk.len() as f64,
-                effort_v: effort_v(chunk),
-            };
-            from_rad_s = to_rad_s;
-            step
-        })
-        .collect()
+    let mut before_rad_s = 0.0;
+    let step = |chunk: &[TrialPoint]| {
+        let first = chunk[0];
+        let points: Vec<_> = chunk.iter().map(|p| (p.time_s, p.speed_rad_s)).collect();
+        let to_rad_s = first.reference_rad_s;
+        let from_rad_s = std::mem::replace(&mut before_rad_s, to_rad_s);
+        let response = response(&points, first.speed_rad_s, to_rad_s);
+        let covered = (to_rad_s - first.speed_rad_s) / (to_rad_s - from_rad_s);
+        Step {
+            at_s: first.time_s,
+            from_rad_s,
+            to_rad_s,
+            response,
+            overshoot_of_reference_percent: covered * response.overshoot_percent,
+            limited_percent: limited_percent(chunk),
+            effort_v: effort_v(chunk),
+        }
+    };
+    chunks.map(step).collect()
 }
 
 /// What a change of the load at `at_s` did until `until_s`.
@@ -69,27 +66,43 @@ pub(in crate::workflow::reproduce) fn load_change(
     at_s: f64,
     until_s: f64,
 ) -> LoadChange {
-    let seen: Vec<(f64, f64, f64)> = trace
-        .iter()
-        .filter(|point| point.time_s >= at_s && point.time_s < until_s)
-        .map(|point| {
-            let error = point.reference_rad_s - point.speed_rad_s;
-            (point.time_s, error, point.reference_rad_s)
-        })
-        .collect();
-    let outside =
-        |(_, error, reference): &(f64, f64, f64)| error.abs() > RECOVERED_SHARE * reference.abs();
+    let seen = within(trace, at_s, until_s);
+    let outside = |p: &TrialPoint| error(p).abs() > RECOVERED_SHARE * p.reference_rad_s.abs();
     let recovered = match seen.iter().rposition(outside) {
         None => seen.first(),
         Some(last) => seen.get(last + 1),
     };
-    let end = &seen[seen.len() - seen.len() / 5..];
     LoadChange {
         at_s,
-        dip_rad_s: seen.iter().map(|point| point.1.abs()).fold(0.0, f64::max),
-        recovery_s: recovered.map(|point| point.0 - at_s),
-        lasting_rad_s: end.iter().map(|point| point.1).sum::<f64>() / end.len().max(1) as f64,
+        dip_rad_s: seen.iter().map(|p| error(p).abs()).fold(0.0, f64::max),
+        recovery_s: recovered.map(|point| point.time_s - at_s),
+        lasting_rad_s: lasting_rad_s(&seen),
     }
+}
+
+/// The part of a trace from an instant until another.
+pub(in crate::workflow::reproduce) fn within(
+    trace: &[TrialPoint],
+    from_s: f64,
+    until_s: f64,
+) -> Vec<TrialPoint> {
+    let inside = |point: &&TrialPoint| point.time_s >= from_s && point.time_s < until_s;
+    trace.iter().filter(inside).copied().collect()
+}
+
+pub(in crate::workflow::reproduce) fn error(point: &TrialPoint) -> f64 {
+    point.reference_rad_s - point.speed_rad_s
+}
+
+/// Mean error of the last fifth, rad/s.
+pub(in crate::workflow::reproduce) fn lasting_rad_s(trace: &[TrialPoint]) -> f64 {
+    let end = &trace[trace.len() - trace.len() / 5..];
+    end.iter().map(error).sum::<f64>() / end.len().max(1) as f64
+}
+
+/// Cycles in which a limit held the output, per cent.
+pub(in crate::workflow::reproduce) fn limited_percent(trace: &[TrialPoint]) -> f64 {
+    100.0 * trace.iter().filter(|point| point.limited).count() as f64 / trace.len() as f64
 }
 
 /// Root mean square of the output's change from cycle to cycle, V.
@@ -112,8 +125,9 @@ pub(in crate::workflow::reproduce) fn rms(values: impl Iterator<Item = f64>) -> 
     }
 }
 
-/// Standard deviation about the mean.
-pub(in crate::workflow::reproduce) fn std(values: &[f64]) -> f64 {
-    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-    rms(values.iter().map(|value| value - mean))
+/// Mean of the speed, and its standard deviation about it.
+pub(in crate::workflow::reproduce) fn mean_and_std(trace: &[TrialPoint]) -> (f64, f64) {
+    let speeds = || trace.iter().map(|point| point.speed_rad_s);
+    let mean = speeds().sum::<f64>() / trace.len().max(1) as f64;
+    (mean, rms(speeds().map(|speed| speed - mean)))
 }

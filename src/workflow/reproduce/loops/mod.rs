@@ -11,12 +11,14 @@ mod joining;
 mod measure;
 
 pub use bench::Kind;
-pub(super) use bench::{Bench, motor};
+pub(super) use bench::{Bench, Trial, cycles};
 pub use cases::{Case, CaseRow, Comparison};
-pub(super) use cases::{Sizes, comparison, cycles};
+pub(super) use cases::{Sizes, comparison};
 pub(super) use joining::{Joining, WithBackEmf};
 pub use measure::{LoadChange, Step};
-pub(super) use measure::{effort_v, load_change, rms, std, steps};
+pub(super) use measure::{
+    effort_v, error, lasting_rad_s, limited_percent, load_change, mean_and_std, rms, steps, within,
+};
 
 use crate::control::TrialPoint;
 
@@ -34,6 +36,12 @@ impl Named {
             name: name.into(),
             trace,
         }
+    }
+
+    /// Each trace with its name.
+    pub fn all<const N: usize>(names: [&str; N], traces: [Vec<TrialPoint>; N]) -> Vec<Self> {
+        let pairs = names.into_iter().zip(traces);
+        pairs.map(|(name, trace)| Self::new(name, trace)).collect()
     }
 }
 

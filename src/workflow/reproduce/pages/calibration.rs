@@ -1,12 +1,12 @@
 //! What probabilities, bounds and sizes are worth, on the page.
 
-use super::discovery::none_as_dot;
+use super::study::none_as_dot;
 use super::{number, or_dash};
-use crate::report::plot::{Claims, ReliabilityChart};
+use crate::report::plot::{Claims, reliability};
 use crate::report::reproduce::Section;
 use crate::text::number::{fixed, significant};
-use crate::workflow::reproduce::discovery::{
-    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, distinct, sizes,
+use crate::workflow::reproduce::study::{
+    Answer, Bin, Bounded, Calibration, Coverage, Study, coverage, distinct, sizes,
 };
 
 /// Probabilities from which on an effect is called supported, and below which ruled out.
@@ -14,7 +14,7 @@ const SUPPORTED: f64 = 0.9;
 const POSSIBLE: f64 = 0.1;
 
 /// How often what was called likely is there.
-pub(super) fn probabilities(study: &Discovery) -> Section {
+pub(super) fn probabilities(study: &Study) -> Section {
     let all = &study.calibration;
     Section::new("How far the probabilities can be believed")
         .say(WEIGHED)
@@ -54,7 +54,7 @@ pub(super) fn probabilities(study: &Discovery) -> Section {
 }
 
 /// Whether "at most" and "would have shown" hold, and how large what was named is.
-pub(super) fn bounds(study: &Discovery) -> Section {
+pub(super) fn bounds(study: &Study) -> Section {
     Section::new("Bounds")
         .say(SIZES)
         .say(bounds_in_short(&study.calibration))
@@ -88,14 +88,11 @@ pub(super) fn bounds(study: &Discovery) -> Section {
 }
 
 /// What the intervals of the motor's parameters hold.
-pub(super) fn parameters(study: &Discovery) -> Section {
+pub(super) fn parameters(study: &Study) -> Section {
     let of_group = |name: String| {
-        let own = study
-            .answers
-            .iter()
-            .filter(|answer| answer.group.name() == name);
-        let found = coverage(&own.collect::<Vec<_>>());
-        (name, found)
+        let is_own = |answer: &&Answer| answer.group.name() == name;
+        let own: Vec<&Answer> = study.answers.iter().filter(is_own).collect();
+        (name, coverage(&own))
     };
     let by_group = named_groups(&study.answers).into_iter().map(of_group);
     let by_group = by_group.chain([("all".to_owned(), study.coverage.clone())]);
@@ -240,12 +237,12 @@ fn chart(all: &Calibration) -> String {
             count: bin.there.of,
         })
     });
-    ReliabilityChart {
-        title: "share of effects that are there".to_owned(),
-        across: "probability that was given".to_owned(),
-        claims: claims.collect(),
-    }
-    .svg("How often effects are there, over the probability that they were given")
+    reliability(
+        "How often effects are there, over the probability that they were given",
+        "share of effects that are there",
+        "probability that was given",
+        &claims.collect::<Vec<_>>(),
+    )
 }
 
 /// The groups in the order in which they come, and all together.
@@ -315,11 +312,11 @@ fn percent_of(value: Option<f64>) -> String {
 mod tests {
     use super::*;
     use crate::diagnosis::DiagnosisVerdict;
-    use crate::workflow::reproduce::discovery::calibration::by_hand::{absent, answer, named};
-    use crate::workflow::reproduce::discovery::{Finding, Group, matrix};
+    use crate::workflow::reproduce::study::calibration::by_hand::{absent, answer, missed, named};
+    use crate::workflow::reproduce::study::{Group, matrix};
 
-    fn study(answers: Vec<Answer>) -> Discovery {
-        Discovery {
+    fn study(answers: Vec<Answer>) -> Study {
+        Study {
             study: "discovery",
             seed: 1,
             sets_in_each_cell: 1,
@@ -340,33 +337,20 @@ mod tests {
             let others = others.iter().map(|id| absent(id, 0.004));
             others.chain([named("cogging", 0.99)]).collect()
         };
-        let effect = DiagnosisVerdict::Effect;
-        vec![
-            answer(Group::Single, effect, findings()),
-            answer(Group::Harsh, effect, findings()),
-        ]
+        let of = |group| answer(group, DiagnosisVerdict::Effect, findings());
+        vec![of(Group::Single), of(Group::Harsh)]
     }
 
     /// What is there is called ruled out at a fifth of its size, and its twin is named with certainty.
     fn bad() -> Answer {
         let findings = vec![
-            Finding {
-                named: false,
-                size: None,
-                interval_95: None,
-                twin: true,
-                ..named("viscous_friction", 0.001)
-            },
-            Finding {
-                named: true,
-                twin: true,
-                ..absent("quadratic_load", 1.0)
-            },
+            missed("viscous_friction", 0.001).with(|own| own.twin = true),
+            absent("quadratic_load", 1.0).with(|own| (own.named, own.twin) = (true, true)),
         ];
         answer(Group::Single, DiagnosisVerdict::Effect, findings)
     }
 
-    fn text(study: &Discovery) -> String {
+    fn text(study: &Study) -> String {
         let sections = [probabilities(study), bounds(study)];
         let paragraphs = sections.iter().flat_map(|section| &section.paragraphs);
         paragraphs.cloned().collect::<Vec<_>>().join("\n")

@@ -2,21 +2,19 @@
 //!
 //! ```text
 //! PaperA -> paper_a, PaperB -> paper_b (both: comparison, every regulator on the same cases) --\
-//! Discovery -> discovery (with mysteries), calibration     LineStudy -> lines ------------------+-> Section -> Reproduction
+//! Study -> study (with mysteries), calibration              LineStudy -> lines ------------------+-> Section -> Reproduction
 //! ```
 
 mod calibration;
-mod discovery;
 mod lines;
 mod paper_a;
 mod paper_b;
-
-use std::fmt::{Display, Write as _};
+mod study;
 
 use super::loops::{Case, Comparison};
 use crate::control::TrialPoint;
-use crate::report::plot::{Panel, PanelPlot, Series, Style};
-use crate::report::reproduce::Section;
+use crate::report::plot::{Panel, Style};
+use crate::report::reproduce::{Figure, Section};
 use crate::text::number::{fixed, significant};
 
 /// What the paper leaves open, and what was chosen.
@@ -84,74 +82,38 @@ fn yes(is_so: bool) -> String {
     if is_so { "yes" } else { "no" }.to_owned()
 }
 
-/// Columns beside an axis; what is not there is an empty cell.
-fn csv<N: Display, V: AsRef<[f64]>>(axis: &str, at: &[f64], columns: &[(N, V)]) -> String {
-    let mut out = axis.to_owned();
-    for (name, _) in columns {
-        let _ = write!(out, ",{name}");
-    }
-    for (row, at) in at.iter().enumerate() {
-        let _ = write!(out, "\n{at}");
-        for (_, values) in columns {
-            out.push(',');
-            let value = values.as_ref().get(row);
-            if let Some(value) = value.filter(|value| value.is_finite()) {
-                let _ = write!(out, "{value}");
-            }
-        }
-    }
-    out.push('\n');
-    out
+/// What a trace has at each of its instants.
+type Quantity = fn(&TrialPoint) -> f64;
+const TIME: Quantity = |point| point.time_s;
+const REFERENCE: Quantity = |point| point.reference_rad_s;
+const SPEED: Quantity = |point| point.speed_rad_s;
+const OUTPUT: Quantity = |point| point.output_v;
+
+fn of(trace: &[TrialPoint], quantity: Quantity) -> Vec<f64> {
+    trace.iter().map(quantity).collect()
 }
 
-/// Values inside the frame; the line is cut elsewhere.
-fn inside(values: &[f64], frame: &std::ops::RangeInclusive<f64>) -> Vec<f64> {
-    let keep = |value: &f64| {
-        if frame.contains(value) {
-            *value
-        } else {
-            f64::NAN
-        }
-    };
-    values.iter().map(keep).collect()
+fn speed_panel(name: impl Into<String>, height: f64) -> Panel {
+    Panel::new(name, "rad/s").with_height(height)
 }
 
-/// Lines over one axis: label, style, values.
-fn panel<'a, V: AsRef<[f64]>>(
-    title: impl Into<String>,
-    unit: &str,
-    at: &[f64],
-    lines: impl IntoIterator<Item = (&'a str, Style, V)>,
-) -> Panel {
-    let lines = lines.into_iter();
-    lines
-        .map(|(label, style, values)| Series::sampled(label, style, at, values.as_ref()))
-        .fold(Panel::new(title, unit), Panel::with)
-}
-
-/// Panels one under the other.
-fn stacked(panels: impl IntoIterator<Item = Panel>) -> PanelPlot {
-    let panels = panels.into_iter();
-    panels.fold(PanelPlot::default(), PanelPlot::with)
-}
-
-/// One column of a trace.
-fn of(trace: &[TrialPoint], column: fn(&TrialPoint) -> f64) -> Vec<f64> {
-    trace.iter().map(column).collect()
-}
-
-fn times(trace: &[TrialPoint]) -> Vec<f64> {
-    of(trace, |point| point.time_s)
-}
-
-fn references(trace: &[TrialPoint]) -> Vec<f64> {
-    of(trace, |point| point.reference_rad_s)
-}
-
-fn speeds(trace: &[TrialPoint]) -> Vec<f64> {
-    of(trace, |point| point.speed_rad_s)
-}
-
-fn outputs(trace: &[TrialPoint]) -> Vec<f64> {
-    of(trace, |point| point.output_v)
+/// A panel for each trial, all over the same instants, with the same lines in it.
+fn trials<'a>(
+    trials: impl IntoIterator<Item = (&'a str, &'a [TrialPoint])>,
+    height: f64,
+    lines: &[(&str, Style, Quantity)],
+) -> Figure {
+    let mut trials = trials.into_iter().peekable();
+    let first = trials.peek().map_or(&[][..], |(_, trace)| trace);
+    trials.fold(
+        Figure::over_time(of(first, TIME)),
+        |figure, (name, trace)| {
+            let figure = figure.panel(speed_panel(format!("{name}: speed"), height));
+            lines
+                .iter()
+                .fold(figure, |figure, (label, style, quantity)| {
+                    figure.line(label, *style, &of(trace, *quantity))
+                })
+        },
+    )
 }

@@ -2,20 +2,20 @@
 //! (Figures 5 to 7).
 
 use super::{
-    choices, comparison, csv, inside, or_dash, outputs, panel, references, seconds, speeds,
-    stacked, times, yes,
+    OUTPUT, REFERENCE, SPEED, TIME, choices, comparison, of, or_dash, seconds, speed_panel, trials,
+    yes,
 };
-use crate::report::plot::{CurveChart, CurvePanel, Panel, PanelPlot, Series, Style};
-use crate::report::reproduce::{Reproduction, Section};
+use crate::report::plot::{CurveChart, CurvePanel, Panel, Style};
+use crate::report::reproduce::{Figure, Reproduction, Section};
 use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::adaptive::{
     Figure5, Figure6, Figure7, MECHANICAL_S, Saturated, Slower, SteppedBy,
 };
-use crate::workflow::reproduce::figure_2::Case;
+use crate::workflow::reproduce::figure_2::{self, Case, KE, MC, TA, TM};
 use crate::workflow::reproduce::loops::{Kind, Step};
 use crate::workflow::reproduce::{
-    ByParameter, Curve, Figure2, Figure3, Figure4, Method, NAMES, NoiseModel, NoiseSweep, PaperA,
-    RatioOf, Sampling, Spread, Table1, Trace,
+    Curve, Errors, Figure2, Figure3, Figure4, Method, NAMES, NoiseModel, NoiseSweep, PaperA,
+    RatioOf, Sampling, Spread, Table1,
 };
 
 /// Speeds that Figures 5 and 6 show: without the start.
@@ -59,7 +59,7 @@ impl PaperA {
     fn identification(&self) -> String {
         let error = |noise, of, method| {
             let found = self.figure_2.case(noise, of, method);
-            let error = |case: &Case| case.before.electrical_time_constant_s.error_percent;
+            let error = |case: &Case| case.before[TA].error_percent;
             percent(found.map_or(f64::NAN, error))
         };
         let (equation, sensor) = (NoiseModel::EquationError, NoiseModel::Sensor);
@@ -147,14 +147,9 @@ fn milli(value: f64) -> String {
     fixed(1e6 * value, 0)
 }
 
-/// The samples as the axis of a picture.
-fn samples(count: usize) -> Vec<f64> {
-    (0..count).map(|k| k as f64).collect()
-}
-
 fn figure_2(figure: &Figure2) -> Section {
-    let both = |case: &Case, of: fn(&ByParameter<Spread>) -> Spread, show: fn(Spread) -> String| {
-        format!("{} / {}", show(of(&case.before)), show(of(&case.after)))
+    let both = |case: &Case, which: usize, show: fn(Spread) -> String| {
+        format!("{} / {}", show(case.before[which]), show(case.after[which]))
     };
     let error = |spread: Spread| percent(spread.error_percent);
     Section::new("Figure 2: scheme 1, beta = 0.97, TM doubled at k = 900")
@@ -163,10 +158,11 @@ fn figure_2(figure: &Figure2) -> Section {
             1e3 * figure.period_s, figure.samples
         ))
         .say("The printed form's own error at T/Ta = 0.2 is in the figures too: TM 10 % high at 0.2 s. The exact form does not have it. Under sensor noise both forms are biased, whatever the number of samples; the instrumental variables are not, but they are a batch: drawn over all samples since the start or the jump, of which they are told. Over a memory of 33 samples they would scatter too much to be of use.")
-        .picture(
+        .figure(
             "figure-2",
-            figure_2_plot(figure).svg("estimates of scheme 1 over the samples, TM doubled at k = 900"),
+            "estimates of scheme 1 over the samples, TM doubled at k = 900",
             "One seed. Upper half: noise as equation error. Lower half: the same ratio (power) as noise of the speed sensor. A line is cut where it leaves the frame or where the scheme finds no motor.",
+            &figure_2_series(figure),
         )
         .table(
             "figure-2-tm",
@@ -176,10 +172,10 @@ fn figure_2(figure: &Figure2) -> Section {
                 ("noise", &|case| case.noise.text().to_owned()),
                 ("S/N", &|case| case.signal_to_noise.text()),
                 ("method", &|case| case.method.text().to_owned()),
-                ("TM before, s", &|case| range(&case.before.mechanical_time_constant_s)),
-                ("error", &|case| error(case.before.mechanical_time_constant_s)),
-                ("TM after, s", &|case| range(&case.after.mechanical_time_constant_s)),
-                ("error", &|case| error(case.after.mechanical_time_constant_s)),
+                ("TM before, s", &|case| range(&case.before[TM])),
+                ("error", &|case| error(case.before[TM])),
+                ("TM after, s", &|case| range(&case.after[TM])),
+                ("error", &|case| error(case.after[TM])),
                 ("follows", &|case| match case.samples_to_follow {
                     Some(samples) => samples.to_string(),
                     None if case.method.is_batch() => "told".to_owned(),
@@ -195,117 +191,72 @@ fn figure_2(figure: &Figure2) -> Section {
                 ("noise", &|case| case.noise.text().to_owned()),
                 ("S/N", &|case| case.signal_to_noise.text()),
                 ("method", &|case| case.method.text().to_owned()),
-                ("Ta", &|case| both(case, |all| all.electrical_time_constant_s, error)),
-                ("Ke", &|case| both(case, |all| all.back_emf_v_s_per_rad, error)),
-                ("J", &|case| both(case, |all| all.inertia_kg_m2, error)),
-                ("Mc", &|case| both(case, |all| all.load_torque_n_m, error)),
-                ("told", &|case| {
-                    let told = |spread: Spread| format!("{} %", fixed(spread.told_percent, 0));
-                    both(case, |all| all.mechanical_time_constant_s, told)
-                }),
+                ("Ta", &|case| both(case, TA, error)),
+                ("Ke", &|case| both(case, KE, error)),
+                ("J", &|case| both(case, figure_2::J, error)),
+                ("Mc", &|case| both(case, MC, error)),
+                ("told", &|case| both(case, TM, |spread| format!("{} %", fixed(spread.told_percent, 0)))),
             ],
         )
-        .series("figure-2", figure_2_series(figure))
 }
 
-/// Label, style and the case it shows.
-type Line = (&'static str, Style, NoiseModel, RatioOf, Method);
-
-fn figure_2_plot(figure: &Figure2) -> PanelPlot {
+fn figure_2_series(figure: &Figure2) -> Figure {
+    use Method::{Exact, InstrumentalVariables, Printed};
     use NoiseModel::{EquationError, Sensor};
     use RatioOf::{Amplitude, Power};
-    type Pick = for<'a> fn(&'a ByParameter<Trace>) -> &'a Trace;
-    let by_instruments = Method::InstrumentalVariables;
-    let equation_error: &[Line] = &[
-        (
-            "S/N 10 of power",
-            Style::Before,
-            EquationError,
-            Power,
-            Method::Printed,
-        ),
-        (
-            "S/N 10 of amplitude",
-            Style::After,
-            EquationError,
-            Amplitude,
-            Method::Printed,
-        ),
+    use Style::{After, Before, Command, Measured};
+    // Label, style and the case that the line shows.
+    let equation_error: &[_] = &[
+        ("S/N 10 of power", Before, Power, Printed),
+        ("S/N 10 of amplitude", After, Amplitude, Printed),
     ];
-    let sensor_noise: &[Line] = &[
+    let sensor_noise: &[_] = &[
         (
             "instrumental variables",
-            Style::Measured,
-            Sensor,
+            Measured,
             Power,
-            by_instruments,
+            InstrumentalVariables,
         ),
-        ("printed", Style::Before, Sensor, Power, Method::Printed),
-        ("exact", Style::After, Sensor, Power, Method::Exact),
+        ("printed", Before, Power, Printed),
+        ("exact", After, Power, Exact),
     ];
-    let (k, set) = (samples(figure.samples), &figure.set);
-    let tm: Pick = |all| &all.mechanical_time_constant_s;
-    let ta: Pick = |all| &all.electrical_time_constant_s;
-    let ke: Pick = |all| &all.back_emf_v_s_per_rad;
-    let mc: Pick = |all| &all.load_torque_n_m;
-    // Each parameter with its set value and the range of its frame.
-    let tm = ("TM", "s", tm, &set.mechanical_time_constant_s, 0.0..=1.0);
-    let ta = ("Ta", "s", ta, &set.electrical_time_constant_s, 0.0..=0.2);
-    let ke = ("Ke", "V.s/rad", ke, &set.back_emf_v_s_per_rad, 0.0..=0.8);
-    let mc = ("Mc", "N.m", mc, &set.load_torque_n_m, -10.0..=10.0);
-    let under =
-        |noise: &str,
-         lines: &[Line],
-         (name, unit, pick, truth, frame): &(&str, &str, Pick, &Vec<f64>, _)| {
-            let found = lines
-                .iter()
-                .filter_map(|&(label, style, noise, of, method)| {
-                    let case = figure.case(noise, of, method)?;
-                    Some((label, style, inside(&pick(&case.trace).0, frame)))
-                });
-            let set = [("set value", Style::Command, (*truth).clone())];
-            panel(format!("{noise}: {name}"), unit, &k, found.chain(set)).with_height(130.0)
-        };
-    let equation_error = [&tm, &ta, &ke, &mc].map(|of| under("equation error", equation_error, of));
-    let sensor_noise = [&tm, &ta].map(|of| under("sensor noise", sensor_noise, of));
-    stacked(equation_error.into_iter().chain(sensor_noise)).with_axis("sample k", "")
-}
-
-fn figure_2_series(figure: &Figure2) -> String {
-    let set = &figure.set;
-    let mut columns = vec![
-        ("set_tm_s".to_owned(), &set.mechanical_time_constant_s),
-        ("set_ta_s".to_owned(), &set.electrical_time_constant_s),
+    // Each parameter with the range of its frame.
+    let shown = [
+        (TM, "TM", "s", 0.0..=1.0),
+        (TA, "Ta", "s", 0.0..=0.2),
+        (KE, "Ke", "V.s/rad", 0.0..=0.8),
+        (MC, "Mc", "N.m", -10.0..=10.0),
     ];
-    for case in &figure.cases {
-        let of = match case.signal_to_noise.of {
-            RatioOf::Power => "power",
-            RatioOf::Amplitude => "amplitude",
-        };
-        let noise = case.noise.text().replace(' ', "_");
-        let method = case.method.name();
-        for (name, trace) in [
-            ("tm_s", &case.trace.mechanical_time_constant_s),
-            ("ta_s", &case.trace.electrical_time_constant_s),
-            ("back_emf_v_s_per_rad", &case.trace.back_emf_v_s_per_rad),
-            ("inertia_kg_m2", &case.trace.inertia_kg_m2),
-            ("load_torque_n_m", &case.trace.load_torque_n_m),
-        ] {
-            columns.push((format!("{name}/{noise}/{of}/{method}"), &trace.0));
+    let mut drawn = Figure::over_samples(figure.samples);
+    for (noise, lines, shown) in [
+        (EquationError, equation_error, &shown[..]),
+        (Sensor, sensor_noise, &shown[..2]),
+    ] {
+        for (which, name, unit, frame) in shown {
+            let panel = Panel::new(format!("{}: {name}", noise.text()), *unit);
+            drawn = drawn.panel(panel.with_height(130.0).within(frame.clone()));
+            for &(label, style, of, method) in lines {
+                if let Some(case) = figure.case(noise, of, method) {
+                    drawn = drawn.line(label, style, &case.trace[*which].0);
+                }
+            }
+            drawn = drawn.line("set value", Command, &figure.set[*which]);
         }
     }
-    csv("k", &samples(figure.samples), &columns)
+    drawn = drawn
+        .column("set_tm_s", &figure.set[TM])
+        .column("set_ta_s", &figure.set[TA]);
+    for case in &figure.cases {
+        let (of, method) = (case.signal_to_noise.of.name(), case.method.name());
+        let noise = case.noise.text().replace(' ', "_");
+        for (name, trace) in figure_2::COLUMNS.iter().zip(&case.trace.0) {
+            drawn = drawn.column(format!("{name}/{noise}/{of}/{method}"), &trace.0);
+        }
+    }
+    drawn
 }
 
 fn figure_3(figure: &Figure3) -> Section {
-    let k = samples(figure.samples);
-    let columns = figure.cases.iter().enumerate().flat_map(|(n, case)| {
-        [
-            (format!("inertia_kg_m2/{n}"), &case.inertia_trace.0),
-            (format!("load_torque_n_m/{n}"), &case.load_torque_trace.0),
-        ]
-    });
-    let columns: Vec<_> = columns.collect();
     Section::new("Figure 3: scheme 2, beta = 0.98")
         .say(format!(
             "T = {:.0} ms; set values J = {} kg.m2, Mc = {} N.m. Scheme 2 has the current in its regressor and not the speed, so noise of the speed sensor scatters it without bias; noise of the current sensor would bias it. Its own error here is the rectangle's: the current moves within a period.",
@@ -313,10 +264,11 @@ fn figure_3(figure: &Figure3) -> Section {
             significant(figure.inertia_kg_m2, 4),
             significant(figure.load_torque_n_m, 3)
         ))
-        .picture(
+        .figure(
             "figure-3",
-            figure_3_plot(figure).svg("estimates of scheme 2 over the samples"),
+            "estimates of scheme 2 over the samples",
             "One seed. Equation error: as printed (rectangle). Sensor noise: S/N 15 of power on the speed, the current exact.",
+            &figure_3_series(figure),
         )
         .table(
             "figure-3",
@@ -333,81 +285,66 @@ fn figure_3(figure: &Figure3) -> Section {
                 ("error", &|case| percent(case.load_torque_n_m.error_percent)),
             ],
         )
-        .series("figure-3", csv("k", &k, &columns))
 }
 
 /// Amplitude and power as printed; rectangle and trapezoid on the same sensor noise.
-fn figure_3_plot(figure: &Figure3) -> PanelPlot {
-    let [amplitude, power, _, rectangle, trapezoid, ..] = figure.cases.as_slice() else {
-        return PanelPlot::default().with_axis("sample k", "");
-    };
-    let k = samples(figure.samples);
-    let under = |noise: &str,
-                 names: [&'static str; 2],
-                 cases: [&crate::workflow::reproduce::figure_3::Case; 2]| {
-        let parameter = |name: &str, unit: &str, set: f64, traces: [&Trace; 2]| {
-            let frame = 0.75 * set..=1.25 * set;
-            let [before, after] = traces.map(|trace| inside(&trace.0, &frame));
-            let lines = [
-                (names[0], Style::Before, before),
-                (names[1], Style::After, after),
-                ("set value", Style::Command, vec![set; figure.samples]),
-            ];
-            panel(format!("{noise}: {name}"), unit, &k, lines).with_height(140.0)
-        };
-        [
-            parameter(
-                "J",
-                "kg.m2",
-                figure.inertia_kg_m2,
-                cases.map(|case| &case.inertia_trace),
-            ),
-            parameter(
-                "Mc",
-                "N.m",
-                figure.load_torque_n_m,
-                cases.map(|case| &case.load_torque_trace),
-            ),
-        ]
-    };
-    let ratios = ["S/N 15 of power", "S/N 15 of amplitude"];
-    let forms = ["rectangle (printed)", "trapezoid"];
-    let equation_error = under("equation error", ratios, [power, amplitude]);
-    let sensor_noise = under("sensor noise", forms, [rectangle, trapezoid]);
-    stacked(equation_error.into_iter().chain(sensor_noise)).with_axis("sample k", "")
+fn figure_3_series(figure: &Figure3) -> Figure {
+    let mut drawn = Figure::over_samples(figure.samples);
+    if let [amplitude, power, _, rectangle, trapezoid, ..] = &figure.cases[..] {
+        let (ratios, forms) = (
+            ["S/N 15 of power", "S/N 15 of amplitude"],
+            ["rectangle (printed)", "trapezoid"],
+        );
+        for (noise, labels, cases) in [
+            ("equation error", ratios, [power, amplitude]),
+            ("sensor noise", forms, [rectangle, trapezoid]),
+        ] {
+            let inertia = cases.map(|case| &case.inertia_trace.0);
+            let load = cases.map(|case| &case.load_torque_trace.0);
+            for (name, unit, set, traces) in [
+                ("J", "kg.m2", figure.inertia_kg_m2, inertia),
+                ("Mc", "N.m", figure.load_torque_n_m, load),
+            ] {
+                let panel = Panel::new(format!("{noise}: {name}"), unit).with_height(140.0);
+                drawn = drawn
+                    .panel(panel.within(0.75 * set..=1.25 * set))
+                    .line(labels[0], Style::Before, traces[0])
+                    .line(labels[1], Style::After, traces[1])
+                    .line("set value", Style::Command, &vec![set; figure.samples]);
+            }
+        }
+    }
+    figure
+        .cases
+        .iter()
+        .enumerate()
+        .fold(drawn, |drawn, (n, case)| {
+            drawn
+                .column(format!("inertia_kg_m2/{n}"), &case.inertia_trace.0)
+                .column(format!("load_torque_n_m/{n}"), &case.load_torque_trace.0)
+        })
 }
 
 fn figure_4(figure: &Figure4) -> Section {
-    let fine = &figure.fine;
-    let of = |title: &str, unit: &str, motor: &[f64], sampled: &[f64]| {
-        let samples = Series::sampled("samples", Style::Before, &figure.time_s, sampled);
-        panel(
-            title,
-            unit,
-            &fine.time_s,
-            [("motor", Style::Measured, motor)],
-        )
-        .with(samples)
+    let fine = |title: &str, unit: &str, motor: &[f64]| {
+        Panel::new(title, unit).sampled("motor", Style::Measured, &figure.fine.time_s, motor)
     };
-    let plot = stacked([
-        of("current", "A", &fine.current_a, &figure.current_a),
-        of("speed", "rad/s", &fine.speed_rad_s, &figure.speed_rad_s),
-    ]);
-    let columns = [
-        ("current_a", &figure.current_a),
-        ("speed_rad_s", &figure.speed_rad_s),
-    ];
+    let series = Figure::over_time(figure.time_s.clone())
+        .panel(fine("current", "A", &figure.fine.current_a))
+        .series("current_a", "samples", Style::Before, &figure.current_a)
+        .panel(fine("speed", "rad/s", &figure.fine.speed_rad_s))
+        .series("speed_rad_s", "samples", Style::Before, &figure.speed_rad_s);
     Section::new("Figure 4: the transient, emulated")
         .say(format!(
             "{} from rest at {:.0} V, sampled every {:.0} ms; noise of the sensors {} rad/s and {} A (standard deviations).",
             figure.motor, figure.voltage_v, 1e3 * figure.period_s, figure.speed_noise_rad_s, figure.current_noise_a
         ))
-        .picture(
+        .figure(
             "figure-4",
-            plot.svg("current and speed of the start"),
+            "current and speed of the start",
             "The paper's Figure 4 is a measured curve without numbers; this is the start that takes its place.",
+            &series,
         )
-        .series("figure-4", csv("time_s", &figure.time_s, &columns))
 }
 
 fn table_1(table: &Table1) -> Section {
@@ -476,30 +413,24 @@ fn sampling(sampling: &Sampling) -> Section {
         .say("Noise-free. One motor is sampled with ever longer periods; schemes 1 know the resistance, schemes 2 the torque constant, the others nothing. A dash: not given by this scheme, or not carried by the data.");
     for (sweep, name) in sampling.sweeps.iter().zip(["sampling-ta", "sampling-tm"]) {
         let (against, tm_over_ta) = (sweep.against, sweep.tm_over_ta);
-        let ratios: Vec<String> = sweep.ratios.iter().map(f64::to_string).collect();
+        let drawn = chart(against, &sweep.ratios, &sweep.curves, (-4, 3));
         section = section.picture(
             name,
-            chart(against, &sweep.ratios, &sweep.curves, (-4, 3)).svg("errors of each scheme against the period"),
+            drawn.svg("errors of each scheme against the period"),
             format!(
                 "Size of the error against {against}; TM/Ta = {tm_over_ta}, Ta = {} ms. Below 1e-4 % it is drawn at the lower edge.",
                 significant(1e3 * sweep.electrical_time_constant_s, 2)
             ),
         );
-        for which in SHOWN {
-            let sentence = format!(
-                "Error of {} against {against} at TM/Ta = {tm_over_ta}.",
-                NAMES[which]
-            );
-            section = errors_table(
-                section,
-                name,
-                sentence,
-                against,
-                &ratios,
-                &sweep.curves,
-                which,
-            );
-        }
+        let ratios: Vec<String> = sweep.ratios.iter().map(f64::to_string).collect();
+        section = errors_tables(
+            section,
+            name,
+            against,
+            &ratios,
+            &sweep.curves,
+            |parameter| format!("Error of {parameter} against {against} at TM/Ta = {tm_over_ta}."),
+        );
     }
     let show = |error: Option<f64>| percent(error.unwrap_or(f64::NAN));
     section.table(
@@ -508,11 +439,11 @@ fn sampling(sampling: &Sampling) -> Section {
         &sampling.at_ta,
         &[
             ("TM/Ta", &|row| row.tm_over_ta.to_string()),
-            ("printed Ta", &|row| show(row.printed.to_array()[0])),
-            ("printed TM", &|row| show(row.printed.to_array()[1])),
-            ("printed Ke", &|row| show(row.printed.to_array()[2])),
+            ("printed Ta", &|row| show(row.printed.0[0])),
+            ("printed TM", &|row| show(row.printed.0[1])),
+            ("printed Ke", &|row| show(row.printed.0[2])),
             ("exact", &|row| {
-                let sizes = row.exact.to_array().map(|error| error.map_or(f64::NAN, f64::abs));
+                let sizes = row.exact.0.map(|error| error.map_or(f64::NAN, f64::abs));
                 format!("{:.0e} %", sizes.into_iter().fold(0.0, f64::max))
             }),
         ],
@@ -520,12 +451,9 @@ fn sampling(sampling: &Sampling) -> Section {
 }
 
 fn noise(sweep: &NoiseSweep) -> Section {
-    let ratios = sweep
-        .signal_to_noise
-        .iter()
-        .map(|ratio| format!("{ratio:e}"));
-    let ratios: Vec<String> = ratios.collect();
-    let mut section = Section::new("Not in the paper: error against signal-to-noise")
+    let axis = &sweep.signal_to_noise;
+    let drawn = chart("S/N of power", axis, &sweep.curves, (-3, 3));
+    let section = Section::new("Not in the paper: error against signal-to-noise")
         .say(format!(
             "White noise on the sensors of speed and current, S/N of power. Ta = {} s, TM = {} s, T = {:.0} ms, {} samples, median of {} seeds, no forgetting beyond each scheme's own.",
             sweep.electrical_time_constant_s,
@@ -536,28 +464,17 @@ fn noise(sweep: &NoiseSweep) -> Section {
         ))
         .picture(
             "noise",
-            chart("S/N of power", &sweep.signal_to_noise, &sweep.curves, (-3, 3))
-                .svg("errors of each scheme against signal-to-noise"),
+            drawn.svg("errors of each scheme against signal-to-noise"),
             "Size of the median error against the signal-to-noise ratio of the sensors.",
         );
-    for which in SHOWN {
-        let sentence = format!("Error of {} against S/N (power).", NAMES[which]);
-        section = errors_table(
-            section,
-            "noise",
-            sentence,
-            "S/N",
-            &ratios,
-            &sweep.curves,
-            which,
-        );
-    }
+    let ratios: Vec<String> = axis.iter().map(|ratio| format!("{ratio:e}")).collect();
+    let sentence = |parameter: &str| format!("Error of {parameter} against S/N (power).");
     let long = sweep.long.curves.iter().map(|curve| {
-        let errors = curve.errors.first().copied().unwrap_or_default().to_array();
-        let errors = errors.map(|error| or_dash(error, percent));
+        let errors = curve.errors.first().copied().unwrap_or_default();
+        let errors = errors.0.map(|error| or_dash(error, percent));
         std::iter::once(label(curve.scheme)).chain(errors).collect()
     });
-    section.grid(
+    errors_tables(section, "noise", "S/N", &ratios, &sweep.curves, sentence).grid(
         "noise-long-record",
         format!(
             "Schemes 1 on {} samples at S/N {} (power), median of {} seeds: more samples do not mend the bias of least squares. A dash: fewer than half of the seeds give a motor at all.",
@@ -568,25 +485,25 @@ fn noise(sweep: &NoiseSweep) -> Section {
     )
 }
 
+/// Errors against a ratio, a panel for each parameter.
 fn chart(axis: &str, at: &[f64], curves: &[Curve], decades: (i32, i32)) -> CurveChart {
-    let size = |error: Option<f64>| error.map_or(f64::NAN, f64::abs);
-    let panels = SHOWN.map(|which| {
-        let curve = |curve: &Curve| {
-            let sizes = curve
-                .errors
-                .iter()
-                .map(|errors| size(errors.to_array()[which]));
-            at.iter().copied().zip(sizes).collect()
+    let panel = |which: usize| {
+        let size = |errors: &Errors| errors.0[which].map_or(f64::NAN, f64::abs);
+        let sizes = |curve: &Curve| {
+            at.iter()
+                .copied()
+                .zip(curve.errors.iter().map(size))
+                .collect()
         };
         CurvePanel {
             title: format!("{}: size of the error, %", NAMES[which]),
-            curves: curves.iter().map(curve).collect(),
+            curves: curves.iter().map(sizes).collect(),
         }
-    });
+    };
     CurveChart {
         axis: axis.to_owned(),
         labels: curves.iter().map(|curve| label(curve.scheme)).collect(),
-        panels: panels.into(),
+        panels: SHOWN.map(panel).into(),
         decades,
     }
 }
@@ -600,68 +517,55 @@ fn label(scheme: &str) -> String {
     }
 }
 
-/// One row to a ratio, one column to a scheme that gives this parameter at all.
-fn errors_table(
+/// A table for each parameter: one row to a ratio, one column to a scheme that gives this parameter at all.
+fn errors_tables(
     section: Section,
     name: &str,
-    sentence: String,
     against: &'static str,
     ratios: &[String],
     curves: &[Curve],
-    which: usize,
+    sentence: impl Fn(&str) -> String,
 ) -> Section {
-    let gives = |curve: &&Curve| {
-        curve
-            .errors
-            .iter()
-            .any(|errors| errors.to_array()[which].is_some())
-    };
-    let giving: Vec<&Curve> = curves.iter().filter(gives).collect();
-    let rows = ratios.iter().enumerate().map(|(row, ratio)| {
-        let errors = giving
-            .iter()
-            .map(|curve| curve.errors[row].to_array()[which]);
-        let errors = errors.map(|error| or_dash(error, percent));
-        std::iter::once(ratio.clone()).chain(errors).collect()
-    });
-    let head = std::iter::once(against).chain(giving.iter().map(|curve| curve.scheme));
-    let name = format!("{name}-{}", NAMES[which].to_lowercase());
-    section.grid(name, sentence, head.collect(), rows)
+    SHOWN.into_iter().fold(section, |section, which| {
+        let gives = |curve: &&Curve| curve.errors.iter().any(|errors| errors.0[which].is_some());
+        let giving: Vec<&Curve> = curves.iter().filter(gives).collect();
+        let rows = ratios.iter().enumerate().map(|(row, ratio)| {
+            let errors = giving.iter().map(|curve| curve.errors[row].0[which]);
+            let errors = errors.map(|error| or_dash(error, percent));
+            std::iter::once(ratio.clone()).chain(errors).collect()
+        });
+        let head = std::iter::once(against).chain(giving.iter().map(|curve| curve.scheme));
+        let name = format!("{name}-{}", NAMES[which].to_lowercase());
+        section.grid(name, sentence(NAMES[which]), head.collect(), rows)
+    })
 }
 
 fn figure_5(figure: &Figure5) -> Section {
-    let (t, reference, speed) = (
-        times(&figure.trace),
-        references(&figure.trace),
-        speeds(&figure.trace),
-    );
-    let framed = inside(&speed, &FRAME_RAD_S);
-    let lines = [
-        ("reference", Style::Command, &reference),
-        ("speed", Style::After, &framed),
-    ];
-    let gain = [("Kp", Style::After, &figure.proportional)];
-    let plot = stacked([
-        panel("speed", "rad/s", &t, lines),
-        panel("proportional gain", "V per rad/s", &t, gain).with_height(90.0),
-    ]);
+    let (reference, speed) = (of(&figure.trace, REFERENCE), of(&figure.trace, SPEED));
+    let series = Figure::over_time(of(&figure.trace, TIME))
+        .panel(speed_panel("speed", 150.0).within(FRAME_RAD_S))
+        .series("reference_rad_s", "reference", Style::Command, &reference)
+        .series("speed_rad_s", "speed", Style::After, &speed)
+        .column("estimated_tm_s", &figure.estimate_s)
+        .panel(Panel::new("proportional gain", "V per rad/s").with_height(90.0))
+        .series(
+            "proportional_v_s_per_rad",
+            "Kp",
+            Style::After,
+            &figure.proportional,
+        );
     let before = figure.before.iter().map(|step| ("no", step));
     let after = figure.after.iter().map(|step| ("yes", step));
-    let columns = [
-        ("reference_rad_s", &reference),
-        ("speed_rad_s", &speed),
-        ("estimated_tm_s", &figure.estimate_s),
-        ("proportional_v_s_per_rad", &figure.proportional),
-    ];
     Section::new("Figure 5: the adaptation joins")
         .say(format!(
             "Chosen by us, the text has no data: the regulator is tuned for TM = {} s, the shaft has {} s; at {} s the adaptation joins without a bump. It is told nothing of the shaft: the first step that it sees tells it.",
             figure.tuned_for_s, figure.mechanical_s, figure.joins_at_s
         ))
-        .picture(
+        .figure(
             "figure-5",
-            plot.svg("speed and gain; the adaptation joins in the middle"),
+            "speed and gain; the adaptation joins in the middle",
             format!("Fixed gains until {} s, adaptive from there on; the start from standstill is cut off.", figure.joins_at_s),
+            &series,
         )
         .table(
             "figure-5",
@@ -676,7 +580,6 @@ fn figure_5(figure: &Figure5) -> Section {
                 ("effort, V", &|(_, step)| significant(step.effort_v, 3)),
             ],
         )
-        .series("figure-5", csv("time_s", &t, &columns))
 }
 
 fn figure_6(figure: &Figure6) -> Section {
@@ -698,10 +601,11 @@ fn figure_6(figure: &Figure6) -> Section {
             "Both regulators are tuned for TM = 0.2 s at T = {:.0} ms with {:.0} ms of delay. TM jumps together with a step of the reference: this first step is run with the old gains, and it is what tells the new inertia. A constant reference would tell nothing; there the estimate stands still. The settling time that an adapted step may take is 1.3 times the acceleration at the current limit and five small time constants.",
             1e3 * figure.period_s, 1e3 * figure.delay_s
         ))
-        .picture(
+        .figure(
             "figure-6",
-            figure_6_plot(figure).svg("speed with fixed and with adaptive gains while TM jumps"),
+            "speed with fixed and with adaptive gains while TM jumps",
             "Upper panel: fixed gains. Middle: adaptive. Lower: the shaft's TM and the one that is estimated, where the estimate is settled. The start from standstill is cut off.",
+            &figure_6_series(figure),
         )
         .table(
             "figure-6",
@@ -722,44 +626,45 @@ fn figure_6(figure: &Figure6) -> Section {
                 ("TM estimated, s", &|row| fixed(row.estimate_s, 3)),
             ],
         )
-        .series("figure-6", figure_6_series(figure))
 }
 
-fn figure_6_plot(figure: &Figure6) -> PanelPlot {
-    let t = times(&figure.fixed);
-    let speed = |title: &str, trace: &[_]| {
-        let framed = inside(&speeds(trace), &FRAME_RAD_S);
-        let lines = [
-            ("reference", Style::Command, references(trace)),
-            ("speed", Style::After, framed),
-        ];
-        panel(title, "rad/s", &t, lines)
-    };
-    let mechanical = [
-        ("shaft", Style::Command, &figure.mechanical_s),
-        ("estimated", Style::After, &figure.estimate_s),
-    ];
-    stacked([
-        speed("without adaptation: speed", &figure.fixed),
-        speed("with adaptation: speed", &figure.adaptive),
-        panel("TM", "s", &t, mechanical).with_height(110.0),
-    ])
-}
-
-fn figure_6_series(figure: &Figure6) -> String {
-    let [fixed, adaptive] = &figure.proportional;
-    let columns = [
-        ("reference_rad_s", references(&figure.fixed)),
-        ("speed_fixed_rad_s", speeds(&figure.fixed)),
-        ("speed_adaptive_rad_s", speeds(&figure.adaptive)),
-        ("output_fixed_v", outputs(&figure.fixed)),
-        ("output_adaptive_v", outputs(&figure.adaptive)),
-        ("tm_s", figure.mechanical_s.clone()),
-        ("tm_estimated_s", figure.estimate_s.clone()),
-        ("proportional_fixed_v_s_per_rad", fixed.clone()),
-        ("proportional_adaptive_v_s_per_rad", adaptive.clone()),
-    ];
-    csv("time_s", &times(&figure.fixed), &columns)
+fn figure_6_series(figure: &Figure6) -> Figure {
+    let (fixed, adaptive) = (&figure.fixed, &figure.adaptive);
+    let speed = |name: &str| speed_panel(format!("{name}: speed"), 150.0).within(FRAME_RAD_S);
+    Figure::over_time(of(fixed, TIME))
+        .panel(speed("without adaptation"))
+        .series(
+            "reference_rad_s",
+            "reference",
+            Style::Command,
+            &of(fixed, REFERENCE),
+        )
+        .series(
+            "speed_fixed_rad_s",
+            "speed",
+            Style::After,
+            &of(fixed, SPEED),
+        )
+        .panel(speed("with adaptation"))
+        .line("reference", Style::Command, &of(adaptive, REFERENCE))
+        .series(
+            "speed_adaptive_rad_s",
+            "speed",
+            Style::After,
+            &of(adaptive, SPEED),
+        )
+        .column("output_fixed_v", &of(fixed, OUTPUT))
+        .column("output_adaptive_v", &of(adaptive, OUTPUT))
+        .panel(Panel::new("TM", "s").with_height(110.0))
+        .series("tm_s", "shaft", Style::Command, &figure.mechanical_s)
+        .series(
+            "tm_estimated_s",
+            "estimated",
+            Style::After,
+            &figure.estimate_s,
+        )
+        .column("proportional_fixed_v_s_per_rad", &figure.proportional[0])
+        .column("proportional_adaptive_v_s_per_rad", &figure.proportional[1])
 }
 
 /// Who adapts sooner, as measured.
@@ -784,38 +689,29 @@ fn verdict(figure: &Figure7) -> String {
     )
 }
 
-/// Reference and speed of each trial.
-fn speed_panels<'a>(
-    trials: impl Iterator<Item = (&'a str, &'a [crate::control::TrialPoint])>,
-) -> Vec<Panel> {
-    let trial = |(name, trace): (&str, &[_])| {
-        let lines = [
-            ("reference", Style::Command, references(trace)),
-            ("speed", Style::After, speeds(trace)),
-        ];
-        panel(format!("{name}: speed"), "rad/s", &times(trace), lines)
-    };
-    trials.map(trial).collect()
-}
+const SPEEDS: [(&str, Style, super::Quantity); 2] = [
+    ("reference", Style::Command, REFERENCE),
+    ("speed", Style::After, SPEED),
+];
 
 /// The half of Figure 7 that is in saturation.
 fn saturation(figure: &Figure7) -> Section {
     let runs = figure.saturated.iter();
-    let panels = speed_panels(runs.map(|run| (run.controller.name(), &run.trace[..])));
-    let plot = stacked(panels.into_iter().map(|panel| panel.with_height(110.0)));
+    let runs = runs.map(|run| (run.controller.name(), &run.trace[..]));
     let cycles = figure.saturated.first().map_or(0, |run| run.cycles.len());
-    let of = |which: usize, n: &usize| figure.saturated[which].cycles[*n];
-    let error = |which, n: &usize| fixed(of(which, n).error_rad_s, 2);
-    let limited = |which, n: &usize| fixed(of(which, n).limited_percent, 0);
+    let cycle = |which: usize, n: &usize| figure.saturated[which].cycles[*n];
+    let error = |which, n: &usize| fixed(cycle(which, n).error_rad_s, 2);
+    let limited = |which, n: &usize| fixed(cycle(which, n).limited_percent, 0);
     Section::new("Figure 7: ADDC and MRAC in saturation")
         .say(format!(
             "Figure 7 of the paper is a block diagram. Its text says that MRAC takes wrong action in saturation, because its reference model is linear, and must be disconnected there, and that ADDC goes on working. Start and brake between standstill and {} rad/s at a current limit of 10 A. MRAC: `u = kr r - kw w - ki i + k1` with proportional-integral adaptation (Landau) against a reference model of second order.",
             figure.full_rad_s
         ))
-        .picture(
+        .figure(
             "figure-7-saturation",
-            plot.svg("start and brake with ADDC, with MRAC disconnected in saturation and with MRAC always connected"),
+            "start and brake with ADDC, with MRAC disconnected in saturation and with MRAC always connected",
             "The connected MRAC takes the limit for a wrong gain.",
+            &trials(runs, 110.0, &SPEEDS),
         )
         .table(
             "figure-7-saturation",
@@ -823,7 +719,7 @@ fn saturation(figure: &Figure7) -> Section {
             0..cycles,
             &[
                 ("cycle", &|n| (n + 1).to_string()),
-                ("to, rad/s", &|n| fixed(of(0, n).to_rad_s, 0)),
+                ("to, rad/s", &|n| fixed(cycle(0, n).to_rad_s, 0)),
                 ("error: addc, rad/s", &|n| error(0, n)),
                 ("mrac disconnected", &|n| error(1, n)),
                 ("mrac connected", &|n| error(2, n)),
@@ -837,15 +733,16 @@ fn saturation(figure: &Figure7) -> Section {
 /// The half of Figure 7 that stays out of saturation.
 fn adaptation(figure: &Figure7) -> Section {
     let shown = figure.shown.iter();
-    let panels = speed_panels(shown.map(|run| (&run.name[..], &run.trace[..])));
+    let shown = shown.map(|run| (&run.name[..], &run.trace[..]));
     Section::new("Figure 7: who adapts sooner")
         .say(verdict(figure))
         .say("TM jumps from 0.2 s together with a step of the reference, and each rival is held against itself: the same regulator made for the new TM, on a shaft that always had it. Error: integral of the absolute error over the first step after the jump, over the height of the step; `adapted error`: that of the regulator that was told. Strays: integral of the absolute difference of the two speeds over the height, of the first step and of the last (the twelfth). Back after: from then on the two speeds are within 10 % of the height. Only cases in which nobody was limited compare the adaptation alone. `addc` drops its memory when its predictions miss; `forgetting alone` is the paper's way, beta and nothing else.")
         .say("Where the inertia falls, MRAC has the smaller first step, as the paper says and for its reason: its gains answer the first error, while ADDC makes this step with gains that are too high until the estimate is believed; with an estimate that only forgets that takes longest. But once it is believed ADDC is adapted, in less than half a step, while MRAC moves its gains in proportion to the error between model and shaft: in steps this small it has not adapted when the twelve steps are over. Where the inertia rises, ADDC is the sooner one by every measure: old gains are only too slow there, and the shaft tells its inertia all the while. Larger steps adapt MRAC within some of them (the rows in which a limit was met); under noise its gains may drift instead.")
-        .picture(
+        .figure(
             "figure-7-adaptation",
-            stacked(panels).svg("ADDC, ADDC by forgetting alone and MRAC over a jump of TM, unsaturated"),
+            "ADDC, ADDC by forgetting alone and MRAC over a jump of TM, unsaturated",
             format!("TM falls to 0.05 s in the middle of what is shown, at the third step; height {} rad/s, without noise.", figure.shown_height_rad_s),
+            &trials(shown, 150.0, &SPEEDS),
         )
         .table(
             "figure-7-adaptation",

@@ -2,11 +2,12 @@
 //! does not show (variance by kind of noise, speed from Hall edges, the back-EMF that it leaves out).
 
 use super::{
-    choices, comparison, csv, of, outputs, panel, references, seconds, speeds, stacked, times, yes,
+    OUTPUT, Quantity, REFERENCE, SPEED, TIME, choices, comparison, of, seconds, speed_panel,
+    trials, yes,
 };
 use crate::control::TrialPoint;
-use crate::report::plot::{CurveChart, CurvePanel, Panel, Series, Style};
-use crate::report::reproduce::{Reproduction, Section};
+use crate::report::plot::{CurveChart, CurvePanel, Panel, Style};
+use crate::report::reproduce::{Figure, Reproduction, Section, csv};
 use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::PaperB;
 use crate::workflow::reproduce::paper_b::{
@@ -64,41 +65,42 @@ impl PaperB {
     }
 }
 
-/// The same quantity without compensation and with it.
-fn both(
-    [without, with]: [&[TrialPoint]; 2],
-    column: fn(&[TrialPoint]) -> Vec<f64>,
-) -> [(&'static str, Style, Vec<f64>); 2] {
-    [
-        ("without compensation", Style::Before, column(without)),
-        ("with", Style::After, column(with)),
-    ]
+type Traces<'a> = [&'a [TrialPoint]; 2];
+
+/// The same quantity without compensation and with it, in a panel of their own or behind what is in the latest one.
+fn both(figure: Figure, [without, with]: Traces<'_>, quantity: Quantity) -> Figure {
+    figure
+        .line(
+            "without compensation",
+            Style::Before,
+            &of(without, quantity),
+        )
+        .line("with", Style::After, &of(with, quantity))
+}
+
+fn columns(figure: Figure, [without, with]: Traces<'_>) -> Figure {
+    figure
+        .column("speed_without_rad_s", &of(without, SPEED))
+        .column("speed_with_rad_s", &of(with, SPEED))
+        .column("output_without_v", &of(without, OUTPUT))
+        .column("output_with_v", &of(with, OUTPUT))
 }
 
 fn figure_4(figure: &Figure4) -> Section {
-    let [without, with] = &figure.courses;
-    let (without, with) = (&without.trace[..], &with.trace[..]);
-    let t = times(without);
-    let reference = [("reference", Style::Command, references(with))];
-    let error = |trace: &[TrialPoint]| of(trace, |p| p.reference_rad_s - p.speed_rad_s);
-    let speed = reference.into_iter().chain(both([without, with], speeds));
-    let plot = stacked([
-        panel("(a) speed", "rad/s", &t, speed).with_height(220.0),
-        panel("(b) error", "rad/s", &t, both([without, with], error)).with_height(180.0),
-    ]);
-    let columns = [
-        ("reference_rad_s", references(with)),
-        ("speed_without_rad_s", speeds(without)),
-        ("speed_with_rad_s", speeds(with)),
-        ("output_without_v", outputs(without)),
-        ("output_with_v", outputs(with)),
-    ];
+    let traces = figure.courses.each_ref().map(|course| &course.trace[..]);
+    let reference = of(traces[0], REFERENCE);
+    let series = Figure::over_time(of(traces[0], TIME))
+        .panel(speed_panel("(a) speed", 220.0))
+        .series("reference_rad_s", "reference", Style::Command, &reference);
+    let series = both(series, traces, SPEED).panel(speed_panel("(b) error", 180.0));
+    let series = both(series, traces, |p| p.reference_rad_s - p.speed_rad_s);
     Section::new("Figure 4: polyline reference, with and without adaptive compensation")
         .say("The paper's plant with friction and noise. On a slope both lag: the feedback needs an error to accelerate, and the compensation answers what the model does not foresee, not what it does. Friction is not in the model: without compensation it leaves an error on the flat parts, with it none stays. On the way down friction brakes along, and there the bare regulator has the smaller error.")
-        .picture(
+        .figure(
             "figure-4",
-            plot.svg("speed and error to a polyline reference with and without compensation"),
+            "speed and error to a polyline reference with and without compensation",
             "(a) response, (b) error.",
+            &columns(series, traces),
         )
         .table(
             "figure-4",
@@ -115,42 +117,34 @@ fn figure_4(figure: &Figure4) -> Section {
                 ("effort, V", &|course| significant(course.effort_v, 3)),
             ],
         )
-        .series("figure-4", csv("time_s", &t, &columns))
 }
 
 fn figure_5(figure: &Figure5) -> Section {
-    let [without, with] = figure.courses.each_ref().map(|course| {
+    let traces = figure.courses.each_ref().map(|course| {
         let begin = course.trace.partition_point(|point| point.time_s < 0.6);
         &course.trace[begin..]
     });
-    let t = times(without);
-    let reference = [("reference", Style::Command, references(without))];
-    let speed = reference.into_iter().chain(both([without, with], speeds));
-    let plot = stacked([
-        panel("speed", "rad/s", &t, speed).with_height(200.0),
-        panel("voltage", "V", &t, both([without, with], outputs)).with_height(110.0),
-    ]);
+    let series = Figure::over_time(of(traces[0], TIME))
+        .panel(speed_panel("speed", 200.0))
+        .line("reference", Style::Command, &of(traces[0], REFERENCE));
+    let voltage = Panel::new("voltage", "V").with_height(110.0);
+    let series = both(both(series, traces, SPEED).panel(voltage), traces, OUTPUT);
     let rows = figure.courses.iter().flat_map(|course| {
         [
             ("applied", course, &course.applied),
             ("removed", course, &course.removed),
         ]
     });
-    let columns = [
-        ("speed_without_rad_s", speeds(without)),
-        ("speed_with_rad_s", speeds(with)),
-        ("output_without_v", outputs(without)),
-        ("output_with_v", outputs(with)),
-    ];
     Section::new("Figure 5: a load applied and removed")
         .say(format!(
             "{} N.m at {} rad/s. Friction is there all the time, so that the bare feedback stands below its reference before the load comes.",
             figure.load_n_m, figure.speed_rad_s
         ))
-        .picture(
+        .figure(
             "figure-5",
-            plot.svg("speed and voltage while a load comes on and goes off"),
+            "speed and voltage while a load comes on and goes off",
             "The load is on from 0.8 to 1.4 s.",
+            &columns(series, traces),
         )
         .table(
             "figure-5",
@@ -165,32 +159,29 @@ fn figure_5(figure: &Figure5) -> Section {
                 ("effort, V", &|(_, course, _)| significant(course.effort_v, 3)),
             ],
         )
-        .series("figure-5", csv("time_s", &t, &columns))
 }
 
 fn convergence(design: &Design) -> Section {
-    let (filter, feedback) = (&design.filter_changes, &design.feedback_changes);
-    let iterations = (1..=filter.len().max(feedback.len())).map(|n| n as f64);
-    let iterations: Vec<f64> = iterations.collect();
-    let curve = |changes: &[f64]| {
-        iterations
-            .iter()
-            .copied()
-            .zip(changes.iter().copied())
-            .collect()
+    let changes = [&design.filter_changes, &design.feedback_changes];
+    let most = changes.map(Vec::len).into_iter().fold(0, usize::max);
+    let iterations: Vec<f64> = (1..=most).map(|n| n as f64).collect();
+    let curve = |changes: &Vec<f64>| {
+        let points = iterations.iter().copied().zip(changes.iter().copied());
+        points.collect()
+    };
+    let panel = CurvePanel {
+        title: "relative change of the gain".to_owned(),
+        curves: changes.map(curve).into(),
     };
     let chart = CurveChart {
         axis: "iteration".to_owned(),
-        labels: vec![
-            "K (Kalman filter)".to_owned(),
-            "gamma (feedback)".to_owned(),
-        ],
-        panels: vec![CurvePanel {
-            title: "relative change of the gain".to_owned(),
-            curves: vec![curve(filter), curve(feedback)],
-        }],
+        labels: ["K (Kalman filter)", "gamma (feedback)"]
+            .map(str::to_owned)
+            .into(),
+        panels: vec![panel],
         decades: (-9, 0),
     };
+    let [filter, feedback] = changes.map(Vec::clone);
     let columns = [("filter_change", filter), ("feedback_change", feedback)];
     Section::new("Where the iterations of K and gamma stop")
         .say(format!(
@@ -288,20 +279,13 @@ fn noise(noise: &Noise) -> Section {
 }
 
 fn hall(hall: &Hall) -> Section {
-    let plot = stacked(hall.shown.iter().map(|run| {
-        let lines = [
-            ("reference", Style::Command, references(&run.trace)),
-            ("seen", Style::Before, of(&run.trace, |p| p.seen_rad_s)),
-            ("true", Style::After, speeds(&run.trace)),
-        ];
-        panel(
-            format!("{}: speed", run.name),
-            "rad/s",
-            &times(&run.trace),
-            lines,
-        )
-        .with_height(120.0)
-    }));
+    let shown = hall.shown.iter();
+    let shown = shown.map(|run| (&run.name[..], &run.trace[..]));
+    let lines: [(&str, Style, Quantity); 3] = [
+        ("reference", Style::Command, REFERENCE),
+        ("seen", Style::Before, |point| point.seen_rad_s),
+        ("true", Style::After, SPEED),
+    ];
     let ways = ["true speed", "Hall edges", "Hall edges, slower design"];
     let rows = hall
         .speeds
@@ -317,10 +301,11 @@ fn hall(hall: &Hall) -> Section {
             "Root mean square error over the polyline of Figure 4: {} rad/s on the true speed, {} rad/s on Hall edges, {} rad/s on Hall edges with a slower design (W = {}).",
             fixed(exact, 2), fixed(edges, 2), fixed(slower, 2), hall.slower_voltage_cost
         ))
-        .picture(
+        .figure(
             "hall",
-            plot.svg("speed seen through Hall edges and true speed over the polyline"),
+            "speed seen through Hall edges and true speed over the polyline",
             "The same regulator on the true speed, on Hall edges, and a slower design on Hall edges.",
+            &trials(shown, 120.0, &lines),
         )
         .table(
             "hall",
@@ -339,44 +324,43 @@ fn hall(hall: &Hall) -> Section {
 
 fn back_emf(found: &BackEmf) -> Section {
     let [paper, full] = found.open_end_rad_s;
-    let speed = |name: &str, style, trace: &[TrialPoint]| {
-        Series::sampled(name, style, &times(trace), &speeds(trace))
+    let drawn = |title: String, runs: &[(&str, Style, &Vec<TrialPoint>)]| {
+        let first = runs.first().map_or(&[][..], |(_, _, trace)| trace);
+        let figure = Figure::over_time(of(first, TIME)).panel(speed_panel(title, 150.0));
+        runs.iter().fold(figure, |figure, (name, style, trace)| {
+            figure.line(name, *style, &of(trace, SPEED))
+        })
     };
-    let open = Panel::new(
-        format!("open loop at {} V: speed", found.open_voltage_v),
-        "rad/s",
-    );
     let runs = found.open.iter().zip([Style::Before, Style::After]);
-    let open = runs.fold(open, |open, (run, style)| {
-        open.with(speed(&run.name, style, &run.trace))
-    });
-    let closed = Panel::new("closed over the motor with back-EMF: speed", "rad/s");
-    let on_motor = found.closed.iter().filter(|row| row.full_motor);
+    let runs = runs.map(|(run, style)| (&run.name[..], style, &run.trace));
+    let title = format!("open loop at {} V: speed", found.open_voltage_v);
+    let open = drawn(title, &runs.collect::<Vec<_>>());
     let lines = [
         ("without compensation", Style::Before),
         ("with", Style::After),
         ("fed forward", Style::Measured),
     ];
-    let closed = on_motor
-        .zip(lines)
-        .fold(closed, |closed, (row, (name, style))| {
-            closed.with(speed(name, style, &row.trace))
-        });
+    let on_motor = found.closed.iter().filter(|row| row.full_motor).zip(lines);
+    let on_motor = on_motor.map(|(row, (name, style))| (name, style, &row.trace));
+    let title = "closed over the motor with back-EMF: speed".to_owned();
+    let closed = drawn(title, &on_motor.collect::<Vec<_>>());
     Section::new("Worked example: the back-EMF that the model leaves out")
         .say(format!(
             "Eq. (6) to (9) are an open-loop transfer function: the back-EMF does not feed back. At a constant {} V the paper's plant accelerates without end ({} rad/s after 0.3 s), the motor comes to rest at a speed ({} rad/s there); they are 5 % apart after {} s.",
             found.open_voltage_v, fixed(paper, 1), fixed(full, 1), seconds(found.apart_after_s)
         ))
         .say("Closed over the motor, the same feedback leaves an error that stays: the missing effect is a load that grows with the speed. The compensation takes it as it takes a load, but only after it has shown; the back-EMF of the reference, fed forward, takes it before. To name what is missing is worth more than to adapt to it.")
-        .picture(
+        .figure(
             "back-emf",
-            stacked([open]).svg("speed under a constant voltage with and without back-EMF"),
+            "speed under a constant voltage with and without back-EMF",
             "Without friction, load and noise.",
+            &open,
         )
-        .picture(
+        .figure(
             "back-emf-closed",
-            stacked([closed]).svg("closed loop over the motor with back-EMF: bare, with compensation, with the back-EMF fed forward"),
+            "closed loop over the motor with back-EMF: bare, with compensation, with the back-EMF fed forward",
             "From standstill to 100 rad/s, paper B's feedback on the motor with its back-EMF.",
+            &closed,
         )
         .table(
             "back-emf",

@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use super::{SETTINGS, SPEED_RAD_S, paper_machine, run, without};
-use crate::control::{Direct, Measured, SpeedController, TrialMachine, TrialPoint};
+use super::{SETTINGS, SPEED_RAD_S, on_paper, without};
+use crate::control::{Measured, SpeedController, TrialPoint};
 use crate::plant::MotorKey;
-use crate::workflow::reproduce::loops::{Bench, Named, WithBackEmf, steps};
+use crate::workflow::reproduce::loops::{Bench, Named, Trial, WithBackEmf, lasting_rad_s, steps};
 
 /// Voltage of the open loop, V.
 const OPEN_V: f64 = 20.0;
@@ -63,16 +63,18 @@ impl SpeedController for Held {
 }
 
 pub(super) fn back_emf(bench: &Bench) -> BackEmf {
-    let quiet = |machine: TrialMachine| TrialMachine {
-        friction_n_m: 0.0,
-        speed_noise_rad_s: 0.0,
-        ..machine
+    // The paper's plant or the full motor, without friction and noise.
+    let trial = |full_motor: bool, reference_rad_s: f64| {
+        let mut trial = if full_motor {
+            Trial::of(bench, move |_| reference_rad_s)
+        } else {
+            on_paper(bench, move |_| reference_rad_s)
+        };
+        trial.machine.friction_n_m = 0.0;
+        trial.machine.speed_noise_rad_s = 0.0;
+        trial
     };
-    let plants = [quiet(paper_machine(bench)), quiet(bench.machine())];
-    let open = plants.map(|machine| {
-        let (sensor, held) = (&mut Direct, &mut Held(OPEN_V));
-        run(bench, sensor, &machine, held, &|_| 0.0, &|_| 0.0, OPEN_S)
-    });
+    let open = [false, true].map(|full| trial(full, 0.0).run(&mut Held(OPEN_V), OPEN_S));
     let apart = open[0].iter().zip(&open[1]).find(|(paper, full)| {
         full.speed_rad_s > 0.0
             && paper.speed_rad_s - full.speed_rad_s > APART_SHARE * full.speed_rad_s
@@ -86,53 +88,29 @@ pub(super) fn back_emf(bench: &Bench) -> BackEmf {
         (true, false, true),
         (true, true, true),
     ];
+    let ke = bench.value(MotorKey::BackEmf);
     let closed = cases.map(|(full_motor, compensated, fed_forward)| {
-        let settings = if compensated {
-            SETTINGS
-        } else {
-            without(SETTINGS)
-        };
-        let machine = &plants[usize::from(full_motor)];
-        let ke = if fed_forward {
-            bench.value(MotorKey::BackEmf)
-        } else {
-            0.0
-        };
-        let mut controller = WithBackEmf::new(bench.paper_b(settings), ke);
-        let (sensor, made) = (&mut Direct, &mut controller);
-        let trace = run(
-            bench,
-            sensor,
-            machine,
-            made,
-            &|_| SPEED_RAD_S,
-            &|_| 0.0,
-            CLOSED_S,
-        );
+        let bare = without(SETTINGS);
+        let made = bench.paper_b(if compensated { SETTINGS } else { bare });
+        let mut controller = WithBackEmf::new(made, if fed_forward { ke } else { 0.0 });
+        let trace = trial(full_motor, SPEED_RAD_S).run(&mut controller, CLOSED_S);
         let response = steps(&trace)[0].response;
-        let tail = &trace[trace.len() - trace.len() / 5..];
-        let errors = tail
-            .iter()
-            .map(|point| point.reference_rad_s - point.speed_rad_s);
         Closed {
             full_motor,
             compensated,
             fed_forward,
             overshoot_percent: response.overshoot_percent,
             settling_s: response.settling_s,
-            lasting_rad_s: errors.sum::<f64>() / tail.len().max(1) as f64,
+            lasting_rad_s: lasting_rad_s(&trace),
             trace,
         }
     });
+    let names = ["paper B's plant", "motor with back-EMF"];
     BackEmf {
         open_voltage_v: OPEN_V,
         apart_after_s: apart.map(|(paper, _)| paper.time_s),
         open_end_rad_s: [end(&open[0]), end(&open[1])],
-        open: ["paper B's plant", "motor with back-EMF"]
-            .into_iter()
-            .zip(open)
-            .map(|(name, trace)| Named::new(name, trace))
-            .collect(),
+        open: Named::all(names, open),
         closed: closed.into(),
     }
 }

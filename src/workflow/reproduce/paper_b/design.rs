@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use super::{PERIOD_S, SETTINGS, SPEED_RAD_S, input_noise, on_paper, paper_machine, without};
+use super::{PERIOD_S, SETTINGS, SPEED_RAD_S, input_noise, on_paper, without};
 use crate::control::{PaperB, PaperBError, PaperBSettings, TrialPoint};
-use crate::workflow::reproduce::loops::{Bench, effort_v, std, steps};
+use crate::workflow::reproduce::loops::{Bench, effort_v, mean_and_std, steps};
 
 const TOLERANCES: [f64; 3] = [1e-3, 1e-6, 1e-9];
 const RATIOS: [f64; 7] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0];
@@ -102,41 +102,20 @@ fn with_ratio(bench: &Bench, factor: f64) -> WithRatio {
     let made = bench.paper_b(settings);
     let gain = made.gains().0;
     let noise = input_noise(bench, super::SEED, LENGTH_S);
-    let machine = paper_machine(bench);
-    let trace = on_paper(
-        bench,
-        &machine,
-        settings,
-        &|_| SPEED_RAD_S,
-        &noise,
-        LENGTH_S,
-    );
-    let quiet = crate::control::TrialMachine {
-        speed_noise_rad_s: 0.0,
-        friction_n_m: 0.0,
-        ..machine
-    };
-    let small = |t: f64| {
-        if t < SETTLED_S - 0.5 * PERIOD_S {
-            50.0
-        } else {
-            51.0
-        }
-    };
-    let step = steps(&on_paper(
-        bench,
-        &quiet,
-        settings,
-        &small,
-        &|_| 0.0,
-        2.0 * SETTLED_S,
-    ));
+    let trace = on_paper(bench, |_| SPEED_RAD_S)
+        .with_load(noise)
+        .run(&mut bench.paper_b(settings), LENGTH_S);
+    let mut quiet = on_paper(bench, |t| {
+        let stepped = t >= SETTLED_S - 0.5 * PERIOD_S;
+        if stepped { 51.0 } else { 50.0 }
+    });
+    quiet.machine.speed_noise_rad_s = 0.0;
+    quiet.machine.friction_n_m = 0.0;
+    let step = steps(&quiet.run(&mut bench.paper_b(settings), 2.0 * SETTLED_S));
     let last = &step[step.len() - 1].response;
-    let settled: Vec<TrialPoint> = trace
-        .into_iter()
-        .filter(|point| point.time_s > AT_REST_S)
-        .collect();
-    let speeds: Vec<f64> = settled.iter().map(|point| point.speed_rad_s).collect();
+    let is_settled = |point: &TrialPoint| point.time_s > AT_REST_S;
+    let settled: Vec<TrialPoint> = trace.into_iter().filter(is_settled).collect();
+    let (mean, std) = mean_and_std(&settled);
     WithRatio {
         factor,
         process_noise: settings.process_noise,
@@ -144,9 +123,9 @@ fn with_ratio(bench: &Bench, factor: f64) -> WithRatio {
         iterations: made.convergence().0.len(),
         overshoot_percent: last.overshoot_percent,
         settling_s: last.settling_s,
-        speed_std_rad_s: std(&speeds),
+        speed_std_rad_s: std,
         effort_v: effort_v(&settled),
-        lasting_rad_s: SPEED_RAD_S - speeds.iter().sum::<f64>() / speeds.len().max(1) as f64,
+        lasting_rad_s: SPEED_RAD_S - mean,
     }
 }
 

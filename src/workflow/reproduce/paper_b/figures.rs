@@ -3,11 +3,11 @@
 
 use serde::Serialize;
 
-use super::{
-    LOAD_N_M, PERIOD_S, SEED, SETTINGS, SPEED_RAD_S, input_noise, on_paper, paper_machine, without,
+use super::{LOAD_N_M, PERIOD_S, SEED, SETTINGS, SPEED_RAD_S, input_noise, on_paper, without};
+use crate::control::{PaperBSettings, TrialPoint};
+use crate::workflow::reproduce::loops::{
+    Bench, LoadChange, effort_v, error, load_change, rms, within,
 };
-use crate::control::TrialPoint;
-use crate::workflow::reproduce::loops::{Bench, LoadChange, effort_v, load_change, rms};
 
 /// Reference: time s, speed rad/s.
 const POLYLINE: [(f64, f64); 7] = [
@@ -63,9 +63,9 @@ pub(super) fn length_s() -> f64 {
 
 pub(super) fn figure_4(bench: &Bench) -> Figure4 {
     let noise = input_noise(bench, SEED, length_s());
-    let course = |settings| {
-        let machine = paper_machine(bench);
-        let trace = on_paper(bench, &machine, settings, &polyline, &noise, length_s());
+    let course = |settings: PaperBSettings| {
+        let trial = on_paper(bench, polyline).with_load(&noise);
+        let trace = trial.run(&mut bench.paper_b(settings), length_s());
         measured(settings.compensation > 0.0, trace)
     };
     Figure4 {
@@ -75,7 +75,6 @@ pub(super) fn figure_4(bench: &Bench) -> Figure4 {
 }
 
 fn measured(compensated: bool, trace: Vec<TrialPoint>) -> Followed {
-    let error = |point: &TrialPoint| point.reference_rad_s - point.speed_rad_s;
     let slope = |point: &&TrialPoint| {
         (polyline(point.time_s + PERIOD_S) - polyline(point.time_s)).abs() > 1e-9
     };
@@ -132,23 +131,17 @@ pub struct Figure5 {
 pub(super) fn figure_5(bench: &Bench) -> Figure5 {
     let noise = input_noise(bench, SEED, END_S);
     let load = |t: f64| {
-        let load = if (ON_S..OFF_S).contains(&t) {
-            LOAD_N_M
-        } else {
-            0.0
-        };
-        load + noise(t)
+        let is_on = (ON_S..OFF_S).contains(&t);
+        noise(t) + if is_on { LOAD_N_M } else { 0.0 }
     };
-    let course = |settings| {
-        let machine = paper_machine(bench);
-        let trace = on_paper(bench, &machine, settings, &|_| SPEED_RAD_S, &load, END_S);
-        let from = |at_s: f64| trace.iter().filter(move |point| point.time_s >= at_s);
-        let loaded: Vec<TrialPoint> = from(ON_S).copied().collect();
+    let course = |settings: PaperBSettings| {
+        let trial = on_paper(bench, |_| SPEED_RAD_S).with_load(load);
+        let trace = trial.run(&mut bench.paper_b(settings), END_S);
         Loaded {
             compensated: settings.compensation > 0.0,
             applied: load_change(&trace, ON_S, OFF_S),
             removed: load_change(&trace, OFF_S, END_S),
-            effort_v: effort_v(&loaded),
+            effort_v: effort_v(&within(&trace, ON_S, f64::INFINITY)),
             trace,
         }
     };

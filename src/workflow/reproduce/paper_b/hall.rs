@@ -3,9 +3,9 @@
 use serde::Serialize;
 
 use super::figures::{length_s, polyline};
-use super::{POLE_PAIRS, SETTINGS, paper_machine};
-use crate::control::{Direct, HallSensor, PaperBSettings, SpeedSensor, TrialMachine, TrialPoint};
-use crate::workflow::reproduce::loops::{Bench, Named, effort_v, rms, std};
+use super::{POLE_PAIRS, SETTINGS, on_paper};
+use crate::control::{HallSensor, PaperBSettings, TrialPoint};
+use crate::workflow::reproduce::loops::{Bench, Named, effort_v, error, mean_and_std, rms};
 
 /// Edges per electrical turn.
 const STATES: f64 = 6.0;
@@ -37,91 +37,46 @@ pub struct Hall {
     pub shown: Vec<Named>,
 }
 
-#[derive(Clone, Copy)]
-enum Seen {
-    True,
-    Edges,
-}
-
 pub(super) fn hall(bench: &Bench) -> Hall {
+    let edges_per_turn = STATES * POLE_PAIRS;
     let slower = PaperBSettings {
         voltage_cost: SLOWER * SETTINGS.voltage_cost,
         ..SETTINGS
     };
-    let ways = [
-        (Seen::True, SETTINGS),
-        (Seen::Edges, SETTINGS),
-        (Seen::Edges, slower),
-    ];
+    // On the paper's plant, with friction and without other noise: what is seen is then the edges' doing alone.
+    let run = |sees_edges: bool, settings, reference: &dyn Fn(f64) -> f64, seconds| {
+        let mut trial = on_paper(bench, reference);
+        trial.machine.speed_noise_rad_s = 0.0;
+        if sees_edges {
+            trial.sensor = Box::new(HallSensor::new(edges_per_turn));
+        }
+        trial.run(&mut bench.paper_b(settings), seconds)
+    };
+    let ways = [(false, SETTINGS), (true, SETTINGS), (true, slower)];
     let at = |speed_rad_s: f64| {
-        let found = ways.map(|(seen, settings)| {
-            let trace = run(bench, seen, settings, &|_| speed_rad_s, LENGTH_S);
-            let settled: Vec<TrialPoint> = trace
-                .into_iter()
-                .filter(|point| point.time_s > SETTLED_S)
-                .collect();
-            let speeds: Vec<f64> = settled.iter().map(|point| point.speed_rad_s).collect();
-            let mean = speeds.iter().sum::<f64>() / speeds.len().max(1) as f64;
-            (std(&speeds), speed_rad_s - mean, effort_v(&settled))
+        let found = ways.map(|(edges, settings)| {
+            let trace = run(edges, settings, &|_| speed_rad_s, LENGTH_S).into_iter();
+            let settled = trace.filter(|point| point.time_s > SETTLED_S);
+            let settled: Vec<TrialPoint> = settled.collect();
+            let (mean, std) = mean_and_std(&settled);
+            (std, speed_rad_s - mean, effort_v(&settled))
         });
+        let per_period = edges_per_turn * speed_rad_s * bench.timing.period_s;
         AtSpeed {
             speed_rad_s,
-            interval_periods: std::f64::consts::TAU
-                / (edges() * speed_rad_s * bench.timing.period_s),
+            interval_periods: std::f64::consts::TAU / per_period,
             std_rad_s: found.map(|found| found.0),
             mean_error_rad_s: found.map(|found| found.1),
             effort_v: found.map(|found| found.2),
         }
     };
-    let traces = ways.map(|(seen, settings)| run(bench, seen, settings, &polyline, length_s()));
-    let error = |trace: &[TrialPoint]| {
-        rms(trace
-            .iter()
-            .map(|point| point.reference_rad_s - point.speed_rad_s))
-    };
-    let polyline_error_rad_s = [0, 1, 2].map(|way: usize| error(&traces[way]));
+    let traces = ways.map(|(edges, settings)| run(edges, settings, &polyline, length_s()));
     let names = ["true speed", "Hall edges", "Hall edges, slower design"];
     Hall {
-        edges_per_turn: edges(),
+        edges_per_turn,
         slower_voltage_cost: slower.voltage_cost,
         speeds: SPEEDS_RAD_S.map(at).into(),
-        polyline_error_rad_s,
-        shown: names
-            .into_iter()
-            .zip(traces)
-            .map(|(name, trace)| Named::new(name, trace))
-            .collect(),
+        polyline_error_rad_s: traces.each_ref().map(|trace| rms(trace.iter().map(error))),
+        shown: Named::all(names, traces),
     }
-}
-
-fn edges() -> f64 {
-    STATES * POLE_PAIRS
-}
-
-/// On the paper's plant, with friction and without other noise: what is seen is then the edges' doing alone.
-fn run(
-    bench: &Bench,
-    seen: Seen,
-    settings: PaperBSettings,
-    reference_rad_s: &dyn Fn(f64) -> f64,
-    seconds: f64,
-) -> Vec<TrialPoint> {
-    let machine = TrialMachine {
-        speed_noise_rad_s: 0.0,
-        ..paper_machine(bench)
-    };
-    let mut sensor: Box<dyn SpeedSensor> = match seen {
-        Seen::True => Box::new(Direct),
-        Seen::Edges => Box::new(HallSensor::new(edges())),
-    };
-    let mut made = bench.paper_b(settings);
-    super::run(
-        bench,
-        &mut *sensor,
-        &machine,
-        &mut made,
-        reference_rad_s,
-        &|_| 0.0,
-        seconds,
-    )
 }

@@ -25,15 +25,12 @@ pub use hall::{AtSpeed, Hall};
 pub use noise::{Disturbance, Noise, Variance};
 
 use super::adaptive::FORGETTING;
-use super::loops::{Bench, Comparison, Sizes, comparison, motor};
-use crate::control::{
-    Course, Direct, LoadObservingSettings, LoopTiming, PaperBSettings, SpeedController,
-    SpeedSensor, TrialMachine, TrialPoint, trial_seen_by,
-};
-use crate::plant::MotorKey;
-use crate::units::rad_s_from_rpm;
-
+use super::loops::{Bench, Comparison, Sizes, Trial, comparison, cycles};
+use super::machine::made_of;
 use super::signal::{random, white};
+use crate::control::{LoadObservingSettings, LoopTiming, PaperBSettings};
+use crate::plant::{Model, MotorKey};
+use crate::units::rad_s_from_rpm;
 
 /// Data of the paper: resistance, T1, Tm and ke; rated torque and current, pole pairs.
 const RESISTANCE_OHM: f64 = 3.25;
@@ -62,6 +59,14 @@ const SETTINGS: PaperBSettings = PaperBSettings {
     filter_share: 0.2,
     compensation: 0.05,
     tolerance: 1e-6,
+};
+
+/// Of the cases that every regulator is put through.
+const SIZES: Sizes = Sizes {
+    levels_rad_s: [90.0, 110.0],
+    half_s: 1.0,
+    start_rad_s: 150.0,
+    load_n_m: LOAD_N_M,
 };
 
 /// Paper B, computed again.
@@ -94,12 +99,6 @@ pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
     begins("back-EMF");
     let back_emf = back_emf::back_emf(&bench);
     begins("every regulator on the same cases");
-    let sizes = Sizes {
-        levels_rad_s: [90.0, 110.0],
-        half_s: 1.0,
-        start_rad_s: 150.0,
-        load_n_m: LOAD_N_M,
-    };
     PaperB {
         paper: "paper-b",
         title: "Wang Lei, Cai Jiling, Jiang Jingping, Wang Yang: optimal state feedback control of a brushless direct-current motor drive system (2006)",
@@ -110,7 +109,7 @@ pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
         noise,
         hall,
         back_emf,
-        comparison: comparison(&bench, &sizes),
+        comparison: comparison(&bench, &SIZES),
     }
 }
 
@@ -119,14 +118,13 @@ fn bench() -> Bench {
     let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
     Bench {
         name: "paper B's motor with its back-EMF, regulated inside the drive",
-        model: motor(
+        model: Model::baseline(made_of(
             "brushless motor of paper B",
             RESISTANCE_OHM,
             ke,
-            ELECTRICAL_S,
-            MECHANICAL_S,
+            [ELECTRICAL_S, MECHANICAL_S],
             FRICTION_N_M,
-        ),
+        )),
         timing: LoopTiming {
             period_s: PERIOD_S,
             delay_s: 0.0,
@@ -149,60 +147,15 @@ fn bench() -> Bench {
     }
 }
 
-/// The machine of the paper's own figures: eq. (6) to (9), the back-EMF does not feed back.
-fn paper_machine(bench: &Bench) -> TrialMachine {
-    TrialMachine {
-        back_emf_v_s_per_rad: 0.0,
-        ..bench.machine()
+/// A trial on the machine of the paper's own figures, eq. (6) to (9): the back-EMF does not feed back, so that the winding
+/// sees the whole voltage. Friction is its only load but what the course brings.
+fn on_paper<'a>(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Trial<'a> {
+    let mut trial = Trial::of(bench, reference_rad_s);
+    trial.machine.back_emf_v_s_per_rad = 0.0;
+    if let Some(limit) = &mut trial.limiter.current {
+        limit.back_emf_v_s_per_rad = 0.0;
     }
-}
-
-/// A trial of the paper's regulator on its own plant: limits that the figures do not meet, friction as its only load but
-/// what the course brings.
-fn on_paper(
-    bench: &Bench,
-    machine: &TrialMachine,
-    settings: PaperBSettings,
-    reference_rad_s: &dyn Fn(f64) -> f64,
-    load_n_m: &dyn Fn(f64) -> f64,
-    seconds: f64,
-) -> Vec<TrialPoint> {
-    let mut made = bench.paper_b(settings);
-    let sensor = &mut Direct;
-    run(
-        bench,
-        sensor,
-        machine,
-        &mut made,
-        reference_rad_s,
-        load_n_m,
-        seconds,
-    )
-}
-
-fn run(
-    bench: &Bench,
-    sensor: &mut dyn SpeedSensor,
-    machine: &TrialMachine,
-    controller: &mut dyn SpeedController,
-    reference_rad_s: &dyn Fn(f64) -> f64,
-    load_n_m: &dyn Fn(f64) -> f64,
-    seconds: f64,
-) -> Vec<TrialPoint> {
-    let course = Course {
-        reference_rad_s,
-        inertia_kg_m2: &|_| bench.inertia(),
-        load_n_m,
-    };
-    let mut limiter = bench.limiter();
-    if machine.back_emf_v_s_per_rad == 0.0 {
-        // On the paper's plant the winding sees the whole voltage.
-        if let Some(limit) = &mut limiter.current {
-            limit.back_emf_v_s_per_rad = 0.0;
-        }
-    }
-    let cycles = super::loops::cycles(seconds, PERIOD_S);
-    trial_seen_by(sensor, machine, &course, controller, &limiter, cycles, SEED)
+    trial
 }
 
 /// White noise on the input with the variance Q, as the load torque that does the same; held over each period.
@@ -219,10 +172,10 @@ fn held(
     length_s: f64,
     filter: impl FnMut(f64) -> f64,
 ) -> impl Fn(f64) -> f64 {
-    let cycles = |seconds| super::loops::cycles(seconds, PERIOD_S);
-    let draws = white(&mut random(seed, purpose), cycles(length_s) + 1);
+    let count = cycles(length_s, PERIOD_S) + 1;
+    let draws = white(&mut random(seed, purpose), count);
     let values: Vec<f64> = draws.into_iter().map(filter).collect();
-    move |t| values[cycles(t).min(values.len() - 1)]
+    move |t| values[cycles(t, PERIOD_S).min(values.len() - 1)]
 }
 
 /// The regulator without its compensation.

@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use super::{SETTINGS, SPEED_RAD_S, input_noise, paper_machine, without};
-use crate::control::{Course, TrialMachine, trial};
-use crate::workflow::reproduce::loops::{Bench, cycles, effort_v, std};
+use super::{PERIOD_S, SETTINGS, SPEED_RAD_S, input_noise, on_paper, without};
+use crate::control::PaperBSettings;
+use crate::workflow::reproduce::loops::{Bench, cycles, effort_v, mean_and_std};
 
 const LENGTH_S: f64 = 4.0;
 const SETTLED_S: f64 = 0.5;
@@ -87,50 +87,29 @@ pub(super) fn noise(bench: &Bench) -> Noise {
 fn disturbed(
     bench: &Bench,
     disturbance: Disturbance,
-    settings: crate::control::PaperBSettings,
+    settings: PaperBSettings,
     seed: u64,
 ) -> (f64, f64) {
     let has = |one: Disturbance| disturbance == one || disturbance == Disturbance::All;
-    let mut machine = TrialMachine {
-        friction_n_m: 0.0,
-        ..paper_machine(bench)
-    };
-    if !has(Disturbance::Sensor) {
-        machine.speed_noise_rad_s = 0.0;
-    }
     let input = input_noise(bench, seed, LENGTH_S);
-    let wander = wandering(seed, LENGTH_S, machine.period_s);
-    let load = |t: f64| {
-        let input = if has(Disturbance::Input) {
-            input(t)
-        } else {
-            0.0
-        };
-        let wander = if has(Disturbance::Load) {
-            wander(t)
-        } else {
-            0.0
-        };
-        input + wander
-    };
-    let course = Course {
-        reference_rad_s: &|_| SPEED_RAD_S,
-        inertia_kg_m2: &|_| bench.inertia(),
-        load_n_m: &load,
-    };
-    let length = cycles(LENGTH_S, machine.period_s);
-    let mut controller = bench.paper_b(settings);
-    let mut limiter = bench.limiter();
-    limiter.current = None;
-    let trace = trial(&machine, &course, &mut controller, &limiter, length, seed);
-    let settled = &trace[cycles(SETTLED_S, machine.period_s)..];
-    let speeds: Vec<f64> = settled.iter().map(|point| point.speed_rad_s).collect();
-    (std(&speeds).powi(2), effort_v(settled))
+    let wander = wandering(seed, LENGTH_S);
+    let part = |of, value: f64| if has(of) { value } else { 0.0 };
+    let load = |t| part(Disturbance::Input, input(t)) + part(Disturbance::Load, wander(t));
+    let mut trial = on_paper(bench, |_| SPEED_RAD_S).with_load(load);
+    trial.seed = seed;
+    trial.limiter.current = None;
+    trial.machine.friction_n_m = 0.0;
+    if !has(Disturbance::Sensor) {
+        trial.machine.speed_noise_rad_s = 0.0;
+    }
+    let trace = trial.run(&mut bench.paper_b(settings), LENGTH_S);
+    let settled = &trace[cycles(SETTLED_S, PERIOD_S)..];
+    (mean_and_std(settled).1.powi(2), effort_v(settled))
 }
 
 /// A load torque of first order, N.m, held over each period.
-fn wandering(seed: u64, length_s: f64, period_s: f64) -> impl Fn(f64) -> f64 {
-    let decay = (-period_s / WANDER_S).exp();
+fn wandering(seed: u64, length_s: f64) -> impl Fn(f64) -> f64 {
+    let decay = (-PERIOD_S / WANDER_S).exp();
     let push = WANDER_N_M * (1.0 - decay * decay).sqrt();
     let mut now = 0.0;
     super::held(seed, super::LOAD_PURPOSE, length_s, move |draw| {

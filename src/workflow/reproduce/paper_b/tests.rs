@@ -80,14 +80,7 @@ fn the_back_emf_that_the_paper_leaves_out_is_an_error_that_stays() {
 
 #[test]
 fn every_regulator_is_in_the_table_in_every_case() {
-    let bench = bench();
-    let sizes = Sizes {
-        levels_rad_s: [90.0, 110.0],
-        half_s: 1.0,
-        start_rad_s: 150.0,
-        load_n_m: LOAD_N_M,
-    };
-    let found = comparison(&bench, &sizes);
+    let found = comparison(&bench(), &SIZES);
     assert_eq!(found.rows.len(), Case::ALL.len() * Kind::ALL.len());
     let row = |kind, case| found.row(kind, case).unwrap();
     for case in [Case::Lighter, Case::Heavier] {

@@ -29,24 +29,19 @@ impl Tally {
     pub fn of_outcomes(outcomes: impl IntoIterator<Item = Outcome>) -> Self {
         let mut tally = Self::default();
         for outcome in outcomes {
-            tally.count(outcome);
+            tally.sets += 1;
+            *match outcome {
+                Outcome::Right => &mut tally.right,
+                Outcome::Twin => &mut tally.twin,
+                Outcome::Ambiguous => &mut tally.ambiguous,
+                Outcome::Partial => &mut tally.partial,
+                Outcome::NotExcited => &mut tally.not_excited,
+                Outcome::Abstained => &mut tally.abstained,
+                Outcome::Wrong => &mut tally.wrong,
+                Outcome::Failed => &mut tally.failed,
+            } += 1;
         }
         tally
-    }
-
-    fn count(&mut self, outcome: Outcome) {
-        self.sets += 1;
-        let count = match outcome {
-            Outcome::Right => &mut self.right,
-            Outcome::Twin => &mut self.twin,
-            Outcome::Ambiguous => &mut self.ambiguous,
-            Outcome::Partial => &mut self.partial,
-            Outcome::NotExcited => &mut self.not_excited,
-            Outcome::Abstained => &mut self.abstained,
-            Outcome::Wrong => &mut self.wrong,
-            Outcome::Failed => &mut self.failed,
-        };
-        *count += 1;
     }
 
     pub fn wrong_share(self) -> Bounded {
@@ -69,19 +64,13 @@ impl Bounded {
         let beta = |a: usize, b: usize, p: f64| {
             Beta::new(a as f64, b as f64).map_or(f64::NAN, |beta| 100.0 * beta.inverse_cdf(p))
         };
+        let lower = |count: usize| beta(count, of + 1 - count, 0.05);
+        let upper = |count: usize| beta(count + 1, of - count, 0.95);
         Self {
             count,
             of,
-            lower_percent: if count == 0 {
-                0.0
-            } else {
-                beta(count, of + 1 - count, 0.05)
-            },
-            upper_percent: if count >= of {
-                100.0
-            } else {
-                beta(count + 1, of - count, 0.95)
-            },
+            lower_percent: if count == 0 { 0.0 } else { lower(count) },
+            upper_percent: if count >= of { 100.0 } else { upper(count) },
         }
     }
 }
@@ -127,22 +116,16 @@ pub struct Matrix {
 
 /// Of the single effects, of nothing, and of what is in no catalogue.
 pub fn matrix(answers: &[Answer]) -> Matrix {
-    let counted: Vec<&Answer> = answers
-        .iter()
-        .filter(|a| matches!(a.group, Group::Single | Group::Null | Group::Unknown))
-        .collect();
+    let counts = |a: &&Answer| matches!(a.group, Group::Single | Group::Null | Group::Unknown);
+    let counted: Vec<&Answer> = answers.iter().filter(counts).collect();
     let rows = distinct(counted.iter().map(|answer| answer.class.clone()));
     let columns = distinct(known().chain(counted.iter().map(|answer| answer.column())));
     let count = |row: &String, column: &str| {
-        counted
-            .iter()
-            .filter(|answer| answer.class == *row && answer.column() == column)
-            .count()
+        let is = |answer: &&&Answer| answer.class == *row && answer.column() == column;
+        counted.iter().filter(is).count()
     };
-    let counts = rows
-        .iter()
-        .map(|row| columns.iter().map(|column| count(row, column)).collect())
-        .collect();
+    let of_row = |row| columns.iter().map(|column| count(row, column)).collect();
+    let counts = rows.iter().map(of_row).collect();
     Matrix {
         rows,
         columns,
@@ -170,13 +153,9 @@ mod tests {
         // The upper bound is the share at which 3 or fewer of 20 come in 5 % of cases.
         let share = Bounded::new(3, 20).upper_percent / 100.0;
         let choose = [1.0, 20.0, 190.0, 1140.0];
-        let sum: f64 = choose
-            .iter()
-            .enumerate()
-            .map(|(k, ways)| {
-                let k = i32::try_from(k).unwrap();
-                ways * share.powi(k) * (1.0 - share).powi(20 - k)
-            })
+        let ways = (0..).zip(choose);
+        let sum: f64 = ways
+            .map(|(k, ways)| ways * share.powi(k) * (1.0 - share).powi(20 - k))
             .sum();
         assert!((sum - 0.05).abs() < 1e-6, "{sum}");
     }

@@ -31,7 +31,7 @@ fn key<S: serde::Serializer>(parameter: &MotorKey, serializer: S) -> Result<S::O
 }
 
 /// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL_SIGMAS: f64 = 1.96;
+pub(super) const INTERVAL_SIGMAS: f64 = 1.96;
 
 impl ParameterFinding {
     /// By how many of its standard deviations the value is off.
@@ -97,21 +97,16 @@ pub fn coverage_of(found: &[&ParameterFinding]) -> Vec<Coverage> {
             .copied()
             .filter(|own| own.parameter == parameter)
             .partition(|own| own.verdict == Verdict::Settled && own.std > 0.0);
-        let hold = settled
-            .iter()
-            .filter(|own| own.sigmas().abs() <= INTERVAL_SIGMAS);
+        let holds = |own: &&&ParameterFinding| own.sigmas().abs() <= INTERVAL_SIGMAS;
         let squares: f64 = settled.iter().map(|own| own.sigmas().powi(2)).sum();
         let is_some = !settled.is_empty();
         let share = |of: fn(&ParameterFinding) -> f64| {
-            let shares: Vec<f64> = settled
-                .iter()
-                .map(|own| 100.0 * of(own) / own.truth)
-                .collect();
-            is_some.then(|| median(&shares))
+            let shares = settled.iter().map(|own| 100.0 * of(own) / own.truth);
+            is_some.then(|| median(&shares.collect::<Vec<_>>()))
         };
         Coverage {
             parameter,
-            hold: Bounded::new(hold.count(), settled.len()),
+            hold: Bounded::new(settled.iter().filter(holds).count(), settled.len()),
             not_settled: open.len(),
             spread: is_some.then(|| (squares / settled.len() as f64).sqrt()),
             error_percent: share(|own| (own.value - own.truth).abs()),
@@ -130,26 +125,23 @@ mod tests {
 
     #[test]
     fn only_settled_values_count_and_each_by_its_own_interval() {
-        let found = |value: f64, verdict: Verdict| {
-            let own = ParameterFinding {
-                parameter: MotorKey::Inertia,
-                truth: 2.0,
-                value,
-                std: 0.1,
-                verdict,
-            };
-            Answer {
-                parameters: vec![own],
-                ..answer(Group::Single, DiagnosisVerdict::Effect, vec![])
-            }
+        let found = |value: f64, verdict: Verdict| ParameterFinding {
+            parameter: MotorKey::Inertia,
+            truth: 2.0,
+            value,
+            std: 0.1,
+            verdict,
         };
         // 1 and 3 standard deviations off, and 50 that nobody relies on.
-        let answers = [
-            found(2.1, Verdict::Settled),
-            found(1.7, Verdict::Settled),
-            found(7.0, Verdict::Searching),
-        ];
-        let all = coverage(&answers.iter().collect::<Vec<_>>());
+        let answer = Answer {
+            parameters: vec![
+                found(2.1, Verdict::Settled),
+                found(1.7, Verdict::Settled),
+                found(7.0, Verdict::Searching),
+            ],
+            ..answer(Group::Single, DiagnosisVerdict::Effect, vec![])
+        };
+        let all = coverage(&[&answer]);
         let own = all.iter().find(|own| own.parameter == MotorKey::Inertia);
         let own = own.unwrap();
         assert_eq!((own.hold.count, own.hold.of, own.not_settled), (1, 2, 1));

@@ -2,17 +2,11 @@
 
 use serde::Serialize;
 
+use super::judge::twin_of;
+use super::parameters::INTERVAL_SIGMAS;
 use super::truth::Truth;
 use crate::diagnosis::{Candidate, Diagnosis, Status};
 use crate::sample::ParameterEstimate;
-
-/// Names whose effects are the same but for a little: the delay and the filter of one signal, drag and fan.
-const TWINS: [[&str; 2]; 2] = [
-    ["speed_delay", "speed_filter"],
-    ["viscous_friction", "quadratic_load"],
-];
-/// Standard deviations on either side of an amplitude: its 95 % interval.
-const INTERVAL: f64 = 1.96;
 
 /// One effect of the catalogue in one set.
 #[derive(Clone, Debug, Serialize)]
@@ -97,10 +91,8 @@ pub(super) fn findings(
     orders: &[(&'static str, f64)],
     diagnosis: &Diagnosis,
 ) -> Vec<Finding> {
-    let candidates = diagnosis.candidates.iter();
-    candidates
-        .map(|candidate| Finding::of(candidate, truths, orders, diagnosis))
-        .collect()
+    let of = |candidate| Finding::of(candidate, truths, orders, diagnosis);
+    diagnosis.candidates.iter().map(of).collect()
 }
 
 impl Finding {
@@ -170,14 +162,6 @@ impl Truth {
     }
 }
 
-pub(super) fn twin_of(id: &str) -> Option<&'static str> {
-    TWINS.iter().find_map(|[a, b]| match id {
-        id if id == *a => Some(*b),
-        id if id == *b => Some(*a),
-        _ => None,
-    })
-}
-
 /// Of one kind the sum, of waves of several orders the largest.
 fn true_size(truths: &[&Truth], id: &str) -> Option<f64> {
     let mut sizes = truths.iter().map(|truth| {
@@ -209,6 +193,6 @@ fn estimate(parameters: &[ParameterEstimate]) -> (Option<f64>, Option<[f64; 2]>)
     let size = sine.hypot(cosine);
     let half = (first.std.zip(second.std))
         .map(|(of_sine, of_cosine)| (sine * of_sine).hypot(cosine * of_cosine) / size)
-        .map(|std| INTERVAL * std);
+        .map(|std| INTERVAL_SIGMAS * std);
     (Some(size), half.map(|half| [size - half, size + half]))
 }

@@ -122,8 +122,7 @@ impl Calibration {
             ),
             absent_ruled_out: share(&|finding| excited(finding).then(|| ruled_out(finding))),
             bound_over_detectable: median_of(
-                all.iter()
-                    .filter(|f| excited(f) && ruled_out(f))
+                (all.iter().filter(|f| excited(f) && ruled_out(f)))
                     .filter_map(|finding| Some(finding.upper_bound? / finding.detectable?)),
             ),
             bounds_hold: share(&Finding::bound_holds),
@@ -220,7 +219,7 @@ fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
 #[cfg(test)]
 pub(in crate::workflow::reproduce) mod by_hand {
     use super::*;
-    use crate::workflow::reproduce::discovery::Outcome;
+    use crate::workflow::reproduce::study::{Case, Excitation, Outcome};
 
     /// An effect that is absent and ruled out, at most 2, where 4 would have shown.
     pub(in crate::workflow::reproduce) fn absent(effect: &'static str, p: f64) -> Finding {
@@ -254,32 +253,47 @@ pub(in crate::workflow::reproduce) mod by_hand {
         }
     }
 
+    /// The same, but not named.
+    pub(in crate::workflow::reproduce) fn missed(effect: &'static str, p: f64) -> Finding {
+        let change = |own: &mut Finding| {
+            (own.named, own.size, own.interval_95) = (false, None, None);
+        };
+        named(effect, p).with(change)
+    }
+
+    impl Finding {
+        pub(in crate::workflow::reproduce) fn with(mut self, change: impl Fn(&mut Self)) -> Self {
+            change(&mut self);
+            self
+        }
+    }
+
     pub(in crate::workflow::reproduce) fn answer(
         group: Group,
         verdict: DiagnosisVerdict,
         findings: Vec<Finding>,
     ) -> Answer {
-        Answer {
+        let case = Case {
             group,
-            excitation: "rich",
-            class: "cogging".to_owned(),
+            excitation: Excitation::Rich,
+            hidden: vec!["cogging"],
+            right: vec![],
             seed: 1,
+            seconds: 12.0,
+        };
+        Answer {
             outcome: Outcome::Right,
             verdict: Some(verdict),
-            effects: vec![],
             sufficient: true,
-            holdout_before: None,
-            holdout_after: None,
-            sentence: String::new(),
             findings,
-            parameters: vec![],
+            ..Answer::failed(&case, String::new())
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::by_hand::{absent, answer, named};
+    use super::by_hand::{absent, answer, missed, named};
     use super::*;
 
     fn of(findings: Vec<Finding>) -> Calibration {
@@ -311,51 +325,24 @@ mod tests {
 
     #[test]
     fn what_is_there_and_unnamed_is_counted_by_what_was_said_of_it() {
-        let missed = |p: f64| Finding {
-            named: false,
-            size: None,
-            interval_95: None,
-            ..named("cogging", p)
+        let missed = |p: f64, upper_bound, detectable| {
+            missed("cogging", p).with(|own| {
+                (own.upper_bound, own.detectable) = (upper_bound, detectable);
+            })
         };
+        let shows = Some(4.0);
         let all = of(vec![
             // 10 is there: at most 2, 4 would have shown.
-            missed(0.01),
+            missed(0.01, Some(2.0), shows),
             // At most 9 is too little, and no more than an estimate may miss.
-            Finding {
-                upper_bound: Some(9.0),
-                detectable: None,
-                ..missed(0.05)
-            },
-            Finding {
-                upper_bound: Some(12.0),
-                detectable: Some(15.0),
-                ..missed(0.3)
-            },
-            Finding {
-                twin: true,
-                upper_bound: None,
-                ..missed(0.4)
-            },
-            Finding {
-                left_open: true,
-                upper_bound: None,
-                ..missed(0.4)
-            },
-            Finding {
-                status: Status::NotExcited,
-                upper_bound: None,
-                detectable: None,
-                ..missed(0.1)
-            },
+            missed(0.05, Some(9.0), None),
+            missed(0.3, Some(12.0), Some(15.0)),
+            missed(0.4, None, shows).with(|own| own.twin = true),
+            missed(0.4, None, shows).with(|own| own.left_open = true),
+            missed(0.1, None, None).with(|own| own.status = Status::NotExcited),
             // Named under the other right name: nothing was missed.
-            Finding {
-                other_name: Some("viscous_friction"),
-                ..missed(0.01)
-            },
-            Finding {
-                of_other_order: true,
-                ..named("cogging", 0.99)
-            },
+            missed(0.01, Some(2.0), shows).with(|own| own.other_name = Some("viscous_friction")),
+            named("cogging", 0.99).with(|own| own.of_other_order = true),
             named("eccentric_load", 0.99),
         ]);
         assert_eq!(counts(all.recalled), (2, 9));
@@ -380,21 +367,11 @@ mod tests {
 
     #[test]
     fn names_of_what_is_not_there_are_false_and_twins_among_them_counted() {
-        let falsely = Finding {
-            named: true,
-            ..absent("quadratic_load", 0.8)
-        };
+        let falsely = || absent("quadratic_load", 0.8).with(|own| own.named = true);
         let all = of(vec![
-            falsely.clone(),
-            Finding {
-                twin: true,
-                ..falsely.clone()
-            },
-            Finding {
-                twin: true,
-                left_open: true,
-                ..falsely
-            },
+            falsely(),
+            falsely().with(|own| own.twin = true),
+            falsely().with(|own| (own.twin, own.left_open) = (true, true)),
             named("viscous_friction", 0.95),
         ]);
         assert_eq!(counts(all.false_names), (3, 4));
@@ -406,19 +383,10 @@ mod tests {
         let all = of(vec![
             absent("backlash", 0.01),
             absent("supply_sag", 0.2),
-            Finding {
-                status: Status::NotExcited,
-                ..absent("load_step", 0.1)
-            },
+            absent("load_step", 0.1).with(|own| own.status = Status::NotExcited),
             named("cogging", 0.99),
-            Finding {
-                interval_95: Some([10.5, 11.5]),
-                ..named("eccentric_load", 0.99)
-            },
-            Finding {
-                true_size: None,
-                ..named("elastic_coupling", 0.99)
-            },
+            named("eccentric_load", 0.99).with(|own| own.interval_95 = Some([10.5, 11.5])),
+            named("elastic_coupling", 0.99).with(|own| own.true_size = None),
         ]);
         assert_eq!(counts(all.absent_ruled_out), (1, 2));
         assert!((all.bound_over_detectable.unwrap() - 0.5).abs() < 1e-12);
@@ -428,23 +396,17 @@ mod tests {
 
     #[test]
     fn sizes_are_those_of_right_names_by_effect_with_their_sign() {
-        let smaller = Finding {
-            size: Some(8.0),
-            interval_95: Some([7.0, 9.0]),
-            ..named("cogging", 0.99)
+        let smaller = || {
+            named("cogging", 0.99).with(|own| {
+                (own.size, own.interval_95) = (Some(8.0), Some([7.0, 9.0]));
+            })
         };
+        let answer = |group, findings| answer(group, DiagnosisVerdict::Effect, findings);
+        let both = vec![named("cogging", 1.0), absent("backlash", 0.0)];
         let answers = [
-            answer(
-                Group::Single,
-                DiagnosisVerdict::Effect,
-                vec![named("cogging", 1.0), absent("backlash", 0.0)],
-            ),
-            answer(
-                Group::Harsh,
-                DiagnosisVerdict::Effect,
-                vec![smaller.clone()],
-            ),
-            answer(Group::Harsh, DiagnosisVerdict::Effect, vec![smaller]),
+            answer(Group::Single, both),
+            answer(Group::Harsh, vec![smaller()]),
+            answer(Group::Harsh, vec![smaller()]),
         ];
         let [only] = &sizes(&answers)[..] else {
             panic!("backlash has no size");
@@ -458,23 +420,20 @@ mod tests {
 
     #[test]
     fn a_verdict_is_false_only_where_it_could_be_otherwise() {
-        let hidden = || Finding {
-            named: false,
-            ..named("cogging", 0.05)
-        };
-        let unseen = Finding {
-            status: Status::NotExcited,
-            ..hidden()
-        };
+        let hidden = || vec![named("cogging", 0.05).with(|own| own.named = false)];
+        let unseen = named("cogging", 0.05).with(|own| {
+            (own.named, own.status) = (false, Status::NotExcited);
+        });
+        let absent = || vec![absent("cogging", 0.0)];
         let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
         let all = Calibration::of(&[
-            answer(Group::Single, none, vec![hidden()]),
+            answer(Group::Single, none, hidden()),
             answer(Group::Single, none, vec![unseen]),
-            answer(Group::Null, none, vec![absent("cogging", 0.0)]),
-            answer(Group::Unknown, none, vec![absent("cogging", 0.0)]),
-            answer(Group::Unknown, unexplained, vec![absent("cogging", 0.0)]),
-            answer(Group::Harsh, unexplained, vec![hidden()]),
-            answer(Group::Pair, unexplained, vec![hidden()]),
+            answer(Group::Null, none, absent()),
+            answer(Group::Unknown, none, absent()),
+            answer(Group::Unknown, unexplained, absent()),
+            answer(Group::Harsh, unexplained, hidden()),
+            answer(Group::Pair, unexplained, hidden()),
         ]);
         // The first and the unknown, of those with something to be seen; the pair, of those that the catalogue explains.
         assert_eq!(counts(all.false_none), (2, 5));

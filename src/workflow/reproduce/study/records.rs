@@ -57,10 +57,9 @@ pub struct RecordAnswer {
 
 /// Every record whose file is in `folder`.
 pub fn records(folder: &Path) -> Vec<RecordAnswer> {
-    let at_hand = RECORDS
-        .iter()
-        .filter(|record| folder.join(record.file).is_file());
-    at_hand.map(|record| answer(record, folder)).collect()
+    let at_hand = |record: &&Record| folder.join(record.file).is_file();
+    let records = RECORDS.iter().filter(at_hand);
+    records.map(|record| answer(record, folder)).collect()
 }
 
 /// The files that are looked for.
@@ -69,20 +68,23 @@ pub fn files() -> impl Iterator<Item = &'static str> {
 }
 
 fn answer(record: &Record, folder: &Path) -> RecordAnswer {
-    let found = diagnosis(record, folder);
-    let error = |of: fn(&Diagnosis) -> f64| found.as_ref().ok().map(of);
-    RecordAnswer {
+    let empty = RecordAnswer {
         machine: record.machine,
         source: record.source,
         file: record.file,
-        effects: found
-            .as_ref()
-            .map_or_else(|_| Vec::new(), |own| own.effects.clone()),
-        holdout_before: error(|own| own.holdout_before),
-        holdout_after: error(|own| own.holdout_after),
-        sentence: match &found {
-            Ok(own) => own.sentence.clone(),
-            Err(reason) => reason.clone(),
+        sentence: String::new(),
+        effects: Vec::new(),
+        holdout_before: None,
+        holdout_after: None,
+    };
+    match diagnosis(record, folder) {
+        Err(sentence) => RecordAnswer { sentence, ..empty },
+        Ok(found) => RecordAnswer {
+            sentence: found.sentence,
+            effects: found.effects,
+            holdout_before: Some(found.holdout_before),
+            holdout_after: Some(found.holdout_after),
+            ..empty
         },
     }
 }
@@ -123,13 +125,10 @@ mod tests {
         let file = folder.path().join(RECORDS[0].file);
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(&file, "t_s,qm_m\n0,0\n").unwrap();
-        let found = records(folder.path());
-        assert_eq!(found.len(), 1);
-        assert!(found[0].effects.is_empty() && found[0].holdout_after.is_none());
-        assert!(
-            found[0].sentence.contains("force_N"),
-            "{}",
-            found[0].sentence
-        );
+        let [found] = &records(folder.path())[..] else {
+            panic!("one record is at hand");
+        };
+        assert!(found.effects.is_empty() && found.holdout_after.is_none());
+        assert!(found.sentence.contains("force_N"), "{}", found.sentence);
     }
 }

@@ -151,58 +151,55 @@ pub(super) fn all(size: Size) -> Vec<Case> {
     if size.reduced {
         return reduced(size);
     }
+    let each = |ids: Vec<&'static str>| ids.into_iter().map(|id| vec![id]).collect::<Vec<_>>();
+    let known = each(KNOWN.iter().map(|(id, _)| *id).collect());
+    let unknown = each(UNKNOWN.iter().map(|(id, _)| *id).collect());
+    let other_shapes = each(WRONG_FORM.iter().map(|(id, ..)| *id).collect());
+    let pairs: Vec<_> = PAIRS.iter().map(|pair| pair.to_vec()).collect();
+    let nothing = [vec![]];
     let mut cases = Vec::new();
-    let mut add = |group, excitation, hidden: &[&'static str], sets: u64| {
-        cases.extend((0..sets).map(|set| Case::new(group, excitation, hidden, set, size)));
+    let mut add = |group, excitations: &[Excitation], hidden: &[Vec<&'static str>], sets: u64| {
+        for excitation in excitations {
+            for hidden in hidden {
+                let case = |set| Case::new(group, *excitation, hidden, set, size);
+                cases.extend((0..sets).map(case));
+            }
+        }
     };
-    for excitation in Excitation::ALL {
-        for (id, _) in KNOWN {
-            add(Group::Single, excitation, &[id], size.sets);
-        }
-    }
-    for excitation in Excitation::ALL {
-        add(Group::Null, excitation, &[], NULLS_PER_SET * size.sets);
-    }
-    for excitation in Excitation::ALL {
-        for (id, _) in UNKNOWN {
-            add(Group::Unknown, excitation, &[id], size.sets);
-        }
-    }
-    for excitation in Excitation::ALL {
-        for (id, ..) in WRONG_FORM {
-            add(Group::WrongForm, excitation, &[id], size.sets);
-        }
-    }
-    for excitation in [Excitation::Rich, Excitation::Steps] {
-        for pair in PAIRS {
-            add(Group::Pair, excitation, pair, size.sets);
-        }
-    }
+    let (sets, nulls) = (size.sets, NULLS_PER_SET * size.sets);
+    add(Group::Single, &Excitation::ALL, &known, sets);
+    add(Group::Null, &Excitation::ALL, &nothing, nulls);
+    add(Group::Unknown, &Excitation::ALL, &unknown, sets);
+    add(Group::WrongForm, &Excitation::ALL, &other_shapes, sets);
+    add(
+        Group::Pair,
+        &[Excitation::Rich, Excitation::Steps],
+        &pairs,
+        sets,
+    );
     for level in BACKGROUND_LEVELS {
-        for (id, _) in KNOWN {
-            add(
-                Group::Background { level },
-                Excitation::Rich,
-                &[id],
-                size.sets,
-            );
-        }
+        add(
+            Group::Background { level },
+            &[Excitation::Rich],
+            &known,
+            sets,
+        );
     }
     for excitation in HARD {
         for group in [Group::Harsh, Group::Noisy, Group::Lossy] {
-            for (id, _) in KNOWN {
-                add(group, excitation, &[id], size.sets);
-            }
+            add(group, &[excitation], &known, sets);
         }
-        add(Group::Small, excitation, &[], SMALL_PER_SET * size.sets);
-        add(Group::Lossy, excitation, &[], NULLS_PER_SET * size.sets);
+        add(Group::Small, &[excitation], &nothing, SMALL_PER_SET * sets);
+        add(Group::Lossy, &[excitation], &nothing, nulls);
     }
     cases
 }
 
 /// Ten sets: five effects, four nulls, one pair.
 fn reduced(size: Size) -> Vec<Case> {
-    let rich = Excitation::Rich100Hz;
+    let case = |group, hidden: &[&'static str], set| {
+        Case::new(group, Excitation::Rich100Hz, hidden, set, size)
+    };
     let single = [
         "viscous_friction",
         "quadratic_load",
@@ -210,11 +207,8 @@ fn reduced(size: Size) -> Vec<Case> {
         "voltage_drop",
         "winding_heating",
     ];
-    let mut cases: Vec<Case> = single
-        .iter()
-        .map(|id| Case::new(Group::Single, rich, &[id], 0, size))
-        .collect();
-    cases.extend((0..4).map(|set| Case::new(Group::Null, rich, &[], set, size)));
-    cases.push(Case::new(Group::Pair, rich, &PAIRS[0], 0, size));
+    let mut cases: Vec<Case> = single.map(|id| case(Group::Single, &[id], 0)).into();
+    cases.extend((0..4).map(|set| case(Group::Null, &[], set)));
+    cases.push(case(Group::Pair, &PAIRS[0], 0));
     cases
 }

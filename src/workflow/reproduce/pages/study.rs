@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use super::{calibration, number, or_dash};
 use crate::report::reproduce::{Column, Reproduction, Section};
 use crate::text::number::{fixed, significant};
-use crate::workflow::reproduce::discovery::{
-    Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,
-    ParameterFinding, Tally, coverage_of, distinct, median_errors,
-};
 use crate::workflow::reproduce::lines::LineStudy;
+use crate::workflow::reproduce::study::{
+    Answer, Bounded, Excitation, Group, Matrix, MysteryAnswer, Outcome, ParameterFinding, Study,
+    Tally, coverage_of, distinct, median_errors,
+};
 
 /// Heads of the columns of the matrix: numbers, which a row's label explains.
 const NUMBERS: [&str; 40] = [
@@ -18,7 +18,7 @@ const NUMBERS: [&str; 40] = [
     "34", "35", "36", "37", "38", "39", "40",
 ];
 
-impl Discovery {
+impl Study {
     /// The page, which as Markdown is `docs/validation.md`.
     pub fn report(&self) -> Reproduction {
         Reproduction {
@@ -110,11 +110,8 @@ impl Discovery {
         });
         let section = Section::new("One hidden effect, by excitation").say(OUTCOMES);
         let described = |section: Section, excitation: &Excitation| {
-            section.say(format!(
-                "{}: {}.",
-                excitation.name(),
-                excitation.description()
-            ))
+            let (name, description) = (excitation.name(), excitation.description());
+            section.say(format!("{name}: {description}."))
         };
         Excitation::ALL.iter().fold(section, described).table(
             "excitations",
@@ -169,14 +166,9 @@ impl Discovery {
             Group::Null => answer.excitation.to_owned(),
             _ => answer.class.clone(),
         };
-        let classes = distinct(answers.iter().map(|answer| class(answer))).into_iter();
-        let rows = classes.map(|of| {
-            let of_class = self.of(|a| {
-                a.group == group && (a.class == of || (group == Group::Null && a.excitation == of))
-            });
-            tallied(of, &of_class)
-        });
-        let mut rows: Vec<Tallied> = rows.collect();
+        let rows = distinct(answers.iter().map(|answer| class(answer))).into_iter();
+        let of_class = |of| self.of(|a| a.group == group && class(a) == of);
+        let mut rows: Vec<Tallied> = rows.map(|of| tallied(&of, &of_class(&of))).collect();
         if rows.len() > 1 {
             rows.push(tallied("all", &answers));
         }
@@ -186,15 +178,11 @@ impl Discovery {
     fn background(&self) -> Section {
         let rich = Excitation::Rich.name();
         let mut rows = vec![tallied("0", &self.single(|a| a.excitation == rich))];
-        let mut levels: Vec<f64> = Vec::new();
-        for answer in &self.answers {
-            if let Group::Background { level } = answer.group
-                && levels.last() != Some(&level)
-            {
-                levels.push(level);
-            }
-        }
-        rows.extend(levels.into_iter().map(|level| {
+        let levels = self.answers.iter().filter_map(|answer| match answer.group {
+            Group::Background { level } => Some(level),
+            _ => None,
+        });
+        rows.extend(distinct(levels).into_iter().map(|level| {
             let answers = self.of(|a| a.group == Group::Background { level });
             tallied(level.to_string(), &answers)
         }));
@@ -372,11 +360,8 @@ pub(super) fn none_as_dot(count: usize) -> String {
 }
 
 fn percent(count: usize, of: usize) -> String {
-    if of == 0 {
-        "-".to_owned()
-    } else {
-        fixed(100.0 * count as f64 / of as f64, 0)
-    }
+    let share = 100.0 * count as f64 / of as f64;
+    or_dash((of > 0).then_some(share), |share| fixed(share, 0))
 }
 
 fn at_most(share: Bounded) -> String {
@@ -422,16 +407,12 @@ fn mysteries_in_short(answers: &[MysteryAnswer]) -> Option<String> {
 fn mysteries(answers: &[MysteryAnswer]) -> Section {
     let named = answers.iter().filter(|answer| !answer.effects.is_empty());
     let errors = named.filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
-    let counts = (
-        "all".to_owned(),
-        Tally::of_outcomes(answers.iter().map(|answer| answer.outcome)),
-        median_errors(errors),
-    );
+    let tally = Tally::of_outcomes(answers.iter().map(|answer| answer.outcome));
+    let counts = ("all".to_owned(), tally, median_errors(errors));
     let parameters = answers.iter().flat_map(|answer| &answer.parameters);
     let parameters: Vec<&ParameterFinding> = parameters.collect();
-    let others = answers
-        .iter()
-        .filter(|answer| answer.outcome != Outcome::Right);
+    let is_other = |answer: &&MysteryAnswer| answer.outcome != Outcome::Right;
+    let others = answers.iter().filter(is_other);
     let section = Section::new("Mystery drives, through the whole program")
         .say(HOW)
         .table(

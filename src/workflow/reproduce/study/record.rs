@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use thiserror::Error;
 
-use super::sizes::{self};
+use super::sizes;
 use super::truth::{Truth, truths};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
@@ -27,8 +27,8 @@ const SPEED_STEP_RAD_S: f64 = 0.104_72;
 const CURRENT_NOISE_A: f64 = 0.03;
 const CURRENT_STEP_A: f64 = 0.01;
 /// So much noisier are the sensors where they are bad, and so much smaller the hidden effect on a harsh background.
-const BAD_SENSORS: f64 = 3.0;
-const HARSH_SIZE: f64 = 0.5;
+const BAD_SENSORS_RATIO: f64 = 3.0;
+const HARSH_SIZE_RATIO: f64 = 0.5;
 /// Share of the rows that a bad line loses at random, and how long it is away altogether.
 const LOST_SHARE: f64 = 0.1;
 const AWAY_S: f64 = 0.4;
@@ -133,10 +133,8 @@ impl Excitation {
             }
             Self::Ramp => {
                 let sign = if rng.random() { 1.0 } else { -1.0 };
-                let (first_v, second_v) = (
-                    sign * rng.random_range(0.8 * FULL_V..FULL_V),
-                    -sign * rng.random_range(0.8 * FULL_V..FULL_V),
-                );
+                let mut level = |sign: f64| sign * rng.random_range(0.8 * FULL_V..FULL_V);
+                let (first_v, second_v) = (level(sign), level(-sign));
                 let quarter_s = 0.25 * (seconds - STANDSTILL_S);
                 let ramp = |from_v, to_v, seconds| {
                     Segment::Ramp(Ramp {
@@ -218,7 +216,7 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.limits.speed_limit_rad_s = 1000.0;
     config.limits.winding_limit_c = 1000.0;
     let noise = match case.group {
-        Group::Harsh | Group::Noisy => BAD_SENSORS,
+        Group::Harsh | Group::Noisy => BAD_SENSORS_RATIO,
         _ => 1.0,
     };
     config.noise.current_a = noise * CURRENT_NOISE_A;
@@ -226,11 +224,8 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.quantisation.current_a = CURRENT_STEP_A;
     config.quantisation.speed_rad_s = SPEED_STEP_RAD_S;
     config.hidden.clear();
-    let share = if case.group == Group::Harsh {
-        HARSH_SIZE
-    } else {
-        1.0
-    };
+    let is_harsh = case.group == Group::Harsh;
+    let share = if is_harsh { HARSH_SIZE_RATIO } else { 1.0 };
     for id in &case.hidden {
         config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
     }
@@ -266,7 +261,7 @@ fn exchanged(
     loop {
         let due_s = seq as f64 * period_s;
         if due_s > program.duration_s() {
-            break;
+            return Ok(rows);
         }
         let time_s = due_s + late_s * rng.random::<f64>();
         clock.set_time_s(time_s);
@@ -275,16 +270,13 @@ fn exchanged(
             Output::Coast => 0.0,
         };
         seq += 1;
-        let sample = link.exchange(Command {
-            seq,
-            demand: Demand::Voltage(volts),
-        })?;
+        let demand = Demand::Voltage(volts);
+        let sample = link.exchange(Command { seq, demand })?;
         if sample.fault.is_some() {
             return Err(StudyError::Tripped { time_s });
         }
         rows.push((volts, sample));
     }
-    Ok(rows)
 }
 
 /// Takes out what a bad line did not bring: single rows, and all rows of one stretch after the standstill. The drive had
@@ -301,17 +293,14 @@ fn lose(rows: &mut Vec<Row>, rng: &mut ChaCha8Rng) {
 
 /// The rows as a recorder would have written them: the command at the drive time at which it was applied, and the sample.
 fn recorded(name: &str, rows: &[Row]) -> Result<Scenario, StudyError> {
-    let column = |channel: Channel| -> Vec<f64> {
-        rows.iter()
-            .map(|(_, sample)| sample.get(channel).unwrap_or(f64::NAN))
-            .collect()
-    };
     let mut run = Run::new(name, rows.iter().map(|(_, sample)| sample.time_s).collect())?;
     // Without latency a command is applied at the instant of its own sample.
     let commands = rows.iter().map(|(volts, _)| *volts).collect();
     run.set_column(Channel::VoltageCmd, commands, Origin::Commanded)?;
     for channel in [Channel::Current, Channel::Speed, Channel::Angle] {
-        run.set_column(channel, column(channel), Origin::Measured)?;
+        let cells = rows.iter().map(|(_, sample)| sample.get(channel));
+        let cells = cells.map(|cell| cell.unwrap_or(f64::NAN)).collect();
+        run.set_column(channel, cells, Origin::Measured)?;
     }
     Ok(Scenario::from_run(&run)?)
 }

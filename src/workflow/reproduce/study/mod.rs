@@ -63,7 +63,7 @@ impl Size {
 
 /// The study.
 #[derive(Clone, Debug, Serialize)]
-pub struct Discovery {
+pub struct Study {
     pub study: &'static str,
     pub seed: u64,
     pub sets_in_each_cell: u64,
@@ -94,11 +94,11 @@ pub struct GroupCount {
 
 /// Runs the study on all cores; `after` hears of each set when it is done, in no order. `None` where it was
 /// interrupted: a part of a study would not be the study.
-pub fn discovery(
+pub fn run(
     size: Size,
     interrupted: &AtomicBool,
     after: impl Fn(usize, usize, &Answer) + Sync,
-) -> Option<Discovery> {
+) -> Option<Study> {
     let cases = cases::all(size);
     let done = AtomicUsize::new(0);
     let answers: Vec<Option<Answer>> = cases
@@ -114,7 +114,7 @@ pub fn discovery(
         })
         .collect();
     let answers: Vec<Answer> = answers.into_iter().collect::<Option<_>>()?;
-    Some(Discovery {
+    Some(Study {
         study: "discovery",
         seed: size.seed,
         sets_in_each_cell: size.sets,

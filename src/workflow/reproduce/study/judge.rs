@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::finding::{Finding, findings, twin_of};
+use super::finding::{Finding, findings};
 use super::parameters::{self, ParameterFinding};
 use super::sizes::{self, BACKGROUND};
 use super::truth::Truth;
@@ -11,9 +11,25 @@ use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
 use crate::emulator::truth::MotorTruth;
 use crate::plant::{Model, Slot};
 
-/// Two names for what is the same to first order, and in most runs to the noise: either is told apart only by a quick
-/// dither (DISCOVERY.md 2.11).
-const TWINS: [[&str; 2]; 1] = [["speed_delay", "speed_filter"]];
+/// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first
+/// order and told apart only by a quick dither, and drag and fan.
+const TWINS: [[&str; 2]; 2] = [
+    ["speed_delay", "speed_filter"],
+    ["viscous_friction", "quadratic_load"],
+];
+
+pub(super) fn twin_of(id: &str) -> Option<&'static str> {
+    let pairs = TWINS.into_iter().flat_map(|[a, b]| [(a, b), (b, a)]);
+    pairs
+        .filter(|(one, _)| *one == id)
+        .map(|(_, other)| other)
+        .next()
+}
+
+/// Whether these are two names for what is the same to first order.
+pub(super) fn are_twins(a: &str, b: &str) -> bool {
+    a != b && TWINS[0].contains(&a) && TWINS[0].contains(&b)
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -133,9 +149,7 @@ impl<'a> Said<'a> {
             verdict: diagnosis.verdict,
             effects: &diagnosis.effects,
             pool: diagnosis.effects.iter().copied().chain(rivals).collect(),
-            not_excited: diagnosis
-                .candidates
-                .iter()
+            not_excited: (diagnosis.candidates.iter())
                 .filter(|candidate| candidate.status == Status::NotExcited)
                 .map(|candidate| candidate.effect)
                 .collect(),
@@ -233,11 +247,6 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
     }
 }
 
-/// Whether these are two names for what is the same to first order.
-pub(super) fn are_twins(a: &str, b: &str) -> bool {
-    a != b && (TWINS.iter()).any(|twins| twins.contains(&a) && twins.contains(&b))
-}
-
 /// Classes in the order of the tables.
 pub(super) fn known() -> impl Iterator<Item = &'static str> {
     sizes::KNOWN.iter().map(|(id, _)| *id)
@@ -246,7 +255,7 @@ pub(super) fn known() -> impl Iterator<Item = &'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::workflow::reproduce::discovery::Excitation;
+    use crate::workflow::reproduce::study::Excitation;
 
     fn case(group: Group, right: &[&[&'static str]]) -> Case {
         Case {
@@ -269,80 +278,98 @@ mod tests {
         }
     }
 
+    #[track_caller]
+    fn check(case: &Case, rows: &[(&[&'static str], Outcome)]) {
+        for (effects, expected) in rows {
+            let verdict = said(DiagnosisVerdict::Effect, effects);
+            assert_eq!(outcome(case, &[], &verdict), *expected, "{effects:?}");
+        }
+    }
+
     #[test]
     fn a_wave_of_another_order_is_another_effect() {
         let (single, pair) = (
             case(Group::Single, &[&["cogging"]]),
             case(Group::Pair, &[&["backlash"], &["cogging"]]),
         );
-        let effect = |case: &Case, orders: &[Option<f64>], effects: &[&'static str]| {
-            outcome(case, orders, &said(DiagnosisVerdict::Effect, effects))
-        };
-        assert_eq!(effect(&single, &[Some(6.0)], &["cogging"]), Outcome::Right);
-        assert_eq!(effect(&single, &[Some(12.0)], &["cogging"]), Outcome::Wrong);
-        let both = ["backlash", "cogging"];
-        assert_eq!(effect(&pair, &[None, Some(6.0)], &both), Outcome::Right);
-        assert_eq!(effect(&pair, &[None, Some(8.0)], &both), Outcome::Wrong);
+        let (one, both): (&[_], &[_]) = (&["cogging"], &["backlash", "cogging"]);
+        for (case, orders, effects, expected) in [
+            (&single, &[Some(6.0)][..], one, Outcome::Right),
+            (&single, &[Some(12.0)], one, Outcome::Wrong),
+            (&pair, &[None, Some(6.0)], both, Outcome::Right),
+            (&pair, &[None, Some(8.0)], both, Outcome::Wrong),
+        ] {
+            let said = said(DiagnosisVerdict::Effect, effects);
+            assert_eq!(outcome(case, orders, &said), expected, "{orders:?}");
+        }
     }
 
     #[test]
     fn an_open_answer_to_a_pair_has_both_in_it() {
         let pair = case(Group::Pair, &[&["backlash"], &["cogging"]]);
-        let tie = |effects: &[&'static str]| {
-            outcome(&pair, &[], &said(DiagnosisVerdict::Ambiguous, effects))
-        };
-        assert_eq!(
-            tie(&["supply_sag", "cogging", "backlash"]),
-            Outcome::Ambiguous
-        );
-        assert_eq!(tie(&["supply_sag", "cogging"]), Outcome::Partial);
-        assert_eq!(tie(&["supply_sag", "voltage_drop"]), Outcome::Wrong);
+        let rows: [(&[_], _); 3] = [
+            (&["supply_sag", "cogging", "backlash"], Outcome::Ambiguous),
+            (&["supply_sag", "cogging"], Outcome::Partial),
+            (&["supply_sag", "voltage_drop"], Outcome::Wrong),
+        ];
+        for (effects, expected) in rows {
+            let tie = said(DiagnosisVerdict::Ambiguous, effects);
+            assert_eq!(outcome(&pair, &[], &tie), expected, "{effects:?}");
+        }
     }
 
     #[test]
     fn a_name_is_right_only_if_it_is_all_that_is_named() {
-        let effect = |case: &Case, effects: &[&'static str]| {
-            outcome(case, &[], &said(DiagnosisVerdict::Effect, effects))
-        };
-        let one = case(Group::Single, &[&["cogging"]]);
-        assert_eq!(effect(&one, &["cogging"]), Outcome::Right);
-        assert_eq!(effect(&one, &["cogging", "backlash"]), Outcome::Wrong);
-        assert_eq!(effect(&one, &["backlash"]), Outcome::Wrong);
-        let two = case(Group::Pair, &[&["cogging"], &["backlash"]]);
-        assert_eq!(effect(&two, &["backlash", "cogging"]), Outcome::Right);
-        assert_eq!(effect(&two, &["backlash"]), Outcome::Partial);
-        assert_eq!(effect(&two, &["backlash", "supply_sag"]), Outcome::Wrong);
+        check(
+            &case(Group::Single, &[&["cogging"]]),
+            &[
+                (&["cogging"], Outcome::Right),
+                (&["cogging", "backlash"], Outcome::Wrong),
+                (&["backlash"], Outcome::Wrong),
+            ],
+        );
+        check(
+            &case(Group::Pair, &[&["cogging"], &["backlash"]]),
+            &[
+                (&["backlash", "cogging"], Outcome::Right),
+                (&["backlash"], Outcome::Partial),
+                (&["backlash", "supply_sag"], Outcome::Wrong),
+            ],
+        );
         let late = case(Group::Single, &[&["speed_delay"]]);
-        assert_eq!(effect(&late, &["speed_filter"]), Outcome::Twin);
-        let nothing = case(Group::Null, &[]);
-        assert_eq!(effect(&nothing, &["cogging"]), Outcome::Wrong);
+        check(&late, &[(&["speed_filter"], Outcome::Twin)]);
+        check(&case(Group::Null, &[]), &[(&["cogging"], Outcome::Wrong)]);
     }
 
     #[test]
     fn on_a_messy_bench_the_background_may_be_named_but_is_not_the_answer() {
-        let messy = case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]);
-        let effect = |effects: &[&'static str]| {
-            outcome(&messy, &[], &said(DiagnosisVerdict::Effect, effects))
-        };
-        assert_eq!(effect(&["voltage_drop", "cogging"]), Outcome::Right);
-        assert_eq!(effect(&["cogging"]), Outcome::Abstained);
-        assert_eq!(effect(&["backlash"]), Outcome::Wrong);
+        check(
+            &case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]),
+            &[
+                (&["voltage_drop", "cogging"], Outcome::Right),
+                (&["cogging"], Outcome::Abstained),
+                (&["backlash"], Outcome::Wrong),
+            ],
+        );
     }
 
     #[test]
     fn silence_is_right_only_where_nothing_known_is_hidden() {
         let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
-        let verdict = |case: &Case, verdict| outcome(case, &[], &said(verdict, &[]));
-        let null = case(Group::Null, &[]);
-        assert_eq!(verdict(&null, none), Outcome::Right);
-        assert_eq!(verdict(&null, unexplained), Outcome::Abstained);
-        let unknown = case(Group::Unknown, &[]);
-        assert_eq!(verdict(&unknown, unexplained), Outcome::Right);
-        assert_eq!(verdict(&unknown, none), Outcome::Abstained);
+        let (null, unknown) = (case(Group::Null, &[]), case(Group::Unknown, &[]));
         let hidden = case(Group::Single, &[&["cogging"]]);
-        assert_eq!(verdict(&hidden, none), Outcome::Abstained);
         let invisible = case(Group::Single, &[&["constant_load"]]);
-        assert_eq!(verdict(&invisible, none), Outcome::NotExcited);
+        for (case, verdict, expected) in [
+            (&null, none, Outcome::Right),
+            (&null, unexplained, Outcome::Abstained),
+            (&unknown, unexplained, Outcome::Right),
+            (&unknown, none, Outcome::Abstained),
+            (&hidden, none, Outcome::Abstained),
+            (&invisible, none, Outcome::NotExcited),
+        ] {
+            let found = outcome(case, &[], &said(verdict, &[]));
+            assert_eq!(found, expected, "{:?} {verdict:?}", case.group);
+        }
         let tie = said(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
         assert_eq!(outcome(&hidden, &[], &tie), Outcome::Ambiguous);
         assert_eq!(outcome(&invisible, &[], &tie), Outcome::Wrong);

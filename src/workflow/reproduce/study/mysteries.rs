@@ -44,14 +44,10 @@ impl MysteryAnswer {
         };
         let outcome = outcome(&truth, &said);
         let revelation = reveal(truth, Some(said.clone()), None);
-        let sizes = revelation
-            .sizes
-            .iter()
-            .filter(|size| !size.effect.is_empty());
+        let sizes = revelation.sizes.iter();
+        let sizes = sizes.filter(|size| !size.effect.is_empty());
         let diagnosis = &commissioned["diagnosis"];
         Self {
-            seed,
-            hidden: hidden(&revelation.truth),
             verdict: said.verdict,
             effects: said.effects,
             outcome,
@@ -62,6 +58,7 @@ impl MysteryAnswer {
                 .map(|size| size.error_percent.abs())
                 .max_by(f64::total_cmp),
             parameters: parameters(&revelation.truth, commissioned),
+            ..Self::failed(seed, String::new())
         }
     }
 
@@ -154,61 +151,52 @@ mod tests {
         (0..2000).find(hides).unwrap()
     }
 
-    #[track_caller]
-    fn outcome_of(id: &str, verdict: &str, effects: &[&str], not_excited: &[&str]) -> Outcome {
-        let candidates: Vec<Value> = not_excited
-            .iter()
-            .map(|id| json!({"effect": id, "status": "not_excited"}))
-            .collect();
-        let said = json!({
-            "diagnosis": {"verdict": verdict, "effects": effects, "candidates": candidates}
-        });
-        MysteryAnswer::of(seed_of(id), &said).outcome
-    }
-
     #[test]
     fn the_marks_are_those_of_the_study() {
-        assert_eq!(
-            outcome_of("cogging", "effect", &["cogging"], &[]),
-            Outcome::Right
-        );
-        assert_eq!(
-            outcome_of("cogging", "effect", &["backlash"], &[]),
-            Outcome::Wrong
-        );
-        assert_eq!(
-            outcome_of("cogging", "effect", &["cogging", "backlash"], &[]),
-            Outcome::Wrong
-        );
-        assert_eq!(
-            outcome_of("speed_delay", "effect", &["speed_filter"], &[]),
-            Outcome::Twin
-        );
-        assert_eq!(outcome_of("cogging", "none", &[], &[]), Outcome::Abstained);
-        assert_eq!(
-            outcome_of("cogging", "none", &[], &["cogging"]),
-            Outcome::NotExcited
-        );
-        assert_eq!(
-            outcome_of("cogging", "unexplained", &[], &[]),
-            Outcome::Abstained
-        );
-        assert_eq!(
-            outcome_of("cogging", "ambiguous", &["cogging", "eccentric_load"], &[]),
-            Outcome::Ambiguous
-        );
-        for hidden in ["cogging", NOTHING, "random_load"] {
-            let others = ["backlash", "eccentric_load"];
-            assert_eq!(
-                outcome_of(hidden, "ambiguous", &others, &[]),
-                Outcome::Wrong
-            );
+        let others: &[_] = &["backlash", "eccentric_load"];
+        for (id, verdict, effects, not_excited, expected) in [
+            ("cogging", "effect", &["cogging"][..], None, Outcome::Right),
+            ("cogging", "effect", &["backlash"], None, Outcome::Wrong),
+            (
+                "cogging",
+                "effect",
+                &["cogging", "backlash"],
+                None,
+                Outcome::Wrong,
+            ),
+            (
+                "speed_delay",
+                "effect",
+                &["speed_filter"],
+                None,
+                Outcome::Twin,
+            ),
+            ("cogging", "none", &[], None, Outcome::Abstained),
+            ("cogging", "none", &[], Some("cogging"), Outcome::NotExcited),
+            ("cogging", "unexplained", &[], None, Outcome::Abstained),
+            (
+                "cogging",
+                "ambiguous",
+                &["cogging", "eccentric_load"],
+                None,
+                Outcome::Ambiguous,
+            ),
+            ("cogging", "ambiguous", others, None, Outcome::Wrong),
+            (NOTHING, "ambiguous", others, None, Outcome::Wrong),
+            ("random_load", "ambiguous", others, None, Outcome::Wrong),
+            (NOTHING, "none", &[], None, Outcome::Right),
+            (NOTHING, "effect", &["cogging"], None, Outcome::Wrong),
+        ] {
+            let candidates: Vec<Value> = not_excited
+                .iter()
+                .map(|id| json!({"effect": id, "status": "not_excited"}))
+                .collect();
+            let said = json!({
+                "diagnosis": {"verdict": verdict, "effects": effects, "candidates": candidates}
+            });
+            let found = MysteryAnswer::of(seed_of(id), &said).outcome;
+            assert_eq!(found, expected, "{id}: {verdict} {effects:?}");
         }
-        assert_eq!(outcome_of(NOTHING, "none", &[], &[]), Outcome::Right);
-        assert_eq!(
-            outcome_of(NOTHING, "effect", &["cogging"], &[]),
-            Outcome::Wrong
-        );
     }
 
     #[test]

@@ -55,6 +55,13 @@ fn value(hidden: &HiddenEffect, key: &str) -> Option<f64> {
     of_key.next().map(|(_, value, _)| value)
 }
 
+fn at_speed(speed_rad_s: f64) -> Instant {
+    Instant {
+        speed_rad_s,
+        ..Instant::default()
+    }
+}
+
 /// How large `hidden` is as the effect `id` of the catalogue.
 fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
     let of_catalogue = effect::find(id)?;
@@ -64,12 +71,11 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
         "elastic_coupling" => None,
         "viscous_friction" | "quadratic_load" | "asymmetric_viscous" => {
             let speed_rad_s = SPEED_SHARE * site.motor.rated_speed_rad_s;
-            let at = Instant {
-                speed_rad_s,
-                ..Instant::default()
-            };
             let torque_n_m = hidden.mechanism(site)?.drag_torque_n_m(speed_rad_s);
-            Some(torque_n_m / of_catalogue.terms(&[1.0]).torque_n_m(&at, &[]))
+            let of_size_one = of_catalogue
+                .terms(&[1.0])
+                .torque_n_m(&at_speed(speed_rad_s), &[]);
+            Some(torque_n_m / of_size_one)
         }
         "stribeck_friction" => {
             let own_rad_s = value(hidden, "stribeck_speed_rad_s")?;
@@ -78,12 +84,8 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
                 speed_rad_s,
                 ..Moment::default()
             };
-            let of_size_one = of_catalogue
-                .terms(&[1.0, own_rad_s])
-                .friction_n_m(&Instant {
-                    speed_rad_s,
-                    ..Instant::default()
-                });
+            let terms = of_catalogue.terms(&[1.0, own_rad_s]);
+            let of_size_one = terms.friction_n_m(&at_speed(speed_rad_s));
             let friction_n_m = hidden.mechanism(site)?.friction_n_m(&at);
             if friction_n_m > 0.0 {
                 Some(friction_n_m / of_size_one)
@@ -113,7 +115,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::emulator::EmulatorConfig;
-    use crate::workflow::reproduce::discovery::sizes::{KNOWN, WRONG_FORM, drawn};
+    use crate::workflow::reproduce::study::sizes::{KNOWN, WRONG_FORM, drawn};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -148,20 +150,30 @@ mod tests {
     #[test]
     fn a_size_is_what_the_catalogue_would_need_at_the_reference_condition() {
         // Eyring's fluid: asinh(x)/x at a quarter of its speed.
-        let drag = size_of("id = \"viscous_friction\"\nviscous_n_m_s_per_rad = 4e-4");
-        assert!((drag - 4e-4 * 0.25_f64.asinh() / 0.25).abs() < 1e-12);
-        let fan = size_of("id = \"quadratic_load\"\nquadratic_n_m_s2_per_rad2 = 2e-6");
-        assert!((fan - 2e-6 * 0.5_f64.powf(-0.05)).abs() < 1e-12);
+        let drag = 4e-4 * 0.25_f64.asinh() / 0.25;
+        let fan = 2e-6 * 0.5_f64.powf(-0.05);
         // Magnets that warm up slowly: (1 - e^-0.1)/0.1 of the drift at first.
-        let drift = size_of("id = \"field_change\"\ndrift_per_s = -4e-3");
-        assert!((drift + 4e-3 * -(-0.1_f64).exp_m1() / 0.1).abs() < 1e-12);
+        let drift = 4e-3 * (-0.1_f64).exp_m1() / 0.1;
         // e^-0.5 against e^-0.25.
-        let film = size_of(
-            "id = \"exponential_stribeck\"\nstribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0",
-        );
-        assert!((film - 0.1 * (-0.25_f64).exp()).abs() < 1e-12);
-        let wave = size_of("id = \"cogging\"\norder = 6\nsin_n_m = 0.03\ncos_n_m = -0.04");
-        assert!((wave - 0.05).abs() < 1e-12);
+        let film = 0.1 * (-0.25_f64).exp();
+        for (id, settings, expected) in [
+            ("viscous_friction", "viscous_n_m_s_per_rad = 4e-4", drag),
+            ("quadratic_load", "quadratic_n_m_s2_per_rad2 = 2e-6", fan),
+            ("field_change", "drift_per_s = -4e-3", drift),
+            (
+                "exponential_stribeck",
+                "stribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0",
+                film,
+            ),
+            (
+                "cogging",
+                "order = 6\nsin_n_m = 0.03\ncos_n_m = -0.04",
+                0.05,
+            ),
+        ] {
+            let size = size_of(&format!("id = {id:?}\n{settings}"));
+            assert!((size - expected).abs() < 1e-12, "{id}: {size}");
+        }
     }
 
     #[test]
@@ -171,8 +183,8 @@ mod tests {
         let truth = truths(&[fan], &motor).remove(0);
         let speed = 0.5 * motor.rated_speed_rad_s;
         let of = |name: &str| {
-            let mut named = truth.names.iter().filter(|(id, _)| *id == name);
-            named.next().and_then(|(_, size)| *size).unwrap()
+            let mut names = truth.names.iter();
+            names.find(|(id, _)| *id == name).unwrap().1.unwrap()
         };
         assert!((of("quadratic_load") * speed.sqrt() - 3e-5).abs() < 1e-12);
         assert!((of("viscous_friction") / speed.sqrt() - 3e-5).abs() < 1e-12);
@@ -187,7 +199,7 @@ mod tests {
         ];
         let found = truths(&both, &motor);
         let names: Vec<&str> = found.iter().map(|truth| truth.names[0].0).collect();
-        let background = crate::workflow::reproduce::discovery::sizes::BACKGROUND;
+        let background = crate::workflow::reproduce::study::sizes::BACKGROUND;
         assert_eq!(names, background);
         assert_eq!(found[1].order, Some(7.0));
         assert!((found[2].names[0].1.unwrap() - 0.8e-3).abs() < 1e-12);
