@@ -286,6 +286,7 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::testing::within;
 
     #[test]
     fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
@@ -308,11 +309,7 @@ mod tests {
         let motor = Nameplate::zk_22fc();
         let limits = Limits::for_motor(&motor, 100.0);
         // DISCOVERY.md 2.0: 300 to 500 V/s for 0.0045 kg.m2.
-        assert!(
-            (250.0..500.0).contains(&limits.slew_v_per_s),
-            "{}",
-            limits.slew_v_per_s
-        );
+        within(limits.slew_v_per_s, 250.0..500.0);
         assert!((limits.link_silence_s - 0.1).abs() < 1e-12);
         assert!((Limits::for_motor(&motor, 10.0).link_silence_s - 0.3).abs() < 1e-12);
     }

@@ -8,15 +8,36 @@
 //!
 //! Beside the rows the estimators are given their configuration and nothing else; it is kept in the manifest.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::runner::{Excitation, LiveEstimator};
 use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::recursive::{Memory, StartValues};
 use crate::plant::MotorKey;
 use crate::recording::{CommandRow, Layout, Row, RowOrder};
 use crate::sample::{Channel, ParameterEstimate, Sample};
+
+/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
+pub trait LiveEstimator {
+    fn command(&mut self, command: &CommandRow);
+
+    fn push(&mut self, sample: &Sample);
+
+    /// Nothing comes any more: what still waits is taken as the recorder takes it.
+    fn finish(&mut self);
+
+    fn estimates(&self) -> Vec<ParameterEstimate>;
+
+    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
+    fn excitation(&self) -> Excitation {
+        Excitation::new()
+    }
+}
+
+/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
+pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// The on-line estimators, fed with rows of the record: the one wiring of live run and replay.
 pub struct RowEstimator {

@@ -216,6 +216,7 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Seen) -> Option<(String, &'st
 mod tests {
     use super::*;
     use crate::bench::limits::Limits;
+    use crate::bench::testing::has;
     use crate::sample::{Channel, Demand, Sample};
 
     /// A pulse both ways that ends with these figures for the positive way, and the same the other way.
@@ -254,10 +255,7 @@ mod tests {
     fn each_fault_has_its_own_words() {
         let (figures, refusal) = judged(5.0, 1.8, 9.0, true);
         assert_eq!(refusal, "");
-        assert!(
-            figures.contains("+5.00 V: current 1.80 A, speed 9.00 rad/s"),
-            "{figures}"
-        );
+        has(&figures, "+5.00 V: current 1.80 A, speed 9.00 rad/s");
         assert!(figures.contains("-5.00 V: current -1.80 A"), "{figures}");
         for (volts, current, speed, words) in [
             (5.0, 1.8, -9.0, "encoder reversed"),

@@ -301,6 +301,7 @@ mod tests {
     use super::*;
     use crate::bench::check::pulse::Size;
     use crate::bench::limits::{Limits, Nameplate};
+    use crate::bench::testing::has;
     use crate::sample::{Channel, Demand, Sample};
 
     /// The paper's motor in a slow pulse, as its sensors tell it with these factors; judged by `plate`.
@@ -350,10 +351,8 @@ mod tests {
         for drop_v in [0.0, 1.2] {
             let (text, refusal) = judged(&plate, 1.0, 1.0, drop_v);
             assert_eq!(refusal, "", "{text}");
-            assert!(
-                text.contains("resistance") && text.contains("back-EMF constant 0.35"),
-                "{text}"
-            );
+            has(&text, "resistance");
+            has(&text, "back-EMF constant 0.35");
         }
     }
 
@@ -367,15 +366,9 @@ mod tests {
             ..plate.clone()
         };
         let (_, refusal) = judged(&per_rpm, 1.0, 1.0, 0.0);
-        assert!(
-            refusal.contains("V per r/min on the nameplate"),
-            "{refusal}"
-        );
+        has(&refusal, "V per r/min on the nameplate");
         let (_, refusal) = judged(&plate, 1.0, rpm_from_rad_s(1.0), 0.0);
-        assert!(
-            refusal.contains("r/min that is taken for rad/s"),
-            "{refusal}"
-        );
+        has(&refusal, "r/min that is taken for rad/s");
         let (_, refusal) = judged(&plate, 1e3, 1.0, 0.0);
         assert!(refusal.contains("mA that is taken for A"), "{refusal}");
         let other = Nameplate {
@@ -403,11 +396,8 @@ mod tests {
         leg.push(&size, 7.5, &Sample::at(0.0).with(Channel::Speed, 32.8));
         let (_, refusal) = judge(&known, &[leg.clone()]);
         for text in [refusal.unwrap(), astray(&known, &[leg]).unwrap()] {
-            assert!(
-                text.contains("asked 7.50 rad/s, got 32.80 rad/s")
-                    && text.contains("word order or scale of speed_ref"),
-                "{text}"
-            );
+            has(&text, "asked 7.50 rad/s, got 32.80 rad/s");
+            has(&text, "word order or scale of speed_ref");
         }
     }
 
