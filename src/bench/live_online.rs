@@ -114,16 +114,7 @@ pub struct OnlineSettings {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub torque_n_m_per_a: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<StartSettings>,
-}
-
-/// First guess of the winding.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StartSettings {
-    pub resistance_ohm: f64,
-    pub inductance_h: f64,
-    pub back_emf_v_s_per_rad: f64,
+    pub start: Option<StartValues>,
 }
 
 impl OnlineSettings {
@@ -152,11 +143,7 @@ impl From<OnlineConfig> for OnlineSettings {
             electrical_forgetting: memory.electrical,
             mechanical_forgetting: memory.mechanical,
             torque_n_m_per_a,
-            start: start.map(|start| StartSettings {
-                resistance_ohm: start.resistance_ohm,
-                inductance_h: start.inductance_h,
-                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
-            }),
+            start,
         }
     }
 }
@@ -169,11 +156,7 @@ impl From<OnlineSettings> for OnlineConfig {
                 mechanical: settings.mechanical_forgetting,
             },
             torque_n_m_per_a: settings.torque_n_m_per_a,
-            start: settings.start.map(|start| StartValues {
-                resistance_ohm: start.resistance_ohm,
-                inductance_h: start.inductance_h,
-                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
-            }),
+            start: settings.start,
         }
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
-use super::program::Program;
+use super::pilot::Program;
 use super::timing::whole;
 use crate::plant::{Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory};
 use crate::sample::{Channel, Demand, DriveState, Sample};

@@ -372,7 +372,10 @@ impl Runner<'_> {
                 let reference_rad_s = self.session.reference_rad_s();
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
             }
-            Action::Event(event) => self.recorder.event(self.event(event)),
+            Action::Event(mut event) => {
+                event.time_s += self.end.drive_minus_host_s;
+                self.recorder.event(event);
+            }
             Action::Notice(notice) => self.act_on_notice(notice),
             Action::Finished(outcome) => self.outcome = Some(outcome),
         }
@@ -513,26 +516,6 @@ impl Runner<'_> {
     fn act_on_notice(&mut self, notice: Notice) {
         self.publisher.notice(notice.clone());
         self.notices.push(notice);
-    }
-
-    /// An event of the session on the samples' time axis.
-    fn event(&self, event: Value) -> Event {
-        let mut details = match event {
-            Value::Object(details) => details,
-            other => serde_json::Map::from_iter([("value".to_owned(), other)]),
-        };
-        let kind = details
-            .shift_remove("event")
-            .and_then(|kind| kind.as_str().map(str::to_owned))
-            .unwrap_or_default();
-        let seq = details.shift_remove("seq").and_then(|seq| seq.as_u64());
-        let host_s = details
-            .get("host_time_s")
-            .and_then(Value::as_f64)
-            .unwrap_or(0.0);
-        let mut out = Event::new(host_s + self.end.drive_minus_host_s, seq, kind);
-        out.details = details;
-        out
     }
 
     fn estimates(&self) -> Vec<ParameterEstimate> {

@@ -16,7 +16,7 @@ use super::describe::layout;
 use super::guard::TripKind;
 use super::limits::Nameplate;
 use super::live_online::LiveEstimator;
-use super::program::Program;
+use super::pilot::Program;
 use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Action, Input, Intent, Lost, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};

@@ -3,7 +3,7 @@
 use crate::bench::bench_file::BenchFile;
 use crate::bench::guard::{Guard, TripKind};
 use crate::bench::limits::{Limits, Nameplate};
-use crate::bench::program::Program;
+use crate::bench::pilot::Program;
 use crate::bench::session::{Outcome, Session};
 use crate::bench::testing::{Course, Tamper, Tampered, Wave, in_memory};
 use crate::bench::timing::whole;

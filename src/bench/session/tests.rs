@@ -53,9 +53,9 @@ fn stops(bench: &Bench) -> usize {
     demands.filter(|demand| **demand == Demand::Stop).count()
 }
 
-fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Value> {
+fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Event> {
     let events = bench.log.iter().filter_map(|action| match action {
-        Action::Event(event) if event["event"] == kind => Some(event),
+        Action::Event(event) if event.event == kind => Some(event),
         _ => None,
     });
     events.collect()
@@ -65,7 +65,10 @@ fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Value> {
 fn a_healthy_run_goes_through_every_phase_and_ends_done_with_the_output_off() {
     let bench = run_with(0, 0, Fault::Timeout);
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
-    let phases: Vec<&Value> = events(&bench, "phase").iter().map(|e| &e["to"]).collect();
+    let phases: Vec<&Value> = events(&bench, "phase")
+        .iter()
+        .map(|e| &e.details["to"])
+        .collect();
     let all = ["safe", "armed", "running", "ramp_down", "stopping", "done"];
     assert_eq!(phases, all);
     assert_eq!(events(&bench, "segment").len(), 2);
@@ -254,13 +257,11 @@ fn the_same_inputs_give_the_same_actions() {
 fn every_intent_is_an_event_with_its_number() {
     let mut bench = idle().started(10);
     bench.ask(Intent::Mark("here".to_owned()));
-    let mark = *events(&bench, "intent").last().unwrap();
-    assert_eq!(
-        (&mark["intent"], &mark["text"]),
-        (&json!("mark"), &json!("here"))
-    );
-    assert_eq!(mark["seq"], 13);
-    assert!(mark["input"].as_u64().unwrap() > 13);
+    let mark = events(&bench, "intent").pop().unwrap();
+    assert_eq!(mark.details["intent"], "mark");
+    assert_eq!(mark.details["text"], "here");
+    assert_eq!(mark.seq, Some(13));
+    assert!(mark.details["input"].as_u64().unwrap() > 13);
 }
 
 fn any_input() -> impl Strategy<Value = Input> {
@@ -324,7 +325,7 @@ proptest! {
                         prop_assert!(asked && !over, "{command:?}");
                     }
                     Action::Finished(_) => over = true,
-                    Action::Event(event) if event["event"] == "trip" => over = true,
+                    Action::Event(event) if event.event == "trip" => over = true,
                     _ => {}
                 }
             }
