@@ -9,7 +9,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::limits::{Limits, MotorSection, Nameplate};
+use super::limits::{Limits, MotorSection, Nameplate, POSITIVE};
 use super::speed::{Reference, ReferenceError, SpeedSection};
 use crate::config_text::{self, ConfigError};
 use crate::excitation::{self, ExcitationError, Segment};
@@ -287,7 +287,14 @@ impl BenchFile {
 
     /// Takes another port, as `--port` does.
     pub fn set_port(&mut self, text: &str) -> Result<(), BenchFileError> {
-        check_port("command line", "--port", text)?;
+        if Port::parse(text).is_none() {
+            return Err(refusal(
+                "command line",
+                "--port",
+                format!("{text:?}"),
+                PORTS,
+            ));
+        }
         text.clone_into(&mut self.link.port);
         Ok(())
     }
@@ -315,6 +322,7 @@ impl BenchFile {
             |plate| Limits::for_motor(&plate, rate_hz),
         );
         let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
+        let converter = self.drive_facts.converter;
         // A default gives way to what the drive's profile allows; a value that is given is held against it.
         let bounded = |given: Option<f64>, default: f64, bound: Option<f64>| {
             given.unwrap_or_else(|| bound.map_or(default, |bound| default.min(bound)))
@@ -334,14 +342,8 @@ impl BenchFile {
                 defaults.link_silence_s.max(lost_s)
             }),
             braking_w: self.supply.braking_w(),
-            quadrants: self
-                .drive_facts
-                .converter
-                .map_or(defaults.quadrants, |converter| converter.quadrants),
-            dead_time_s: self
-                .drive_facts
-                .converter
-                .map_or(0.0, |converter| 1e-3 * converter.dead_time_ms),
+            quadrants: converter.map_or(defaults.quadrants, |converter| converter.quadrants),
+            dead_time_s: converter.map_or(0.0, |converter| 1e-3 * converter.dead_time_ms),
             field_min_a: self.drive_facts.field_min_a,
             load: self.load,
         }
@@ -372,104 +374,71 @@ impl BenchFile {
     }
 
     fn check(&self, file: &str) -> Result<(), BenchFileError> {
-        let refuse = |key: String, value: String, allowed: &str| {
-            Err(BenchFileError::Value {
-                file: file.to_owned(),
-                key,
-                value,
-                allowed: allowed.to_owned(),
-            })
-        };
+        if let Some((key, value, allowed)) = self.refused() {
+            return Err(refusal(file, &key, value, allowed));
+        }
+        let program = self.program(self.runs.fit).map(drop);
+        program.map_err(|error| BenchFileError::Sequence {
+            file: file.to_owned(),
+            error,
+        })
+    }
+
+    /// The first value that is not allowed: key, value and what is.
+    fn refused(&self) -> Option<(String, String, &'static str)> {
+        let (link, limits) = (&self.link, self.limits());
+        let (load, supply) = (&self.load, &self.supply);
+        let no = |key: &str, value: String, allowed| Some((key.to_owned(), value, allowed));
         if self.name.is_empty() || self.name.contains(['/', '\\']) {
-            return refuse(
-                "name".to_owned(),
-                format!("{:?}", self.name),
-                "a name that can stand in a folder's name",
-            );
+            let allowed = "a name that can stand in a folder's name";
+            return no("name", format!("{:?}", self.name), allowed);
         }
-        check_port(file, "link.port", &self.link.port)?;
-        if !(1.0..=2000.0).contains(&self.link.rate_hz) {
-            return refuse(
-                "link.rate_hz".to_owned(),
-                self.link.rate_hz.to_string(),
-                "1 to 2000",
-            );
+        if Port::parse(&link.port).is_none() {
+            return no("link.port", format!("{:?}", link.port), PORTS);
         }
-        if let Some(ms) = self.link.deadline_ms
-            && !(0.5..=10_000.0).contains(&ms)
-        {
-            return refuse(
-                "link.deadline_ms".to_owned(),
-                ms.to_string(),
-                "0.5 to 10000",
-            );
+        if !(1.0..=2000.0).contains(&link.rate_hz) {
+            return no("link.rate_hz", link.rate_hz.to_string(), "1 to 2000");
         }
-        for (key, value) in self.motor.values() {
-            let zero_too = key == "load_torque_n_m";
-            if !(value.is_finite() && (value > 0.0 || (zero_too && value == 0.0))) {
-                return refuse(
-                    format!("motor.{key}"),
-                    value.to_string(),
-                    "a positive number; load_torque_n_m may be 0",
-                );
-            }
+        let bad_ms = link.deadline_ms.filter(|ms| !(0.5..=10_000.0).contains(ms));
+        if let Some(ms) = bad_ms {
+            return no("link.deadline_ms", ms.to_string(), "0.5 to 10000");
+        }
+        if let Some((key, value)) = self.motor.refused() {
+            return no(&format!("motor.{key}"), value.to_string(), POSITIVE);
         }
         for (key, value) in self.limits.values() {
-            if let Some(value) = value
-                && !(value.is_finite() && value > 0.0)
-            {
-                return refuse(
-                    format!("limits.{key}"),
-                    value.to_string(),
-                    "a positive number",
-                );
+            if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
+                let key = format!("limits.{key}");
+                return no(&key, value.to_string(), "a positive number");
             }
         }
-        let (load, supply) = (&self.load, &self.supply);
-        let current_a = self.limits().current_a;
-        if let Some((key, value, allowed)) = load.refused(current_a).or_else(|| supply.refused()) {
-            return refuse(key.to_owned(), value, allowed);
+        let mechanics = load.refused(limits.current_a).or_else(|| supply.refused());
+        if let Some((key, value, allowed)) = mechanics {
+            return no(key, value, allowed);
         }
         if load.vertical && self.motor.is_unknown() {
-            return refuse(
-                "load.vertical".to_owned(),
-                "true".to_owned(),
-                "a known motor: the small steps that find an unknown one would let the load fall",
-            );
+            let allowed =
+                "a known motor: the small steps that find an unknown one would let the load fall";
+            return no("load.vertical", "true".to_owned(), allowed);
         }
-        if let Some(part) = self.runs.burst_at
-            && !(1..=self.sequence.len()).contains(&part)
-        {
-            return refuse(
-                "runs.burst_at".to_owned(),
-                part.to_string(),
-                "the number of a part of the sequence, from 1",
-            );
+        let parts = 1..=self.sequence.len();
+        if let Some(part) = self.runs.burst_at.filter(|part| !parts.contains(part)) {
+            let allowed = "the number of a part of the sequence, from 1";
+            return no("runs.burst_at", part.to_string(), allowed);
         }
-        let limits = self.limits();
         // A single reply that is waited for to its deadline must not look like a host that stood still.
         if limits.link_silence_s < self.period_s() + self.deadline_s() {
-            return refuse(
-                "limits.link_silence_s".to_owned(),
-                limits.link_silence_s.to_string(),
-                "at least one period of link.rate_hz and link.deadline_ms together",
-            );
+            let silence = limits.link_silence_s.to_string();
+            let allowed = "at least one period of link.rate_hz and link.deadline_ms together";
+            return no("limits.link_silence_s", silence, allowed);
         }
-        if let (Some(low), Some(high)) = (limits.bus_min_v, limits.bus_max_v)
-            && low >= high
-        {
-            return refuse(
-                "limits.bus_min_v".to_owned(),
-                low.to_string(),
-                "less than limits.bus_max_v",
-            );
-        }
-        self.program(self.runs.fit)
-            .map(drop)
-            .map_err(|error| BenchFileError::Sequence {
-                file: file.to_owned(),
-                error,
-            })
+        let bus = limits.bus_min_v.zip(limits.bus_max_v);
+        let (low, _) = bus.filter(|(low, high)| low >= high)?;
+        no(
+            "limits.bus_min_v",
+            low.to_string(),
+            "less than limits.bus_max_v",
+        )
     }
 
     /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.
@@ -496,14 +465,10 @@ impl BenchFile {
             return Ok(());
         };
         let limits = self.limits();
-        let refuse = |key: &str, value: f64, allowed: String| BenchFileError::Value {
-            file: file.to_owned(),
-            key: key.to_owned(),
-            value: value.to_string(),
-            allowed,
-        };
+        let refuse =
+            |key, value: f64, allowed: String| Err(refusal(file, key, value.to_string(), allowed));
         if let Some((key, value, allowed)) = speed.refused(&limits) {
-            return Err(refuse(key, value, allowed));
+            return refuse(key, value, allowed);
         }
         let reference = self
             .reference(speed)
@@ -511,7 +476,7 @@ impl BenchFile {
         let needed_s = reference.duration_s() + SPEED_ENDS_S;
         if needed_s > limits.time_s {
             let allowed = format!("at least {needed_s} s, which the reference takes with its ends");
-            return Err(refuse("limits.time_s", limits.time_s, allowed));
+            return refuse("limits.time_s", limits.time_s, allowed);
         }
         Ok(())
     }
@@ -538,15 +503,14 @@ fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError
     ConfigError::at(file, text, offset, error.to_string(), help).into()
 }
 
-fn check_port(file: &str, key: &str, text: &str) -> Result<(), BenchFileError> {
-    match Port::parse(text) {
-        Some(_) => Ok(()),
-        None => Err(BenchFileError::Value {
-            file: file.to_owned(),
-            key: key.to_owned(),
-            value: format!("{text:?}"),
-            allowed: "emulator, sim:, tcp:HOST:PORT or the path of a serial port".to_owned(),
-        }),
+const PORTS: &str = "emulator, sim:, tcp:HOST:PORT or the path of a serial port";
+
+fn refusal(file: &str, key: &str, value: String, allowed: impl Into<String>) -> BenchFileError {
+    BenchFileError::Value {
+        file: file.to_owned(),
+        key: key.to_owned(),
+        value,
+        allowed: allowed.into(),
     }
 }
 

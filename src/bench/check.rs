@@ -4,27 +4,23 @@
 //!
 //! ```text
 //! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends it
-//!    quiet.rs           quiet.rs                   watchdog.rs  first_move.rs: pulse.rs -> direction.rs, plausible.rs
-//!                       what counts as standing still, with the output off and at zero: still.rs
+//!                       rest.rs                    rest.rs     first_move.rs: the pulse -> judge.rs
 //! ```
 
-mod direction;
 mod first_move;
-mod plausible;
-mod pulse;
-mod quiet;
-mod still;
-mod watchdog;
+mod judge;
+mod rest;
 
 pub use first_move::FirstMove;
-pub(super) use watchdog::LONGEST_WATCHDOG_S;
+pub(super) use rest::LONGEST_WATCHDOG_S;
 
 use serde::Serialize;
 use thiserror::Error;
 
-use self::still::Still;
+use self::rest::Still;
 use super::clock::Clock;
 use super::limits::Limits;
+use crate::control::Actuator;
 use crate::drive::offer::{self, Purpose};
 use crate::drive::{CommandTimes, DriveLink, DriveProfile, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
@@ -154,10 +150,10 @@ pub fn check(
     options: CheckOptions<'_>,
 ) -> Result<CheckReport, CheckError> {
     let identity = link.identify()?;
-    let kind = pulse::Kind::of(link.zero());
-    let hold = options
-        .first_move
-        .map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
+    let kind = commanded(link.zero());
+    let hold = options.first_move.map_or((0.0, 0.0), |first| {
+        first_move::hold(kind, first.plate, limits)
+    });
     let mut checker = Checker {
         zero: kind.demand(hold.0),
         hold,
@@ -213,6 +209,21 @@ impl Drop for Checker<'_> {
     }
 }
 
+/// What is commanded by the demand with which a drive runs at zero.
+const fn commanded(zero: Demand) -> Actuator {
+    match zero {
+        Demand::Current(_) => Actuator::Current,
+        Demand::Speed(_) => Actuator::Speed,
+        _ => Actuator::Voltage,
+    }
+}
+
+/// Mean and standard deviation of a signal at rest; zero where it is not measured.
+fn floor(noise: &[NoiseFloor], channel: Channel) -> (f64, f64) {
+    let floor = noise.iter().find(|floor| floor.channel == channel);
+    floor.map_or((0.0, 0.0), |floor| (floor.mean, floor.std))
+}
+
 /// How the wait for a state of the drive ended.
 enum Reached {
     Yes,
@@ -238,11 +249,17 @@ impl Checker<'_> {
         Ok(())
     }
 
-    fn note(&mut self, name: &'static str, passed: bool, text: String, help: &'static str) -> bool {
+    fn note(
+        &mut self,
+        name: &'static str,
+        passed: bool,
+        text: impl Into<String>,
+        help: &'static str,
+    ) -> bool {
         self.report.items.push(CheckItem {
             name,
             passed,
-            text,
+            text: text.into(),
             help: (!passed).then_some(help),
         });
         passed
@@ -392,11 +409,8 @@ impl Checker<'_> {
         while self.clock.now_s() < until_s {
             next_s += self.period_s;
             self.clock.sleep_until_s(next_s);
-            match self.exchange(demand) {
-                Ok(sample) if wanted(&sample) => return Ok(true),
-                Ok(_) => {}
-                Err(error) if error.is_transient() => {}
-                Err(error) => return Err(error),
+            if self.sample(demand)?.is_some_and(|sample| wanted(&sample)) {
+                return Ok(true);
             }
         }
         Ok(false)
@@ -423,7 +437,7 @@ impl Checker<'_> {
 
     /// What may show at zero with the sensors as they are at rest.
     fn still(&self, limits: &Limits) -> Still {
-        let kind = pulse::Kind::of(self.zero);
+        let kind = commanded(self.zero);
         Still::of(&self.report.noise, limits, kind, self.hold)
     }
 
@@ -439,6 +453,15 @@ impl Checker<'_> {
                 }
                 reply => return reply,
             }
+        }
+    }
+
+    /// As [`Self::exchange`]; `None`: the reply was lost, and the next cycle may try again.
+    fn sample(&mut self, demand: Demand) -> Result<Option<Sample>, LinkError> {
+        match self.exchange(demand) {
+            Ok(sample) => Ok(Some(sample)),
+            Err(error) if error.is_transient() => Ok(None),
+            Err(error) => Err(error),
         }
     }
 

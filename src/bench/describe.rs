@@ -10,15 +10,17 @@ use crate::sample::{Channel, Origin};
 
 /// Columns of `samples.csv`: the command, and what the drive was found to give.
 pub fn layout(signals: &[Channel]) -> Layout {
-    let mut channels = vec![Channel::VoltageCmd];
-    channels.extend(signals.iter().filter(|channel| !channel.is_commanded()));
-    Layout::of_drive(&channels)
+    with_commands(&[Channel::VoltageCmd], signals)
 }
 
 /// The same with the speed reference that a closed loop follows.
 pub fn layout_with_reference(signals: &[Channel]) -> Layout {
-    let mut channels = vec![Channel::Reference, Channel::VoltageCmd];
-    channels.extend(signals.iter().filter(|channel| !channel.is_commanded()));
+    with_commands(&[Channel::Reference, Channel::VoltageCmd], signals)
+}
+
+fn with_commands(commands: &[Channel], signals: &[Channel]) -> Layout {
+    let measured = signals.iter().filter(|channel| !channel.is_commanded());
+    let channels: Vec<Channel> = commands.iter().chain(measured).copied().collect();
     Layout::of_drive(&channels)
 }
 

@@ -10,13 +10,13 @@
 //! and watchdog, not a safety function: a host at 100 Hz sees a current of 9 ms time constant too late. So the voltage
 //! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
 
-mod braking;
 mod shape;
 mod trip;
 
 pub use shape::{Causes, Shaped};
 pub use trip::{Trip, TripKind};
 
+use shape::{Braking, Shaper};
 use thiserror::Error;
 
 use super::limits::{Limits, Nameplate};
@@ -24,7 +24,7 @@ use super::plausibility::Plausibility;
 use crate::drive::CommandTimes;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends (LINKS.md 5.3: 38).
+/// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
 const ALLOWED_IN_A_ROW: u32 = 3;
 /// A drive that ran and left that state by itself is given this long (one late status word), s.
 const LEFT_RUNNING_S: f64 = 0.05;
@@ -73,7 +73,7 @@ const WATCHED: [Channel; 4] = [
 #[derive(Clone, Debug)]
 pub struct Guard {
     limits: Limits,
-    shaper: shape::Shaper,
+    shaper: Shaper,
     trip: Option<Trip>,
     seen: [bool; WATCHED.len()],
     missing: [u32; WATCHED.len()],
@@ -100,14 +100,10 @@ impl Guard {
         // A drive that lets through more than the bench may draw does not protect the bench's limit.
         let drive_limits = drive_current_limit_a.is_some_and(|amps| amps <= limits.current_a);
         let winding_v = (!drive_limits).then_some(limits.current_a * motor.resistance_ohm);
-        let braking = limits
-            .braking_w
-            .map(|watts| braking::Braking::new(watts, motor));
-        let shaper = shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v)
-            .with_braking(braking)
-            .with_load_v(
-                motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad,
-            );
+        let mut shaper = Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v);
+        shaper.braking = limits.braking_w.map(|watts| Braking::new(watts, motor));
+        shaper.load_v =
+            motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad;
         let plausibility = Plausibility::of(&limits, motor, drive_current_limit_a);
         let torque = motor.back_emf_v_s_per_rad * limits.current_a;
         let braking_s = winding_v.map_or(0.0, |_| {
@@ -127,7 +123,7 @@ impl Guard {
         winding_v: Option<f64>,
         back_emf_v_s_per_rad: f64,
     ) -> Self {
-        let shaper = shape::Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
+        let shaper = Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
         let plausibility = Plausibility::of_unknown(&limits);
         Self::with_shaper(limits, shaper, plausibility)
     }
@@ -136,7 +132,7 @@ impl Guard {
     /// the voltage, and the winding's bound holds wherever it has come to.
     #[must_use]
     pub fn with_period(mut self, period_s: f64) -> Self {
-        self.shaper = self.shaper.with_period(period_s);
+        self.shaper.set_period(period_s);
         self
     }
 
@@ -147,7 +143,7 @@ impl Guard {
         self
     }
 
-    fn with_shaper(limits: Limits, shaper: shape::Shaper, plausibility: Plausibility) -> Self {
+    fn with_shaper(limits: Limits, shaper: Shaper, plausibility: Plausibility) -> Self {
         Self {
             plausibility,
             braking_s: 0.0,
@@ -246,25 +242,21 @@ impl Guard {
         if let Some(last_s) = self.last_step_s {
             let gap_s = now_s - last_s;
             if !gap_s.is_finite() || gap_s < 0.0 {
-                let trip = Trip::after(
+                return self.late(
                     TripKind::ClockStuck,
                     last_s,
-                    gap_s,
-                    0.0,
+                    (gap_s, 0.0),
                     "host time ran back",
                 );
-                return self.latch(trip);
             }
             if gap_s > limit_s {
-                let trip = Trip::after(
+                self.last_step_s = Some(now_s);
+                return self.late(
                     TripKind::HostGap,
                     now_s,
-                    gap_s,
-                    limit_s,
+                    (gap_s, limit_s),
                     "no step was taken",
                 );
-                self.last_step_s = Some(now_s);
-                return self.latch(trip);
             }
         }
         self.last_step_s = Some(now_s);
@@ -273,27 +265,26 @@ impl Guard {
         }
         let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
         if silent_s > limit_s {
-            let trip = Trip::after(
-                TripKind::LinkSilence,
-                now_s,
-                silent_s,
-                limit_s,
-                "no valid reply",
-            );
-            return self.latch(trip);
+            let times_s = (silent_s, limit_s);
+            return self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply");
         }
         let on_s = self.on_total_s + self.on_since_s.map_or(0.0, |since_s| now_s - since_s);
         if on_s > self.limits.time_s {
-            let trip = Trip::after(
-                TripKind::TimeLimit,
-                now_s,
-                on_s,
-                self.limits.time_s,
-                "output on",
-            );
-            return self.latch(trip);
+            let times_s = (on_s, self.limits.time_s);
+            return self.late(TripKind::TimeLimit, now_s, times_s, "output on");
         }
         None
+    }
+
+    /// A span of time was too long: what it was and what is allowed.
+    fn late(
+        &mut self,
+        kind: TripKind,
+        at_s: f64,
+        times_s: (f64, f64),
+        what: &str,
+    ) -> Option<&Trip> {
+        self.latch(Trip::after(kind, at_s, times_s, what))
     }
 
     /// The computer was suspended for so long: ends the run, and nothing is said of silence that only the sleep has made.
@@ -337,7 +328,7 @@ impl Guard {
                 .or_else(|| {
                     let beyond = self.beyond_limit(now_s, sample)?;
                     // What is read wrong is often beyond a limit before it is anything else.
-                    Some(self.plausibility.explained(now_s, beyond))
+                    Some(self.plausibility.explained(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample))
@@ -434,56 +425,47 @@ impl Guard {
     }
 
     fn beyond_limit(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
         let limits = &self.limits;
-        let symmetric = [
-            (TripKind::OverCurrent, Channel::Current, limits.current_a),
-            (TripKind::OverSpeed, Channel::Speed, limits.speed_rad_s),
+        let read = |channel| sample.get(channel);
+        let angle = read(Channel::Angle).zip(self.angle_origin_rad);
+        let travel = angle.map(|(angle, origin)| angle - origin);
+        let voltage_v = VOLTAGE_MARGIN * limits.voltage_v;
+        // Value and limit, and what of the value counts against it.
+        let magnitudes = [
             (
-                TripKind::OverVoltage,
-                Channel::Voltage,
-                VOLTAGE_MARGIN * limits.voltage_v,
+                OverCurrent,
+                Channel::Current,
+                read(Channel::Current),
+                Some(limits.current_a),
             ),
+            (
+                OverSpeed,
+                Channel::Speed,
+                read(Channel::Speed),
+                Some(limits.speed_rad_s),
+            ),
+            (
+                OverVoltage,
+                Channel::Voltage,
+                read(Channel::Voltage),
+                Some(voltage_v),
+            ),
+            (Travel, Channel::Angle, travel, limits.travel_rad),
         ];
-        for (kind, channel, limit) in symmetric {
-            if let Some(value) = sample.get(channel)
+        for (kind, channel, value, limit) in magnitudes {
+            if let (Some(value), Some(limit)) = (value, limit)
                 && value.abs() > limit
             {
                 return Some(Trip::beyond(kind, channel, now_s, value, limit));
             }
         }
-        if let (Some(limit), Some(origin), Some(angle)) = (
-            limits.travel_rad,
-            self.angle_origin_rad,
-            sample.get(Channel::Angle),
-        ) && (angle - origin).abs() > limit
-        {
-            let travel = angle - origin;
-            return Some(Trip::beyond(
-                TripKind::Travel,
-                Channel::Angle,
-                now_s,
-                travel,
-                limit,
-            ));
-        }
-        let bus = sample.get(Channel::Bus)?;
-        if let Some(limit) = limits.bus_max_v.filter(|limit| bus > *limit) {
-            return Some(Trip::beyond(
-                TripKind::BusHigh,
-                Channel::Bus,
-                now_s,
-                bus,
-                limit,
-            ));
-        }
-        let limit = limits.bus_min_v.filter(|limit| bus < *limit)?;
-        Some(Trip::beyond(
-            TripKind::BusLow,
-            Channel::Bus,
-            now_s,
-            bus,
-            limit,
-        ))
+        let bus = read(Channel::Bus)?;
+        let beyond = |kind, limit| Trip::beyond(kind, Channel::Bus, now_s, bus, limit);
+        let high = limits.bus_max_v.filter(|limit| bus > *limit);
+        let low = || limits.bus_min_v.filter(|limit| bus < *limit);
+        high.map(|limit| beyond(BusHigh, limit))
+            .or_else(|| low().map(|limit| beyond(BusLow, limit)))
     }
 
     fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
@@ -533,11 +515,10 @@ impl Guard {
             let times = self.missing[index];
             if times >= ALLOWED_IN_A_ROW {
                 let what = format!("no {}", channel.name());
-                return Some(Trip::repeated(
+                return Some(Self::too_often(
                     TripKind::SignalMissing,
                     now_s,
                     times,
-                    ALLOWED_IN_A_ROW - 1,
                     &what,
                 ));
             }
@@ -565,14 +546,12 @@ impl Guard {
         let times = self.stuck_clock;
         (times >= ALLOWED_IN_A_ROW).then(|| {
             let what = format!("drive time stays at {} s", sample.time_s);
-            Trip::repeated(
-                TripKind::ClockStuck,
-                now_s,
-                times,
-                ALLOWED_IN_A_ROW - 1,
-                &what,
-            )
+            Self::too_often(TripKind::ClockStuck, now_s, times, &what)
         })
+    }
+
+    fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Trip {
+        Trip::repeated(kind, now_s, times, ALLOWED_IN_A_ROW - 1, what)
     }
 }
 

@@ -1,27 +1,27 @@
 //! A bench file made from a drive profile, a nameplate and what the drive told: every limit with its reason. Pure.
 //!
 //! ```text
-//! profile, nameplate, Told -> can the drive carry it? -> rate.rs, limits.rs -> sequence.rs (fitted, planned)
+//! profile, nameplate, Told -> can the drive carry it? -> limits.rs -> sequence.rs (fitted, planned)
 //!                                                          page.rs -> text -> BenchFile::parse (what is handed out is valid)
 //! ```
 
 mod limits;
 mod page;
-mod rate;
 mod sequence;
 
 use serde::Serialize;
 use thiserror::Error;
 
 use super::bench_file::{
-    BenchFile, DriveFacts, DriveSection, EmulatorSection, LimitsSection, LinkSection, LoadSection,
-    Port, Protocol, RunsSection, SupplySection,
+    BenchFile, BenchFileError, DriveFacts, DriveSection, EmulatorSection, LimitsSection,
+    LinkSection, LoadSection, Port, Protocol, RunsSection, SupplySection,
 };
 use super::check::LONGEST_WATCHDOG_S;
-use super::limits::MotorSection;
+use super::limits::{MotorSection, POSITIVE};
 use super::plan::Plan;
 use crate::drive::DriveProfile;
 use crate::drive::offer::{self, Purpose};
+use crate::excitation::ExcitationError;
 
 /// What the drive told of itself; read, never written.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -104,6 +104,28 @@ impl InitError {
     }
 }
 
+impl From<BenchFileError> for InitError {
+    fn from(error: BenchFileError) -> Self {
+        Self::new(error.to_string(), error.help())
+    }
+}
+
+impl From<ExcitationError> for InitError {
+    fn from(error: ExcitationError) -> Self {
+        Self::new(error.to_string(), error.help())
+    }
+}
+
+impl Reasoned {
+    fn new(key: &str, value: Option<f64>, reason: impl Into<String>) -> Self {
+        Self {
+            key: key.to_owned(),
+            value,
+            reason: reason.into(),
+        }
+    }
+}
+
 impl InitFile {
     /// The commands that use it, in order; `file` names it.
     pub fn next(&self, file: &str) -> Vec<String> {
@@ -135,7 +157,14 @@ impl InitFile {
 /// smallest sequence would be too much.
 pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     let (profile, motor) = (request.profile, request.motor);
-    check_plate(motor, request.motor_file)?;
+    if let Some((key, value)) = motor.refused() {
+        // Before anything is worked out from it.
+        let file = request.motor_file;
+        return Err(InitError::new(
+            format!("{file}: {key} = {value} is not allowed (expected {POSITIVE})"),
+            "see bench-configs/motors/zk-22fc.toml",
+        ));
+    }
     let voltages = offer::refusal(profile, Purpose::Voltages);
     let speed_loop = offer::refusal(profile, Purpose::SpeedLoop);
     let mut remarks = motor.doubts();
@@ -164,7 +193,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
         ));
     }
     let mut reasons = Vec::new();
-    let rate = rate::rate(request);
+    let rate = limits::rate(request);
     reasons.push(rate.reason.clone());
     let mut bench = BenchFile {
         name: name(&motor.name, &profile.name),
@@ -205,10 +234,8 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
         &remarks,
         fitted.plan.as_ref(),
     );
-    let read = BenchFile::parse("the new bench file", &text)
-        .map_err(|error| InitError::new(error.to_string(), error.help()))?;
-    read.check_speed("the new bench file", &text)
-        .map_err(|error| InitError::new(error.to_string(), error.help()))?;
+    let read = BenchFile::parse("the new bench file", &text)?;
+    read.check_speed("the new bench file", &text)?;
     Ok(InitFile {
         bench: read,
         text,
@@ -234,22 +261,6 @@ fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
     Some(format!(
         "the time of the drive's watchdog {found}: set it at the drive, or nothing is energised without --waive-watchdog, which is recorded"
     ))
-}
-
-/// A number of the nameplate that no motor has, before anything is worked out from it.
-fn check_plate(motor: &MotorSection, file: &str) -> Result<(), InitError> {
-    for (key, value) in motor.values() {
-        let zero_too = key == "load_torque_n_m" && value.abs() <= 0.0;
-        if !(value.is_finite() && value > 0.0 || zero_too) {
-            return Err(InitError::new(
-                format!(
-                    "{file}: {key} = {value} is not allowed (expected a positive number; load_torque_n_m may be 0)"
-                ),
-                "see bench-configs/motors/zk-22fc.toml",
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// Over TCP there is no RTU, and over a serial port no TCP; the registers are the same.

@@ -7,7 +7,7 @@ use crate::plant::{Motor, MotorKey};
 use crate::units::rad_s_from_rpm;
 
 /// Largest current that an excitation may draw when the bench file does not say, in rated currents: a direct-current
-/// motor commutates four times its rated current for seconds without harm (DISCOVERY.md 2.0).
+/// motor commutates four times its rated current for seconds without harm.
 const CURRENT_LIMIT_IN_RATED: f64 = 4.0;
 /// Over-speed limit without a given one: rated speed and a quarter, below the usual mechanical test speed.
 const SPEED_LIMIT_IN_RATED: f64 = 1.25;
@@ -30,6 +30,9 @@ pub struct Nameplate {
     /// Coulomb torque, always against the motion, N.m.
     pub load_torque_n_m: f64,
 }
+
+/// What a number of the plate may be.
+pub(super) const POSITIVE: &str = "a positive number; load_torque_n_m may be 0";
 
 /// Time to rated voltage of a motor that is not known yet, s.
 const UNKNOWN_SLEW_S: f64 = 1.0;
@@ -100,16 +103,14 @@ impl MotorSection {
 
     /// The whole plate; `None` where a value is left out.
     pub fn nameplate(&self) -> Option<Nameplate> {
-        Some(Nameplate {
-            name: self.name.clone(),
-            rated_voltage_v: self.rated_voltage_v,
-            rated_current_a: self.rated_current_a,
-            rated_speed_rad_s: self.rated_speed_rad_s,
-            resistance_ohm: self.resistance_ohm?,
-            inductance_h: self.inductance_h?,
-            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad?,
-            inertia_kg_m2: self.inertia_kg_m2?,
-            load_torque_n_m: self.load_torque_n_m?,
+        self.with_found(&self.motor())
+    }
+
+    /// The first number that no motor has, with its key; [`POSITIVE`] says what is allowed.
+    pub(super) fn refused(&self) -> Option<(&'static str, f64)> {
+        self.values().into_iter().find(|(key, value)| {
+            let zero_too = *key == "load_torque_n_m" && *value == 0.0;
+            !(value.is_finite() && (*value > 0.0 || zero_too))
         })
     }
 
@@ -142,14 +143,9 @@ impl MotorSection {
     /// The plate with no friction where only `load_torque_n_m` is left out: enough to foresee what a sequence does; `None`
     /// where it is whole, or more is missing.
     pub fn without_friction(&self) -> Option<Nameplate> {
-        if self.load_torque_n_m.is_some() {
-            return None;
-        }
-        let assumed = Self {
-            load_torque_n_m: Some(0.0),
-            ..self.clone()
-        };
-        assumed.nameplate()
+        let is_left_out = self.load_torque_n_m.is_none();
+        let assumed = self.motor().with(MotorKey::LoadTorque, 0.0);
+        is_left_out.then(|| self.with_found(&assumed)).flatten()
     }
 
     /// The first key that is left out.
@@ -264,7 +260,7 @@ impl Limits {
             bus_min_v: None,
             bus_max_v: None,
             time_s: 60.0,
-            // LINKS.md 5.2: three cycles, and not below 100 ms.
+            // Three cycles, and not below 100 ms.
             link_silence_s: (3.0 / rate_hz).max(0.1),
             braking_w: None,
             quadrants: 4,
@@ -286,6 +282,7 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::testing::within;
 
     #[test]
     fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
@@ -307,12 +304,8 @@ mod tests {
     fn the_default_slew_of_the_paper_motor_is_the_recommended_one() {
         let motor = Nameplate::zk_22fc();
         let limits = Limits::for_motor(&motor, 100.0);
-        // DISCOVERY.md 2.0: 300 to 500 V/s for 0.0045 kg.m2.
-        assert!(
-            (250.0..500.0).contains(&limits.slew_v_per_s),
-            "{}",
-            limits.slew_v_per_s
-        );
+        // 300 to 500 V/s are advisable for 0.0045 kg.m2.
+        within(limits.slew_v_per_s, 250.0..500.0);
         assert!((limits.link_silence_s - 0.1).abs() < 1e-12);
         assert!((Limits::for_motor(&motor, 10.0).link_silence_s - 0.3).abs() < 1e-12);
     }

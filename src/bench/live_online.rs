@@ -8,15 +8,36 @@
 //!
 //! Beside the rows the estimators are given their configuration and nothing else; it is kept in the manifest.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::runner::{Excitation, LiveEstimator};
 use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::recursive::{Memory, StartValues};
 use crate::plant::MotorKey;
 use crate::recording::{CommandRow, Layout, Row, RowOrder};
 use crate::sample::{Channel, ParameterEstimate, Sample};
+
+/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
+pub trait LiveEstimator {
+    fn command(&mut self, command: &CommandRow);
+
+    fn push(&mut self, sample: &Sample);
+
+    /// Nothing comes any more: what still waits is taken as the recorder takes it.
+    fn finish(&mut self);
+
+    fn estimates(&self) -> Vec<ParameterEstimate>;
+
+    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
+    fn excitation(&self) -> Excitation {
+        Excitation::new()
+    }
+}
+
+/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
+pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// The on-line estimators, fed with rows of the record: the one wiring of live run and replay.
 pub struct RowEstimator {
@@ -93,16 +114,7 @@ pub struct OnlineSettings {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub torque_n_m_per_a: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<StartSettings>,
-}
-
-/// First guess of the winding.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StartSettings {
-    pub resistance_ohm: f64,
-    pub inductance_h: f64,
-    pub back_emf_v_s_per_rad: f64,
+    pub start: Option<StartValues>,
 }
 
 impl OnlineSettings {
@@ -131,11 +143,7 @@ impl From<OnlineConfig> for OnlineSettings {
             electrical_forgetting: memory.electrical,
             mechanical_forgetting: memory.mechanical,
             torque_n_m_per_a,
-            start: start.map(|start| StartSettings {
-                resistance_ohm: start.resistance_ohm,
-                inductance_h: start.inductance_h,
-                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
-            }),
+            start,
         }
     }
 }
@@ -148,11 +156,7 @@ impl From<OnlineSettings> for OnlineConfig {
                 mechanical: settings.mechanical_forgetting,
             },
             torque_n_m_per_a: settings.torque_n_m_per_a,
-            start: settings.start.map(|start| StartValues {
-                resistance_ohm: start.resistance_ohm,
-                inductance_h: start.inductance_h,
-                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
-            }),
+            start: settings.start,
         }
     }
 }

@@ -26,7 +26,6 @@ mod next_bench;
 mod pilot;
 mod plan;
 mod plausibility;
-mod program;
 mod reopen;
 mod runner;
 mod session;
@@ -55,15 +54,14 @@ pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
-    LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
+    Excitation, LiveEstimator, LiveOnline, OnlineResult, OnlineSettings, RowEstimator, replay,
 };
 pub use next_bench::{bench_for, experiment_limits, next_bench};
-pub use pilot::Pilot;
+pub use pilot::{Pilot, Program};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use plausibility::Plausibility;
-pub use program::Program;
-pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, reopen};
-pub use runner::{Bench, Excitation, LiveEstimator, RunEnd, RunOptions, RunSummary, run};
+pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
+pub use runner::{Bench, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{

@@ -3,10 +3,10 @@
 //!
 //! ```text
 //! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (balance.rs)
-//!                                          +-- measured voltage, current or speed against the set-points   (set_point.rs)
+//!                                          +-- measured voltage, current or speed against the set-points   (readings.rs)
 //!                                          +-- the same to the bit, while things change                   (repeats.rs)
-//!                                          +-- current by two balances                                    (scale.rs)
-//!                                          +-- angle against speed; speed beyond its reference             (motion.rs)
+//!                                          +-- current by two balances                                    (balance.rs)
+//!                                          +-- angle against speed; speed beyond its reference             (readings.rs)
 //! ```
 //!
 //! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
@@ -22,17 +22,14 @@
 
 mod balance;
 mod history;
-mod motion;
+mod readings;
 mod repeats;
-mod scale;
-mod set_point;
 #[cfg(test)]
 mod tests;
 
-use self::balance::{Plate, Scale, Window, is_mirrored, negative};
+use self::balance::{Factor, Plate, Scale, Window, is_mirrored, negative};
 use self::history::{History, Range, Row};
 use self::repeats::Repeats;
-use self::scale::Factor;
 use super::guard::{Trip, TripKind};
 use super::limits::{Limits, Nameplate};
 use super::timing::whole;
@@ -73,29 +70,11 @@ const SAME: usize = 4;
 /// A current of which nothing is read while the shaft is driven by so much of its rated speed within so long, s.
 const DRIVEN_SPEED: f64 = 0.08;
 const DRIVEN_S: f64 = 0.4;
-/// A set-point that is not followed for so long, s: of a voltage, of a current, and of a speed, of which the drive's own
-/// ramp is not known.
-const FOLLOWS_CURRENT_S: f64 = 0.4;
-const FOLLOWS_SPEED_S: f64 = 2.0;
-/// A voltage that stays behind a set-point which has moved by so much, in rated voltages: it has moved by less than this
-/// share of it.
-const STAYS_V: f64 = 0.08;
-const STAYS_SHARE: f64 = 0.25;
-/// Factors by which a voltage may be off whose scale was seen to be right.
-const KNOWN_SCALE: Range = Range::new(0.85, 1.15);
-/// What of it is no doubt, in rated values.
-const FOLLOWS_CURRENT: f64 = 0.1;
-const FOLLOWS_SPEED: f64 = 0.1;
 /// From this share of the rated current, or of its own limit, on a drive may limit without saying so.
 const LIMITS_BY_ITSELF: f64 = 0.85;
 /// A shaft that stands although the current is that of the rated load, and beyond what friction holds, for so long, s.
 const HELD_S: f64 = 0.5;
 const HELD_FRICTION: f64 = 1.7;
-/// A runaway: so many cycles in a row the speed grows beyond its reference although the torque is against it, by this
-/// share of the speed limit and from this share beyond the reference.
-const RUNAWAY_CYCLES: usize = 4;
-const RUNAWAY_GROWTH: f64 = 0.01;
-const RUNAWAY_BEYOND: f64 = 0.05;
 
 const CHECK_ENCODER: &str =
     "check the encoder's cable, its counts per turn and its sign in the drive's profile";
@@ -119,6 +98,8 @@ struct Held {
     reason = "what is known of a machine, each for itself"
 )]
 pub struct Plausibility {
+    /// Host time of the sample that is looked at, s.
+    now_s: f64,
     scale: Scale,
     plate: Option<Plate>,
     speed_limit_rad_s: f64,
@@ -201,6 +182,7 @@ impl Plausibility {
 
     fn new(limits: &Limits, scale: Scale) -> Self {
         Self {
+            now_s: 0.0,
             scale,
             plate: None,
             speed_limit_rad_s: limits.speed_rad_s,
@@ -226,7 +208,7 @@ impl Plausibility {
             idle_since_s: None,
             stands_since_s: None,
             angle_disagrees: 0,
-            away: Vec::with_capacity(RUNAWAY_CYCLES + 1),
+            away: Vec::new(),
             direction_seen: false,
         }
     }
@@ -321,6 +303,7 @@ impl Plausibility {
 
     /// Looks at one sample. With `armed` false it only learns how noisy the sensors are.
     pub(super) fn look(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
+        self.now_s = now_s;
         let runs = sample
             .state
             .is_none_or(|state| state == DriveState::Running);
@@ -340,12 +323,12 @@ impl Plausibility {
             return None;
         }
         self.remember(speed, at_rest);
-        let runaway = self.runs_away(now_s);
-        self.follows(now_s)
-            .or_else(|| self.stuck(now_s))
-            .or_else(|| self.stands(now_s))
-            .or_else(|| self.by_balance(now_s))
-            .or_else(|| self.by_angle(now_s))
+        let runaway = self.runs_away();
+        self.follows()
+            .or_else(|| self.stuck())
+            .or_else(|| self.stands())
+            .or_else(|| self.by_balance())
+            .or_else(|| self.by_angle())
             .or(runaway)
     }
 
@@ -471,7 +454,7 @@ impl Plausibility {
     }
 
     /// The same to the bit, by the noise that a sensor had at rest, or through a motion from rest.
-    fn stuck(&self, now_s: f64) -> Option<Trip> {
+    fn stuck(&self) -> Option<Trip> {
         let last = self.history.last()?;
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         let excited = !self.asks_nothing();
@@ -484,12 +467,7 @@ impl Plausibility {
                 last.time_s - self.speed.since_s(),
                 self.speed.needed().unwrap_or(0.0)
             );
-            return Some(Trip::implausible(
-                TripKind::EncoderFrozen,
-                now_s,
-                (speed, speed),
-                &what,
-            ));
+            return Some(self.doubt(TripKind::EncoderFrozen, (speed, speed), &what));
         }
         let moved = self
             .current_held
@@ -505,18 +483,13 @@ impl Plausibility {
                 self.current.run() + 1,
                 last.time_s - self.current.since_s()
             );
-            return Some(Trip::implausible(
-                TripKind::CurrentStuck,
-                now_s,
-                (current, current),
-                &what,
-            ));
+            return Some(self.doubt(TripKind::CurrentStuck, (current, current), &what));
         }
         None
     }
 
     /// A shaft that does not turn although it should.
-    fn stands(&mut self, now_s: f64) -> Option<Trip> {
+    fn stands(&mut self) -> Option<Trip> {
         let plate = self.plate.filter(|_| !self.vertical)?;
         let row = *self.history.rows().back()?;
         let least_a = self
@@ -542,12 +515,17 @@ impl Plausibility {
         );
         (last_s - since_s >= longest_s).then(|| {
             let figures = (row.speed_rad_s, 0.0);
-            Trip::implausible(TripKind::ShaftHeld, now_s, figures, &what)
+            self.doubt(TripKind::ShaftHeld, figures, &what)
         })
     }
 
+    /// The trip for something measured that cannot be: the value, what it should be, and the sentence after the name.
+    fn doubt(&self, kind: TripKind, figures: (f64, f64), what: &str) -> Trip {
+        Trip::new(kind, self.now_s, figures, what)
+    }
+
     /// Everything that the voltage balance says.
-    fn by_balance(&mut self, now_s: f64) -> Option<Trip> {
+    fn by_balance(&mut self) -> Option<Trip> {
         let plate = self.plate?;
         let row = *self.history.rows().back()?;
         if !(self.waived || row.limited)
@@ -562,20 +540,20 @@ impl Plausibility {
                 .window(&plate, WINDOW)
                 .filter(|window| factor < 0.0 && window.mean_speed * window.mean_volts < 0.0);
             return Some(match window {
-                Some(window) => self.speed_trip(TripKind::EncoderReversed, now_s, &plate, &window),
-                None => self.current_scaled(now_s, factor),
+                Some(window) => self.speed_trip(TripKind::EncoderReversed, &plate, &window),
+                None => self.current_scaled(factor),
             });
         }
         if self.is_idle() {
             self.disagree = 0;
-            return self.idle(now_s, &plate);
+            return self.idle(&plate);
         }
         self.idle_since_s = None;
         let Some(window) = self.window(&plate, self.window_rows()) else {
             self.disagree = 0;
             return None;
         };
-        if let Some(trip) = self.frozen(now_s, &plate, &window) {
+        if let Some(trip) = self.frozen(&plate, &window) {
             return Some(trip);
         }
         let drop_v = self.drop_v();
@@ -597,7 +575,7 @@ impl Plausibility {
         if self.disagree < CONFIRM {
             return None;
         }
-        self.name(now_s, &plate, &window)
+        self.name(&plate, &window)
     }
 
     /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
@@ -633,10 +611,10 @@ impl Plausibility {
     }
 
     /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
-    fn idle(&mut self, now_s: f64, plate: &Plate) -> Option<Trip> {
+    fn idle(&mut self, plate: &Plate) -> Option<Trip> {
         let last = *self.history.last()?;
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
-        if let Some(trip) = self.driven_without_current(now_s, current, speed) {
+        if let Some(trip) = self.driven_without_current(current, speed) {
             return Some(trip);
         }
         let window = self.window(plate, self.window_rows())?;
@@ -669,29 +647,24 @@ impl Plausibility {
             } else {
                 TripKind::SpeedImplausible
             };
-            return Some(Trip::implausible(kind, now_s, (speed, by_voltage), &what));
+            return Some(self.doubt(kind, (speed, by_voltage), &what));
         }
         let expected_a = volts / plate.resistance;
         Some(if last.voltage_v.is_some() {
             let what = format!(
                 "the armature circuit is open, or the output is not on, or current and speed are both not measured: {figures}; check the motor's leads, its fuses and the drive's enable and release inputs"
             );
-            Trip::implausible(TripKind::OpenCircuit, now_s, (current, expected_a), &what)
+            self.doubt(TripKind::OpenCircuit, (current, expected_a), &what)
         } else {
             let what = format!(
                 "the drive does not follow, or its output is not on, or the armature circuit is open (it tells no voltage that would say which): {figures}; {CHECK_SET_POINT}; check the motor's leads"
             );
-            Trip::implausible(
-                TripKind::SetPointIgnored,
-                now_s,
-                (current, expected_a),
-                &what,
-            )
+            self.doubt(TripKind::SetPointIgnored, (current, expected_a), &what)
         })
     }
 
     /// A shaft that speeds up with the voltage, by nothing.
-    fn driven_without_current(&self, now_s: f64, current: f64, speed: f64) -> Option<Trip> {
+    fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
         let idle_a = IDLE_A * self.scale.amps;
         let (mut seconds, mut gain) = (0.0, 0.0);
         for row in self.history.rows().iter().rev() {
@@ -708,11 +681,11 @@ impl Plausibility {
             DRIVEN_SPEED * self.scale.rad_s
         );
         (gain > DRIVEN_SPEED * self.scale.rad_s)
-            .then(|| Trip::implausible(TripKind::CurrentStuck, now_s, (current, idle_a), &what))
+            .then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
     }
 
     /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
-    fn frozen(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
+    fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         // What the window says must all be of the time since the speed has been the same.
         if self.speed.run() < self.window_rows() {
             self.frozen = 0;
@@ -755,12 +728,11 @@ impl Plausibility {
         self.frozen += 1;
         // A drive that does not stamp its samples may have read the speed some cycles ago.
         let needed = if self.is_exact() { 1 } else { self.cycles() };
-        (self.frozen >= needed)
-            .then(|| self.speed_trip(TripKind::EncoderFrozen, now_s, plate, window))
+        (self.frozen >= needed).then(|| self.speed_trip(TripKind::EncoderFrozen, plate, window))
     }
 
     /// Which reading it is that does not fit.
-    fn name(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
+    fn name(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
         let fits = |window: Window| window.gap(WINDING, FLUX, drop_v) <= 0.0;
         let unheeded = self.believed.is_some_and(|(volts, answer)| {
@@ -769,8 +741,7 @@ impl Plausibility {
             asked > 2.0 * drop_v && answered < 0.25 * asked
         });
         let last = *self.history.last()?;
-        let speed =
-            |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, now_s, plate, window));
+        let speed = |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, plate, window));
         let mirrored = window.with(window.current, negative(window.speed));
         let drives_back = window.mean_speed * window.mean_volts < 0.0
             && window.mean_current * window.mean_volts.signum() >= -drop_v;
@@ -791,8 +762,8 @@ impl Plausibility {
                 self.scale.volts,
             )
         {
-            Some(self.current_trip(TripKind::CurrentReversed, now_s, plate, window))
-        } else if let Some(trip) = self.swapped(now_s) {
+            Some(self.current_trip(TripKind::CurrentReversed, plate, window))
+        } else if let Some(trip) = self.swapped() {
             Some(trip)
         } else if unheeded && last.voltage_v.is_none() {
             let answer = window.mean_current + window.mean_speed;
@@ -801,12 +772,7 @@ impl Plausibility {
                 window.mean_volts
             );
             let figures = (answer, window.mean_volts);
-            Some(Trip::implausible(
-                TripKind::SetPointIgnored,
-                now_s,
-                figures,
-                &what,
-            ))
+            Some(self.doubt(TripKind::SetPointIgnored, figures, &what))
         } else if !turns {
             speed(self, TripKind::EncoderFrozen)
         } else if self.waived {
@@ -815,12 +781,12 @@ impl Plausibility {
         } else if window.mean_speed.abs() >= window.mean_current.abs() {
             speed(self, TripKind::SpeedImplausible)
         } else {
-            Some(self.current_trip(TripKind::CurrentImplausible, now_s, plate, window))
+            Some(self.current_trip(TripKind::CurrentImplausible, plate, window))
         }
     }
 
     /// The speed that the balance does not carry.
-    fn speed_trip(&self, kind: TripKind, now_s: f64, plate: &Plate, window: &Window) -> Trip {
+    fn speed_trip(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
         let ke = plate.back_emf;
         let measured = window.mean_speed / ke;
         let by_voltage = (window.mean_volts - window.mean_current) / ke;
@@ -848,10 +814,10 @@ impl Plausibility {
             believed.low / ke,
             believed.high / ke
         );
-        Trip::implausible(kind, now_s, (measured, by_voltage), &what)
+        self.doubt(kind, (measured, by_voltage), &what)
     }
 
-    fn current_trip(&self, kind: TripKind, now_s: f64, plate: &Plate, window: &Window) -> Trip {
+    fn current_trip(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
         let measured = window.mean_current / plate.resistance;
         let by_voltage = (window.mean_volts - window.mean_speed) / plate.resistance;
         let believed = window
@@ -868,11 +834,11 @@ impl Plausibility {
             believed.low / plate.resistance,
             believed.high / plate.resistance
         );
-        Trip::implausible(kind, now_s, (measured, by_voltage), &what)
+        self.doubt(kind, (measured, by_voltage), &what)
     }
 
     /// A current that both balances want to be another.
-    fn current_scaled(&self, now_s: f64, factor: f64) -> Trip {
+    fn current_scaled(&self, factor: f64) -> Trip {
         let current = self
             .history
             .last()
@@ -886,6 +852,6 @@ impl Plausibility {
         let what = format!(
             "the measured current reads {factor:.2} times what voltage and acceleration ask for, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
         );
-        Trip::implausible(kind, now_s, (factor, 1.0), &what)
+        self.doubt(kind, (factor, 1.0), &what)
     }
 }

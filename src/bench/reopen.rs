@@ -13,7 +13,6 @@ use std::sync::mpsc::Receiver;
 use serde::Serialize;
 
 use super::clock::Clock;
-use super::runner::RunEnd;
 use super::session::{Intent, Phase};
 use super::snapshot::SnapshotCell;
 use crate::drive::{DriveLink, Identity, LinkError, Reopening, another_drive};
@@ -70,6 +69,15 @@ pub struct ReopenBench<'a> {
     pub interrupted: &'a AtomicBool,
     pub intents: &'a Receiver<Intent>,
     pub snapshots: &'a SnapshotCell,
+}
+
+/// Where the end of a run stands in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunEnd {
+    /// From host time to the samples' time axis, s.
+    pub drive_minus_host_s: f64,
+    /// Host time of the last valid reply, s.
+    pub last_reply_s: f64,
 }
 
 /// What is known of the drive that was lost, and how long it is looked for.

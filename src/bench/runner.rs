@@ -7,7 +7,7 @@
 //! The same code runs in real time and, with the virtual clock and the drive in memory, faster than that and the same to
 //! the byte for each seed.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
@@ -18,40 +18,21 @@ use super::clock::{Clock, SUSPENDED_S};
 use super::guard::RearmError;
 use super::limits::Nameplate;
 use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
-use super::reopen::Reopened;
+use super::live_online::{Excitation, LiveEstimator};
+use super::reopen::{Reopened, RunEnd};
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
-use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
+use crate::sample::{Command, Demand, DriveState, ParameterEstimate};
 
 /// A drive that is not safe after this time is not going to be by itself, s.
 const CONNECT_TIME_S: f64 = 5.0;
 /// Times that a burst is asked for, and the pause between, s: one may still be recording.
 const FETCH_ATTEMPTS: u32 = 20;
 const FETCH_PAUSE_S: f64 = 0.1;
-
-/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
-pub trait LiveEstimator {
-    fn command(&mut self, command: &CommandRow);
-
-    fn push(&mut self, sample: &Sample);
-
-    /// Nothing comes any more: what still waits is taken as the recorder takes it.
-    fn finish(&mut self);
-
-    fn estimates(&self) -> Vec<ParameterEstimate>;
-
-    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
-    fn excitation(&self) -> Excitation {
-        Excitation::new()
-    }
-}
-
-/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
-pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// What a run is made with; all of it belongs to the calling thread.
 pub struct Bench<'a> {
@@ -106,15 +87,6 @@ pub struct RunSummary {
     pub reopened: Option<Reopened>,
     #[serde(skip)]
     pub end: RunEnd,
-}
-
-/// Where the end of a run stands in time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RunEnd {
-    /// From host time to the samples' time axis, s.
-    pub drive_minus_host_s: f64,
-    /// Host time of the last valid reply, s.
-    pub last_reply_s: f64,
 }
 
 /// Bytes and times of a wire.
@@ -400,7 +372,10 @@ impl Runner<'_> {
                 let reference_rad_s = self.session.reference_rad_s();
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
             }
-            Action::Event(event) => self.recorder.event(self.event(event)),
+            Action::Event(mut event) => {
+                event.time_s += self.end.drive_minus_host_s;
+                self.recorder.event(event);
+            }
             Action::Notice(notice) => self.act_on_notice(notice),
             Action::Finished(outcome) => self.outcome = Some(outcome),
         }
@@ -541,26 +516,6 @@ impl Runner<'_> {
     fn act_on_notice(&mut self, notice: Notice) {
         self.publisher.notice(notice.clone());
         self.notices.push(notice);
-    }
-
-    /// An event of the session on the samples' time axis.
-    fn event(&self, event: Value) -> Event {
-        let mut details = match event {
-            Value::Object(details) => details,
-            other => serde_json::Map::from_iter([("value".to_owned(), other)]),
-        };
-        let kind = details
-            .shift_remove("event")
-            .and_then(|kind| kind.as_str().map(str::to_owned))
-            .unwrap_or_default();
-        let seq = details.shift_remove("seq").and_then(|seq| seq.as_u64());
-        let host_s = details
-            .get("host_time_s")
-            .and_then(Value::as_f64)
-            .unwrap_or(0.0);
-        let mut out = Event::new(host_s + self.end.drive_minus_host_s, seq, kind);
-        out.details = details;
-        out
     }
 
     fn estimates(&self) -> Vec<ParameterEstimate> {

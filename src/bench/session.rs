@@ -11,23 +11,20 @@
 //! by itself. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
-mod brake;
-mod ending;
-mod intents;
+mod transitions;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
-use self::brake::BrakeOrder;
-use self::ending::DriveWord;
+use self::transitions::{BrakeOrder, DriveWord};
 use super::bench_file::Brake;
 use super::guard::{Causes, Guard, Trip};
-use super::pilot::{OpenLoop, Pilot};
+use super::pilot::{OpenLoop, Pilot, Program};
 use super::plausibility::PLAUSIBILITY;
-use super::program::Program;
 use super::speed::SpeedReport;
 use crate::drive::CommandTimes;
+use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// A drive that is to stop and says nothing at all is given up after this, s: there is no ramp to wait for.
@@ -565,12 +562,12 @@ impl Session {
         self.shaping = causes;
     }
 
+    /// In host time: who knows the samples' time axis moves it there.
     fn event(&self, now_s: f64, kind: &str, detail: Value, actions: &mut Vec<Action>) {
-        let mut event = json!({
-            "event": kind, "host_time_s": now_s, "seq": self.seq, "input": self.inputs,
-        });
-        if let (Value::Object(event), Value::Object(detail)) = (&mut event, detail) {
-            event.extend(detail);
+        let event = Event::new(now_s, Some(self.seq), kind).with("host_time_s", now_s);
+        let mut event = event.with("input", self.inputs);
+        if let Value::Object(detail) = detail {
+            event.details.extend(detail);
         }
         actions.push(Action::Event(event));
     }

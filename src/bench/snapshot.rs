@@ -1,19 +1,18 @@
 //! What a screen needs to know of a run, published some twenty times a second; it never reaches back into the run.
 
-mod model_trace;
-mod publisher;
-
-pub(super) use publisher::{Publisher, RunState};
-
+use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::guard::Trip;
-use super::runner::Excitation;
-use super::session::{Notice, Phase};
+use super::limits::Nameplate;
+use super::live_online::Excitation;
+use super::session::{Notice, Phase, Session};
 use super::timing::Timing;
 use crate::drive::{Identity, LinkStatistics};
-use crate::sample::{DriveState, ParameterEstimate};
+use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use crate::recording::RecorderStatus;
+use crate::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
 /// Software or copper: shown on every screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -127,5 +126,216 @@ impl SnapshotCell {
 
     pub fn publish(&self, snapshot: Snapshot) {
         *self.latest.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+    }
+}
+
+/// Points kept for the scope: the widest screen has fewer columns.
+const POINTS: usize = 1200;
+/// Notices kept.
+const NOTICES: usize = 50;
+/// Snapshots per second of the run.
+const SNAPSHOT_RATE_HZ: f64 = 20.0;
+
+/// What the runner knows at one instant.
+pub(super) struct RunState<'a> {
+    pub(super) session: &'a Session,
+    pub(super) link: LinkStatistics,
+    pub(super) timing: Timing,
+    pub(super) recorder: RecorderStatus,
+    pub(super) estimates: Vec<ParameterEstimate>,
+    pub(super) excitation: Excitation,
+    /// Only at the end.
+    pub(super) outcome: Option<&'static str>,
+}
+
+pub(super) struct Publisher {
+    cell: SnapshotCell,
+    snapshot: Snapshot,
+    points: VecDeque<TracePoint>,
+    origin_s: Option<f64>,
+    model: ModelTrace,
+    next_s: f64,
+}
+
+impl Publisher {
+    pub(super) fn new(cell: SnapshotCell, first: Snapshot, motor: Option<&Nameplate>) -> Self {
+        Self {
+            cell,
+            snapshot: first,
+            points: VecDeque::with_capacity(POINTS),
+            origin_s: None,
+            model: ModelTrace::new(motor),
+            next_s: f64::NEG_INFINITY,
+        }
+    }
+
+    pub(super) fn sample(&mut self, sample: &Sample, demand: Demand, reference_rad_s: Option<f64>) {
+        let origin_s = *self.origin_s.get_or_insert(sample.time_s);
+        let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
+        if self.points.len() == POINTS {
+            self.points.pop_front();
+        }
+        self.points.push_back(TracePoint {
+            time_s: sample.time_s - origin_s,
+            voltage_v: cell(Channel::Voltage),
+            current_a: cell(Channel::Current),
+            speed_rad_s: cell(Channel::Speed),
+            model_speed_rad_s: self.model.follow(sample, demand),
+            reference_rad_s: reference_rad_s.unwrap_or(f64::NAN),
+        });
+    }
+
+    pub(super) fn notice(&mut self, notice: Notice) {
+        self.cell.tell(&notice);
+        if self.snapshot.notices.len() == NOTICES {
+            self.snapshot.notices.remove(0);
+        }
+        self.snapshot.notices.push(notice);
+    }
+
+    pub(super) fn is_due(&self, now_s: f64) -> bool {
+        now_s >= self.next_s
+    }
+
+    pub(super) fn publish(&mut self, now_s: f64, state: RunState<'_>) {
+        let RunState {
+            session,
+            link,
+            timing,
+            recorder,
+            estimates,
+            excitation,
+            outcome,
+        } = state;
+        self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
+        if !self.model.is_identified() {
+            self.model.learn(&estimates);
+        }
+        let (elapsed_s, total_s) = session.progress_s(now_s);
+        let snapshot = &mut self.snapshot;
+        snapshot.phase = Some(session.phase());
+        snapshot.drive_state = session.last_sample().and_then(|sample| sample.state);
+        (snapshot.elapsed_s, snapshot.total_s) = (elapsed_s, total_s);
+        snapshot.segment = session.segment_name().map(str::to_owned);
+        snapshot.trace = Arc::new(self.points.iter().copied().collect());
+        snapshot.estimates = Arc::new(estimates);
+        snapshot.excitation = Arc::new(excitation);
+        snapshot.model_is_identified = self.model.is_identified();
+        snapshot.link_statistics = link;
+        snapshot.timing = timing;
+        snapshot.rows = recorder.rows as u64;
+        snapshot.recorder_error = recorder.error;
+        snapshot.trip = session.guard().tripped().cloned();
+        snapshot.outcome = outcome;
+        self.cell.publish(snapshot.clone());
+    }
+}
+
+/// Gaps longer than this begin a new free run from the measurement, s.
+const LONGEST_GAP_S: f64 = 0.5;
+
+/// Free run of the nameplate's model, then of the identified one as soon as all of its values are settled.
+struct ModelTrace {
+    plant: Option<Plant>,
+    motor: Motor,
+    state: State,
+    last_s: Option<f64>,
+    voltage_v: f64,
+    is_identified: bool,
+    scenario: Scenario,
+    out: Trajectory,
+}
+
+impl ModelTrace {
+    /// Without a nameplate there is no model until one is identified.
+    fn new(nameplate: Option<&Nameplate>) -> Self {
+        let motor = nameplate.map(Nameplate::motor).unwrap_or_default();
+        Self {
+            plant: Plant::new(&Model::baseline(motor.clone()), Input::Voltage).ok(),
+            motor,
+            state: State::default(),
+            last_s: None,
+            voltage_v: 0.0,
+            is_identified: false,
+            scenario: Scenario {
+                name: "live".to_owned(),
+                input: Input::Voltage,
+                input_channel: Channel::VoltageCmd,
+                events: Vec::with_capacity(2),
+                sample_time_s: vec![0.0],
+                current_a: vec![f64::NAN],
+                speed_rad_s: vec![f64::NAN],
+                angle: Vec::new(),
+                time_half_width_s: Vec::new(),
+                unknown_input: vec![],
+                scored: 0..1,
+            },
+            out: Trajectory::default(),
+        }
+    }
+
+    const fn is_identified(&self) -> bool {
+        self.is_identified
+    }
+
+    /// Takes over estimates once every one of the five is settled.
+    fn learn(&mut self, estimates: &[ParameterEstimate]) {
+        let mut motor = self.motor.clone();
+        for key in MotorKey::ALL {
+            if key == MotorKey::TorqueConstant {
+                continue;
+            }
+            let settled = estimates
+                .iter()
+                .find(|estimate| estimate.key == key.key() && estimate.verdict == Verdict::Settled);
+            match settled.and_then(|estimate| estimate.value) {
+                Some(value) => motor.set(key, value),
+                None => return,
+            }
+        }
+        let model = Model::baseline(motor);
+        if model.validate().is_ok()
+            && let Ok(plant) = Plant::new(&model, Input::Voltage)
+        {
+            self.plant = Some(plant);
+            self.is_identified = true;
+        }
+    }
+
+    /// The model's speed at the sample, rad/s; NaN where there is none. `demand` is the command in force.
+    fn follow(&mut self, sample: &Sample, demand: Demand) -> f64 {
+        let now_s = sample.time_s;
+        let before_v = std::mem::replace(
+            &mut self.voltage_v,
+            match demand {
+                // Off: the terminals are where the drive leaves them, which only a measurement tells.
+                Demand::Voltage(volts) => volts,
+                _ => sample.get(Channel::Voltage).unwrap_or(0.0),
+            },
+        );
+        let last_s = self.last_s.replace(now_s);
+        let fresh = last_s.is_none_or(|last_s| !(0.0..LONGEST_GAP_S).contains(&(now_s - last_s)));
+        let Some(plant) = self.plant.as_mut() else {
+            return f64::NAN;
+        };
+        let Some(begin_s) = last_s.filter(|_| !fresh) else {
+            self.state = State::at(
+                sample.get(Channel::Current).unwrap_or(0.0),
+                sample.get(Channel::Speed).unwrap_or(0.0),
+            );
+            return self.state.speed_rad_s;
+        };
+        let applied_s = sample
+            .applied
+            .map_or(begin_s, |applied| applied.time_s.clamp(begin_s, now_s));
+        self.scenario.events.clear();
+        if applied_s > begin_s {
+            self.scenario.events.push((begin_s, before_v));
+        }
+        self.scenario.events.push((applied_s, self.voltage_v));
+        self.scenario.sample_time_s[0] = now_s;
+        plant.simulate_into(&self.scenario, self.state, &mut self.out);
+        self.state = State::at(self.out.current_a[0], self.out.speed_rad_s[0]);
+        self.state.speed_rad_s
     }
 }

@@ -1,13 +1,52 @@
-//! Test helpers: the paper's motor, and a scripted drive that does exactly what a test tells it.
-
-pub(super) mod stalls;
+//! Test kit of the bench: the paper's motor, drives and links that do what a test tells them, one way to carry a session
+//! out, and assertions that show what they found.
 
 use std::collections::VecDeque;
+use std::fmt::{Debug, Display};
+use std::ops::RangeBounds;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{RngCore, SeedableRng};
+
+use super::clock::Clock;
+use super::describe::layout;
+use super::guard::TripKind;
 use super::limits::Nameplate;
-use super::program::Program;
+use super::live_online::LiveEstimator;
+use super::pilot::Program;
+use super::runner::{Bench, RunOptions, RunSummary, run};
+use super::session::{Action, Input, Intent, Lost, Outcome, Session};
+use super::snapshot::{SnapshotCell, Target};
 use crate::drive::{CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use crate::recording::{Layout, MemoryRecorder};
 use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
+
+/// Signals that a drive with the usual sensors gives.
+pub(super) const SIGNALS: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
+
+/// Fails with the whole text where it lacks these words.
+#[track_caller]
+pub(super) fn has(text: impl Display, words: &str) {
+    let text = text.to_string();
+    assert!(text.contains(words), "{words:?} is not in: {text}");
+}
+
+/// Fails with both values where they lie further apart than this.
+#[track_caller]
+pub(super) fn near(value: f64, expected: f64, most: f64) {
+    let apart = (value - expected).abs();
+    assert!(apart < most, "{value}, expected {expected} +- {most}");
+}
+
+/// Fails with the value where it lies outside.
+#[track_caller]
+pub(super) fn within(value: f64, range: impl RangeBounds<f64> + Debug) {
+    assert!(range.contains(&value), "{value} is not in {range:?}");
+}
 
 impl Nameplate {
     pub(super) fn zk_22fc() -> Self {
@@ -49,6 +88,12 @@ impl<F: Fn(f64) -> Demand + Send> Program for Wave<F> {
     }
 }
 
+/// The same demand for so long.
+pub(super) fn constant(duration_s: f64, demand: Demand) -> Box<dyn Program> {
+    let demand = move |_| demand;
+    Box::new(Wave { duration_s, demand })
+}
+
 /// What the scripted drive does wrong, and from which exchange on.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Fault {
@@ -71,6 +116,10 @@ pub(super) struct ScriptedDrive {
     pub(super) watchdog_s: Option<f64>,
     pub(super) stops: u32,
     pub(super) is_emulator: bool,
+    pub(super) serial_number: &'static str,
+    pub(super) confirms_stop: bool,
+    /// Everything that it was asked, for whoever keeps a copy.
+    pub(super) asked: Arc<Mutex<Vec<String>>>,
     pub(super) shortest_cycle_s: Option<f64>,
     pub(super) times: CommandTimes,
     /// What a stop outside a run ends with; `None`: it is confirmed.
@@ -92,6 +141,9 @@ impl ScriptedDrive {
             watchdog_s: Some(0.2),
             stops: 0,
             is_emulator: true,
+            serial_number: "",
+            confirms_stop: true,
+            asked: Arc::default(),
             shortest_cycle_s: None,
             times: CommandTimes::default(),
             stop_fails: None,
@@ -110,11 +162,16 @@ impl ScriptedDrive {
         self
     }
 
-    fn has(&self, wanted: &Fault) -> bool {
+    /// The faults that hold for the exchange that is under way.
+    fn faults_now(&self) -> Vec<Fault> {
         let now = self.statistics.sent;
-        self.faults
-            .iter()
-            .any(|(from, to, fault)| (*from..*to).contains(&now) && fault == wanted)
+        let faults = self.faults.iter();
+        let holding = faults.filter(|(from, to, _)| (*from..*to).contains(&now));
+        holding.map(|(_, _, fault)| fault.clone()).collect()
+    }
+
+    fn note(&self, what: &str) {
+        self.asked.lock().unwrap().push(what.to_owned());
     }
 }
 
@@ -124,9 +181,11 @@ impl DriveLink for ScriptedDrive {
     }
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.note("identify");
         Ok(Identity {
             vendor: "drivebench".to_owned(),
             product: "script".to_owned(),
+            serial_number: self.serial_number.to_owned(),
             is_emulator: self.is_emulator,
             watchdog_s: self.watchdog_s,
             ..Identity::default()
@@ -134,47 +193,30 @@ impl DriveLink for ScriptedDrive {
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.note(&format!("{:?}", command.demand));
         self.demands.push(command.demand);
-        let link = self.name().0;
-        let outcome = (self.has(&Fault::Timeout), self.has(&Fault::Gone));
-        if !self.has(&Fault::ClockStops) {
+        let faults = self.faults_now();
+        let has = |wanted| faults.contains(&wanted);
+        self.statistics.sent += 1;
+        if !has(Fault::ClockStops) {
             self.time_s += self.period_s;
         }
-        let (never, leaves, deaf) = (
-            self.has(&Fault::NeverRuns),
-            self.has(&Fault::LeavesRunning),
-            self.has(&Fault::IgnoresStop),
-        );
-        let fault = self
-            .faults
-            .iter()
-            .find_map(|(from, to, fault)| match fault {
-                Fault::TripWith(code) if (*from..*to).contains(&self.statistics.sent) => {
-                    Some(*code)
-                }
-                _ => None,
-            });
-        let values: Vec<(u64, u64, Fault)> = self.faults.iter().cloned().collect();
-        let now = self.statistics.sent;
-        self.statistics.sent += 1;
-        if outcome.0 {
+        if has(Fault::Timeout) {
             self.statistics.timeout += 1;
-            return Err(LinkError::Timeout {
-                link,
-                deadline_ms: 5,
-                request: "test".to_owned(),
-            });
+            return Err(timeout(self.name(), "test"));
         }
-        if outcome.1 {
+        if has(Fault::Gone) {
             self.statistics.aborted += 1;
-            return Err(LinkError::Gone(link, "unplugged".to_owned()));
+            return Err(gone(self.name().0));
         }
         self.statistics.ok += 1;
         self.voltage_v = command.demand.voltage_v().unwrap_or(0.0);
-        self.state = match command.demand {
-            demand if demand.energises() && !never && !leaves => DriveState::Running,
-            _ if deaf && self.state == DriveState::Running => DriveState::Running,
-            _ => DriveState::Disabled,
+        let obeys = !has(Fault::NeverRuns) && !has(Fault::LeavesRunning);
+        let deaf = has(Fault::IgnoresStop) && self.state == DriveState::Running;
+        self.state = if command.demand.energises() && obeys || deaf {
+            DriveState::Running
+        } else {
+            DriveState::Disabled
         };
         let before_rad_s = self.speed_rad_s;
         self.speed_rad_s += 0.2 * (self.voltage_v / 0.3538 - self.speed_rad_s);
@@ -192,17 +234,13 @@ impl DriveLink for ScriptedDrive {
             seq: command.seq,
             time_s: self.time_s - 0.3 * self.period_s,
         });
-        if let Some(code) = fault {
-            sample.state = Some(DriveState::Fault);
-            sample.fault = Some(code);
-        }
-        for (_, _, fault) in values
-            .iter()
-            .filter(|(from, to, _)| (*from..*to).contains(&now))
-        {
+        for fault in faults {
             match fault {
-                Fault::Set(channel, value) => sample.set(*channel, *value),
-                Fault::Missing(channel) => sample.set(*channel, f64::NAN),
+                Fault::Set(channel, value) => sample.set(channel, value),
+                Fault::Missing(channel) => sample.set(channel, f64::NAN),
+                Fault::TripWith(code) => {
+                    (sample.state, sample.fault) = (Some(DriveState::Fault), Some(code));
+                }
                 _ => {}
             }
         }
@@ -210,6 +248,7 @@ impl DriveLink for ScriptedDrive {
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.note("stop");
         self.stops += 1;
         if let Some(error) = self.stop_fails {
             return Err(error(self.name().0));
@@ -217,6 +256,10 @@ impl DriveLink for ScriptedDrive {
         self.state = DriveState::Disabled;
         self.voltage_v = 0.0;
         Ok(())
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.confirms_stop
     }
 
     fn command_times(&self) -> CommandTimes {
@@ -229,5 +272,337 @@ impl DriveLink for ScriptedDrive {
 
     fn shortest_cycle_s(&self) -> Option<f64> {
         self.shortest_cycle_s
+    }
+}
+
+pub(super) fn gone(link: String) -> LinkError {
+    LinkError::Gone(link, "unplugged".to_owned())
+}
+
+fn timeout(link: LinkName, request: &str) -> LinkError {
+    LinkError::Timeout {
+        link: link.0,
+        deadline_ms: 5,
+        request: request.to_owned(),
+    }
+}
+
+/// What happens to exchanges on their way.
+pub(super) trait Tamper<L: DriveLink>: Send {
+    fn exchange(&mut self, link: &mut L, command: Command) -> Result<Sample, LinkError>;
+
+    fn bound(&mut self, _left_s: f64) {}
+}
+
+/// A link with somebody in between.
+pub(super) struct Tampered<L, T> {
+    pub(super) link: L,
+    pub(super) by: T,
+}
+
+impl<L: DriveLink, T: Tamper<L>> DriveLink for Tampered<L, T> {
+    fn name(&self) -> LinkName {
+        self.link.name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.link.identify()
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.by.exchange(&mut self.link, command)
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.by.bound(left_s);
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.link.stop()
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.link.confirms_stop()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.link.command_times()
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.link.shortest_cycle_s()
+    }
+}
+
+/// How often something stands still, and for how long, by dice.
+#[derive(Clone, Copy)]
+pub(super) struct Stalls {
+    /// Part of the cycles that are followed by one.
+    pub(super) share: f64,
+    pub(super) longest_s: f64,
+}
+
+impl Stalls {
+    /// None most of the time.
+    fn length_s(self, dice: &mut ChaCha8Rng) -> f64 {
+        let mut uniform = || f64::from(dice.next_u32()) / f64::from(u32::MAX);
+        if uniform() < self.share {
+            self.longest_s * uniform()
+        } else {
+            0.0
+        }
+    }
+
+    /// A laptop that stands still now and then, with a drive in memory that for a while answers nothing.
+    pub(super) fn at(self, config: &EmulatorConfig, seed: u64) -> (impl DriveLink, impl Clock) {
+        let (link, clock) = in_memory(config, seed);
+        let dozing = Dozing {
+            clock: clock.clone(),
+            stalls: self,
+            dice: ChaCha8Rng::seed_from_u64(seed),
+            wakes_s: 0.0,
+        };
+        let mut dice = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
+        let late_s = move |_| self.length_s(&mut dice);
+        (Tampered { link, by: dozing }, LateClock { clock, late_s })
+    }
+}
+
+/// The drive's side: while it dozes, requests are lost and the output stays as it is.
+struct Dozing {
+    clock: VirtualClock,
+    stalls: Stalls,
+    dice: ChaCha8Rng,
+    wakes_s: f64,
+}
+
+impl Tamper<MemoryLink> for Dozing {
+    fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
+        let now_s = self.clock.time_s();
+        if now_s < self.wakes_s {
+            return Err(timeout(link.name(), "a dozing drive"));
+        }
+        let sample = link.exchange(command);
+        self.wakes_s = now_s + self.stalls.length_s(&mut self.dice);
+        sample
+    }
+}
+
+/// A host's clock of which some waits end late: by what is said of the instant, s.
+pub(super) struct LateClock<F> {
+    pub(super) clock: VirtualClock,
+    pub(super) late_s: F,
+}
+
+impl<F: FnMut(f64) -> f64 + Send> Clock for LateClock<F> {
+    fn now_s(&self) -> f64 {
+        self.clock.time_s()
+    }
+
+    fn sleep_until_s(&mut self, until_s: f64) {
+        let now_s = self.clock.time_s().max(until_s);
+        self.clock.set_time_s(now_s + (self.late_s)(now_s));
+    }
+
+    fn is_real(&self) -> bool {
+        false
+    }
+}
+
+/// The emulator without tolerance, so that its motor is the nameplate's.
+pub(super) fn exact(name: &str) -> EmulatorConfig {
+    EmulatorConfig {
+        tolerance: 0.0,
+        ..EmulatorConfig::embedded(name).unwrap()
+    }
+}
+
+/// A software drive in memory with the clock of its line.
+pub(super) fn in_memory(config: &EmulatorConfig, seed: u64) -> (MemoryLink, VirtualClock) {
+    let clock = VirtualClock::new();
+    let drive = SoftDrive::new(config, seed);
+    let link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    (link, clock)
+}
+
+/// One run of a session to its end, without a user and as fast as it goes, where a test does not say otherwise.
+pub(super) struct Course<'a> {
+    pub(super) rate_hz: f64,
+    pub(super) layout: Layout,
+    pub(super) motor: Option<Nameplate>,
+    pub(super) estimator: Option<&'a mut dyn LiveEstimator>,
+    /// What is asked for before it begins.
+    pub(super) intents: Vec<Intent>,
+    pub(super) interrupted: bool,
+    pub(super) snapshots: SnapshotCell,
+}
+
+impl Default for Course<'_> {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            layout: layout(&SIGNALS),
+            motor: None,
+            estimator: None,
+            intents: Vec::new(),
+            interrupted: false,
+            snapshots: SnapshotCell::default(),
+        }
+    }
+}
+
+impl Course<'_> {
+    pub(super) fn run(
+        self,
+        session: Session,
+        link: &mut dyn DriveLink,
+        clock: &mut dyn Clock,
+    ) -> (RunSummary, MemoryRecorder) {
+        let mut recorder = MemoryRecorder::new(self.layout);
+        let (sender, intents) = channel();
+        for intent in self.intents {
+            sender.send(intent).unwrap();
+        }
+        let bench = Bench {
+            link,
+            clock,
+            recorder: &mut recorder,
+            estimator: match self.estimator {
+                Some(estimator) => Some(estimator),
+                None => None,
+            },
+            intents: &intents,
+            interrupted: &AtomicBool::new(self.interrupted),
+            snapshots: &self.snapshots,
+        };
+        let options = RunOptions {
+            name: "test".to_owned(),
+            target: Target::Sim,
+            rate_hz: self.rate_hz,
+            motor: self.motor,
+            auto_start: true,
+        };
+        let summary = run(session, bench, &options);
+        recorder.finish();
+        (summary, recorder)
+    }
+}
+
+/// A session on a link, fed cycle by cycle; `spoil` may change a reply or lose it, by the number of the exchange.
+pub(super) struct Lab<L, F> {
+    pub(super) session: Session,
+    pub(super) link: L,
+    pub(super) now_s: f64,
+    clock: VirtualClock,
+    period_s: f64,
+    spoil: F,
+    pub(super) sent: Vec<Command>,
+    pub(super) log: Vec<Action>,
+}
+
+/// Replies as they come.
+#[expect(clippy::unnecessary_wraps, reason = "as the others, which lose some")]
+pub(super) fn unspoilt(_: usize, sample: Sample) -> Option<Sample> {
+    Some(sample)
+}
+
+impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
+    /// In cycles of 10 ms; the clock is the link's.
+    pub(super) fn new(session: Session, (link, clock): (L, VirtualClock), spoil: F) -> Self {
+        Self {
+            session,
+            link,
+            now_s: 0.0,
+            clock,
+            period_s: 0.01,
+            spoil,
+            sent: Vec::new(),
+            log: Vec::new(),
+        }
+    }
+
+    pub(super) fn feed(&mut self, input: Input) {
+        let mut actions = Vec::new();
+        self.session.step(self.now_s, input, &mut actions);
+        for action in actions {
+            self.log.push(action.clone());
+            if let Action::Send(command) = action {
+                self.sent.push(command);
+                let reply = match self.link.exchange(command) {
+                    Ok(sample) => match (self.spoil)(self.sent.len(), sample) {
+                        Some(sample) => Input::Sample(Box::new(sample)),
+                        None => Input::Lost(Lost::Transient("spoilt".to_owned())),
+                    },
+                    Err(error) => Input::Lost(Lost::from(&error)),
+                };
+                self.feed(reply);
+            }
+        }
+    }
+
+    pub(super) fn ask(&mut self, intent: Intent) {
+        self.feed(Input::Intent(intent));
+    }
+
+    pub(super) fn cycles(&mut self, cycles: u32) {
+        for _ in 0..cycles {
+            self.now_s += self.period_s;
+            self.clock.set_time_s(self.now_s);
+            self.feed(Input::Cycle);
+        }
+    }
+
+    /// Starts as soon as the drive has answered, and goes on for so many cycles.
+    pub(super) fn started(mut self, cycles: u32) -> Self {
+        self.cycles(3);
+        self.ask(Intent::Start);
+        self.cycles(cycles);
+        self
+    }
+
+    pub(super) fn outcome(&self) -> Option<&Outcome> {
+        self.log.iter().find_map(|action| match action {
+            Action::Finished(outcome) => Some(outcome),
+            _ => None,
+        })
+    }
+
+    #[track_caller]
+    pub(super) fn trip(&self) -> (TripKind, String) {
+        match self.outcome() {
+            Some(Outcome::Tripped(trip)) => (trip.kind, trip.reason.clone()),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub(super) fn volts(&self) -> Vec<f64> {
+        let volts = self.sent.iter().map(|command| match command.demand {
+            Demand::Voltage(volts) => volts,
+            _ => f64::NAN,
+        });
+        volts.collect()
+    }
+
+    /// Commands with the output on among those from here on.
+    pub(super) fn energised_from(&self, from: usize) -> usize {
+        let on = self.sent[from..].iter();
+        on.filter(|command| command.demand.energises()).count()
+    }
+
+    /// What was recorded of a quantity, with its time.
+    pub(super) fn recorded(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> {
+        self.log.iter().filter_map(move |action| match action {
+            Action::Row(sample) => Some((sample.time_s, sample.get(channel)?)),
+            _ => None,
+        })
+    }
+
+    pub(super) fn largest(&self, channel: Channel) -> f64 {
+        let values = self.recorded(channel).map(|(_, value)| value.abs());
+        values.fold(0.0, f64::max)
     }
 }

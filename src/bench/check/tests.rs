@@ -1,16 +1,29 @@
-//! The checks over the emulated drive and over a scripted one; `foreign.rs`: before a drive of another make.
-
-mod foreign;
-mod patience;
-mod stalls;
+//! The checks over the emulated drive, over a scripted one, on a laptop that stands still now and then, and before a drive
+//! of another make, of which the profile may be wrong about the set-points.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::*;
 use crate::bench::bench_file::BenchFile;
-use crate::bench::testing::{Fault, ScriptedDrive};
-use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use crate::bench::limits::Nameplate;
+use crate::bench::testing::{Fault, ScriptedDrive, Stalls, exact, has, in_memory, near, within};
+use crate::drive::{CommandTimes, ProfiledLink, RegisterBus};
+use crate::emulator::{
+    EmulatorConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive, VirtualClock,
+    mystery,
+};
+
+const NONE: Waivers = Waivers {
+    watchdog: false,
+    direction: false,
+    plausibility: false,
+};
+const NO_WATCHDOG: Waivers = Waivers {
+    watchdog: true,
+    ..NONE
+};
 
 /// Without a first move, as for a motor that is not known.
 fn options() -> CheckOptions<'static> {
@@ -18,48 +31,69 @@ fn options() -> CheckOptions<'static> {
         rate_hz: 100.0,
         hardware_allowed: false,
         hardware_said: false,
-        waivers: Waivers::default(),
+        waivers: NONE,
         first_move: None,
         reset_fault: false,
     }
 }
 
-fn emulated(latency: Latency, options: CheckOptions<'_>) -> CheckReport {
+fn waived() -> CheckOptions<'static> {
+    CheckOptions {
+        waivers: NO_WATCHDOG,
+        ..options()
+    }
+}
+
+fn limits() -> Limits {
+    BenchFile::embedded_default().limits()
+}
+
+/// Plate and profile of a first move on our own drive.
+fn plain() -> (Nameplate, DriveProfile) {
+    let plate = BenchFile::embedded_default().nameplate().unwrap();
+    (plate, DriveProfile::named("own").unwrap())
+}
+
+/// With the first move on this plate and drive.
+fn moving((plate, profile): &(Nameplate, DriveProfile)) -> CheckOptions<'_> {
+    let first = FirstMove {
+        plate,
+        profile,
+        stopped: &|| false,
+    };
+    CheckOptions {
+        first_move: Some(first),
+        ..options()
+    }
+}
+
+fn emulated(latency: Latency) -> CheckReport {
     let mut clock = VirtualClock::new();
     let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 3);
     let mut link = MemoryLink::new(drive, clock.clone(), latency);
-    let limits = BenchFile::embedded_default().limits();
-    let report = check(&mut link, &mut clock, &limits, options).unwrap();
-    assert!(link.drive().plant().speed_rad_s().abs() < 1.0);
+    let report = check(&mut link, &mut clock, &limits(), options()).unwrap();
+    within(link.drive().plant().speed_rad_s().abs(), ..1.0);
     report
 }
 
-/// The embedded bench over an emulator, with the first move.
+/// A bench over a software drive, with the first move.
 fn moved(
-    emulator: &str,
-    change: impl FnOnce(&mut EmulatorConfig),
+    config: &EmulatorConfig,
     bench: &BenchFile,
     waivers: Waivers,
 ) -> (CheckReport, MemoryLink) {
-    let mut config = EmulatorConfig::embedded(emulator).unwrap();
-    change(&mut config);
-    let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&config, 3);
-    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
-    let profile = DriveProfile::named("own").unwrap();
-    let plate = bench.nameplate().unwrap();
-    let first = FirstMove {
-        plate: &plate,
-        profile: &profile,
-        stopped: &|| false,
-    };
+    let (mut link, mut clock) = in_memory(config, 3);
+    let first = (bench.nameplate().unwrap(), plain().1);
     let options = CheckOptions {
         waivers,
-        first_move: Some(first),
-        ..options()
+        ..moving(&first)
     };
     let report = check(&mut link, &mut clock, &bench.limits(), options).unwrap();
     (report, link)
+}
+
+fn emulator(name: &str) -> EmulatorConfig {
+    EmulatorConfig::embedded(name).unwrap()
 }
 
 fn text<'a>(report: &'a CheckReport, name: &str) -> &'a str {
@@ -67,28 +101,38 @@ fn text<'a>(report: &'a CheckReport, name: &str) -> &'a str {
     item.map_or("", |item| &item.text)
 }
 
+#[track_caller]
+fn passes(report: &CheckReport) {
+    assert!(report.passed(), "{:?}", report.refusal());
+}
+
+/// The check of this name refused, in these words.
+#[track_caller]
+fn refuses(report: &CheckReport, name: &str, words: &str) {
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, name, "{}", refusal.text);
+    has(&refusal.text, words);
+}
+
+#[track_caller]
+fn turned_less(link: &MemoryLink, than_rad: f64) {
+    within(link.drive().plant().angle_rad().abs(), ..than_rad);
+}
+
 #[test]
 fn every_embedded_motor_passes_the_pulse_and_is_at_rest_after_it() {
     let bench = BenchFile::embedded_default();
-    for emulator in [
-        "zk-22fc-plain",
-        "zk-22fc-hidden",
-        "zk-22fc-viscous",
-        "zk-22fc-fan",
-        "zk-22fc-brushes",
-        "zk-22fc-warming",
-    ] {
-        let (report, link) = moved(emulator, |_| {}, &bench, Waivers::default());
-        assert!(report.passed(), "{emulator}: {:?}", report.refusal());
+    for name in ["plain", "hidden", "viscous", "fan", "brushes", "warming"] {
+        let (report, link) = moved(&emulator(&format!("zk-22fc-{name}")), &bench, NONE);
+        assert!(report.passed(), "{name}: {:?}", report.refusal());
         let plant = link.drive().plant();
-        assert!(plant.speed_rad_s().abs() < 1.0 && plant.current_a().abs() < 0.2);
-        assert!(plant.angle_rad().abs() < 3.0, "{}", plant.angle_rad());
-        assert!(text(&report, "direction").contains("one way and back"));
+        within(plant.speed_rad_s().abs(), ..1.0);
+        within(plant.current_a().abs(), ..0.2);
+        turned_less(&link, 3.0);
+        has(text(&report, "direction"), "one way and back");
         let ratios = text(&report, "plausibility");
-        assert!(
-            ratios.contains("forward back-EMF constant 0.3") && ratios.contains("back resistance"),
-            "{ratios}"
-        );
+        has(ratios, "forward back-EMF constant 0.3");
+        has(ratios, "back resistance");
         assert!(report.waived.is_empty());
     }
 }
@@ -97,164 +141,120 @@ fn every_embedded_motor_passes_the_pulse_and_is_at_rest_after_it() {
 fn every_hidden_effect_of_every_mystery_passes_the_pulse() {
     let bench = BenchFile::embedded_default();
     for seed in 0..60 {
-        let config = crate::emulator::mystery::draw(seed).config;
-        let (report, _) = moved(
-            "zk-22fc-plain",
-            |plain| *plain = config.clone(),
-            &bench,
-            Waivers::default(),
-        );
+        let config = mystery::draw(seed).config;
+        let (report, _) = moved(&config, &bench, NONE);
+        let refusal = report.refusal();
         assert!(
             report.passed(),
-            "seed {seed}, {:?}: {:?}",
-            config.hidden,
-            report.refusal()
+            "seed {seed}, {:?}: {refusal:?}",
+            config.hidden
         );
     }
 }
 
 #[test]
 fn a_broken_machine_is_refused_with_its_name() {
-    type Case = (&'static str, fn(&mut EmulatorConfig), &'static str);
+    type Case = (fn(&mut EmulatorConfig), &'static str);
     let bench = BenchFile::embedded_default();
     let cases: [Case; 4] = [
         (
-            "reversed",
             |config| config.faults.encoder_reversed = true,
             "encoder reversed",
         ),
         (
-            "frozen",
             |config| config.faults.encoder_frozen_from_s = Some(0.0),
             "encoder frozen or not connected",
         ),
         (
-            "locked",
             |config| config.faults.locked_rotor = true,
             "the shaft is held",
         ),
         (
-            "open",
             |config| config.faults.open_phase = true,
             "open armature circuit",
         ),
     ];
-    for (name, fault, words) in cases {
-        let (report, link) = moved("zk-22fc-plain", fault, &bench, Waivers::default());
-        let refusal = report.refusal().unwrap();
-        assert_eq!(refusal.name, "direction", "{name}");
-        assert!(refusal.text.contains(words), "{name}: {}", refusal.text);
-        assert!(refusal.help.is_some());
-        // Found within some per cent of the rated speed (LINKS.md 5.3: 36).
-        assert!(link.drive().plant().angle_rad().abs() < 6.0, "{name}");
+    for (fault, words) in cases {
+        let mut config = emulator("zk-22fc-plain");
+        fault(&mut config);
+        let (report, link) = moved(&config, &bench, NONE);
+        refuses(&report, "direction", words);
+        assert!(report.refusal().unwrap().help.is_some());
+        // Found within some per cent of the rated speed.
+        turned_less(&link, 6.0);
         let waived = Waivers {
             direction: true,
-            ..Waivers::default()
+            ..NONE
         };
-        let (report, link) = moved("zk-22fc-plain", fault, &bench, waived);
-        assert!(report.passed(), "{:?}", report.refusal());
+        let (report, link) = moved(&config, &bench, waived);
+        passes(&report);
         assert_eq!(report.waived, ["plausibility", "direction"]);
-        assert!(
-            link.drive().plant().angle_rad().abs() < 1e-12,
-            "nothing moved"
-        );
+        turned_less(&link, 1e-12);
     }
 }
 
 #[test]
 fn a_nameplate_in_other_units_or_of_another_motor_is_refused_unless_waived() {
+    let config = emulator("zk-22fc-plain");
     let mut bench = BenchFile::embedded_default();
     bench.motor.back_emf_v_s_per_rad = Some(0.3538 / crate::units::rpm_from_rad_s(1.0));
-    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, Waivers::default());
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "plausibility");
-    assert!(
-        refusal.text.contains("factor 9.549") && refusal.text.contains("V per r/min"),
-        "{}",
-        refusal.text
-    );
+    let (report, _) = moved(&config, &bench, NONE);
+    refuses(&report, "plausibility", "factor 9.549");
+    refuses(&report, "plausibility", "V per r/min");
     let waived = Waivers {
         plausibility: true,
-        ..Waivers::default()
+        ..NONE
     };
-    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, waived);
+    let (report, _) = moved(&config, &bench, waived);
     assert!(report.passed());
     assert_eq!(report.waived, ["plausibility"]);
     assert!(text(&report, "plausibility").starts_with("WAIVED"));
     let mut bench = BenchFile::embedded_default();
     bench.motor.resistance_ohm = Some(12.0);
-    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, Waivers::default());
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "plausibility", "{}", refusal.text);
-    assert!(refusal.text.contains("another motor"), "{}", refusal.text);
+    let (report, _) = moved(&config, &bench, NONE);
+    refuses(&report, "plausibility", "another motor");
 }
 
 #[test]
 fn a_vertical_load_is_not_moved_without_its_brake_and_held_with_it() {
     let mut bench = BenchFile::embedded_default();
     bench.load.vertical = true;
-    let vertical = |config: &mut EmulatorConfig| {
-        *config = EmulatorConfig::parse(
-            "vertical",
-            &format!(
-                "{}\n[brake]\nrelease_s = 0.1\napply_s = 0.1\n[[hidden]]\nid = \"constant_load\"\nconstant_n_m = 0.8\n",
-                include_str!("../../../bench-configs/emulators/zk-22fc-plain.toml")
-            ),
-        )
-        .unwrap();
-    };
-    let (report, link) = moved("zk-22fc-plain", vertical, &bench, Waivers::default());
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "load");
-    assert!(
-        refusal.text.contains("load.hold_current_a"),
-        "{}",
-        refusal.text
+    let text = format!(
+        "{}\n[brake]\nrelease_s = 0.1\napply_s = 0.1\n[[hidden]]\nid = \"constant_load\"\nconstant_n_m = 0.8\n",
+        include_str!("../../../bench-configs/emulators/zk-22fc-plain.toml")
     );
-    assert!(link.drive().plant().angle_rad().abs() < 1e-12);
+    let vertical = EmulatorConfig::parse("vertical", &text).unwrap();
+    let (report, link) = moved(&vertical, &bench, NONE);
+    refuses(&report, "load", "load.hold_current_a");
+    turned_less(&link, 1e-12);
     bench.load.hold_current_a = Some(0.8 / 0.3538);
     bench.load.brake_release_s = Some(0.2);
     bench.load.brake_apply_s = Some(0.2);
-    let (report, link) = moved("zk-22fc-plain", vertical, &bench, Waivers::default());
-    assert!(report.passed(), "{:?}", report.refusal());
-    let angle = link.drive().plant().angle_rad();
-    assert!(angle.abs() < 3.0, "{angle} rad: the load fell");
+    let (report, link) = moved(&vertical, &bench, NONE);
+    passes(&report);
+    // The load did not fall.
+    turned_less(&link, 3.0);
 }
 
 #[test]
 fn real_hardware_is_moved_only_after_the_word() {
-    let bench = BenchFile::embedded_default();
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
-    let profile = DriveProfile::named("own").unwrap();
-    let plate = bench.nameplate().unwrap();
+    let first = plain();
     let beside_a_screen = CheckOptions {
         hardware_allowed: true,
-        waivers: Waivers {
-            watchdog: true,
-            ..Waivers::default()
-        },
-        first_move: Some(FirstMove {
-            plate: &plate,
-            profile: &profile,
-            stopped: &|| false,
-        }),
-        ..options()
+        waivers: NO_WATCHDOG,
+        ..moving(&first)
     };
     let report = scripted(drive, beside_a_screen).unwrap();
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "direction");
-    assert!(refusal.help.unwrap().contains("--hardware"));
+    refuses(&report, "direction", "");
+    has(report.refusal().unwrap().help.unwrap(), "--hardware");
 }
 
 #[test]
 fn a_panic_within_the_pulse_leaves_the_output_off() {
-    let bench = BenchFile::embedded_default();
-    let profile = DriveProfile::named("own").unwrap();
-    let plate = bench.nameplate().unwrap();
-    let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
-    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    let (plate, profile) = plain();
+    let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
     let cycles = AtomicU32::new(0);
     let bomb = || {
         assert!(cycles.fetch_add(1, Ordering::Relaxed) < 30, "boom");
@@ -268,26 +268,19 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
         }),
         ..options()
     };
-    let limits = bench.limits();
-    let result = catch_unwind(AssertUnwindSafe(|| {
-        check(&mut link, &mut clock, &limits, asked).map(|_| ())
-    }));
+    let checked = AssertUnwindSafe(|| check(&mut link, &mut clock, &limits(), asked).map(|_| ()));
+    let result = catch_unwind(checked);
     assert!(result.is_err(), "the pulse has more than 30 cycles");
     // Long before the drive's watchdog of 0.5 s, and five time constants of the winding.
     link.advance_to(clock.now_s() + 0.05);
-    let plant = link.drive().plant();
-    assert!(plant.current_a() < 0.1, "{} A", plant.current_a());
+    within(link.drive().plant().current_a(), ..0.1);
     assert_ne!(format!("{:?}", link.drive().state()), "Running");
 }
 
 #[test]
 fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_it() {
-    let bench = BenchFile::embedded_default();
-    let profile = DriveProfile::named("own").unwrap();
-    let plate = bench.nameplate().unwrap();
-    let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
-    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    let (plate, profile) = plain();
+    let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
     let asked = CheckOptions {
         first_move: Some(FirstMove {
             plate: &plate,
@@ -296,89 +289,73 @@ fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_
         }),
         ..options()
     };
-    let report = check(&mut link, &mut clock, &bench.limits(), asked).unwrap();
+    let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
     assert_eq!(report.refusal().unwrap().text, "stopped by the user");
-    assert!(link.drive().plant().angle_rad().abs() < 1e-12);
+    turned_less(&link, 1e-12);
     let limits = Limits {
         field_min_a: Some(0.3),
-        ..bench.limits()
+        ..limits()
     };
     let report = check(&mut link, &mut clock, &limits, asked).unwrap();
-    assert_eq!(report.refusal().unwrap().name, "field");
+    refuses(&report, "field", "");
 }
 
 fn scripted(
     mut drive: ScriptedDrive,
     options: CheckOptions<'_>,
 ) -> Result<CheckReport, CheckError> {
-    let limits = BenchFile::embedded_default().limits();
-    let result = check(&mut drive, &mut VirtualClock::new(), &limits, options);
+    let result = check(&mut drive, &mut VirtualClock::new(), &limits(), options);
     let asked = u32::from(!drive.demands.is_empty());
     assert_eq!(drive.stops, asked, "the output is off whatever was found");
     result
 }
 
+/// The checks before a scripted drive that a test looks at afterwards.
+fn checked(drive: &mut ScriptedDrive, options: CheckOptions<'_>) -> CheckReport {
+    check(drive, &mut VirtualClock::new(), &limits(), options).unwrap()
+}
+
+fn faulty(from: u64, to: u64, fault: Fault) -> ScriptedDrive {
+    ScriptedDrive::new(0.01).with(from, to, fault)
+}
+
 #[test]
 fn the_emulated_drive_passes_every_check_with_figures() {
-    let report = emulated(Latency::default(), options());
-    assert!(report.passed(), "{:?}", report.refusal());
+    let report = emulated(Latency::default());
+    passes(&report);
     let names: Vec<&str> = report.items.iter().map(|item| item.name).collect();
-    assert_eq!(
-        names,
-        [
-            "identity",
-            "limits",
-            "link",
-            "standstill",
-            "watchdog",
-            "direction"
-        ]
-    );
-    assert!(text(&report, "direction").contains("the motor is not known"));
-    assert!((report.round_trip_p50_s - 0.0073).abs() < 1e-6);
-    assert!((report.reachable_rate_hz - 137.0).abs() < 1.0);
-    assert!((report.watchdog_proven_s.unwrap() - 0.76).abs() < 1e-9);
-    let speed = report
-        .noise
-        .iter()
-        .find(|floor| floor.channel == Channel::Speed)
-        .unwrap();
+    let order = "identity limits link standstill watchdog direction";
+    assert_eq!(names.join(" "), order);
+    has(text(&report, "direction"), "the motor is not known");
+    near(report.round_trip_p50_s, 0.0073, 1e-6);
+    near(report.reachable_rate_hz, 137.0, 1.0);
+    near(report.watchdog_proven_s.unwrap(), 0.76, 1e-9);
     // The emulator's sensor has 0.15 rad/s.
-    assert!((0.1..0.2).contains(&speed.std), "{speed:?}");
+    within(speed_noise(&report), 0.1..0.2);
     assert!(report.signals.contains(&Channel::Current));
+}
+
+fn speed_noise(report: &CheckReport) -> f64 {
+    let mut floors = report.noise.iter();
+    let speed = floors.find(|floor| floor.channel == Channel::Speed);
+    speed.unwrap().std
 }
 
 #[test]
 fn a_link_that_is_too_slow_is_refused_with_the_rate_that_it_reaches() {
-    let slow = Latency {
+    let report = emulated(Latency {
         request_s: 0.01,
         reply_s: 0.01,
-    };
-    let report = emulated(slow, options());
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "link");
-    assert!(
-        refusal.text.contains("reaches 50 Hz, asked 100 Hz"),
-        "{}",
-        refusal.text
-    );
+    });
+    refuses(&report, "link", "reaches 50 Hz, asked 100 Hz");
     assert_eq!(report.items.len(), 3, "nothing is tried after a refusal");
 }
 
 #[test]
 fn a_drive_whose_watchdog_does_nothing_is_refused_unless_waived() {
     let report = scripted(ScriptedDrive::new(0.01), options()).unwrap();
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, "watchdog");
-    assert!(refusal.text.contains("silence"), "{}", refusal.text);
-    let waived = CheckOptions {
-        waivers: Waivers {
-            watchdog: true,
-            ..Waivers::default()
-        },
-        ..options()
-    };
-    let report = scripted(ScriptedDrive::new(0.01), waived).unwrap();
+    refuses(&report, "watchdog", "silence");
+    let report = scripted(ScriptedDrive::new(0.01), waived()).unwrap();
     assert!(report.passed() && report.watchdog_proven_s.is_none());
     assert_eq!(report.waived, ["watchdog"]);
 }
@@ -388,9 +365,7 @@ fn a_watchdog_that_is_off_or_too_long_is_refused_without_energising() {
     for watchdog_s in [None, Some(0.0), Some(1.5), Some(f64::NAN)] {
         let mut drive = ScriptedDrive::new(0.01);
         drive.watchdog_s = watchdog_s;
-        let limits = BenchFile::embedded_default().limits();
-        let report = check(&mut drive, &mut VirtualClock::new(), &limits, options()).unwrap();
-        assert_eq!(report.refusal().unwrap().name, "watchdog");
+        refuses(&checked(&mut drive, options()), "watchdog", "");
         assert!(drive.demands.iter().all(|demand| !demand.energises()));
     }
 }
@@ -398,50 +373,27 @@ fn a_watchdog_that_is_off_or_too_long_is_refused_without_energising() {
 #[test]
 fn a_shaft_that_turns_and_a_drive_in_fault_are_refused() {
     for fault in [Fault::Set(Channel::Speed, 30.0), Fault::TripWith(2)] {
-        let drive = ScriptedDrive::new(0.01).with(0, u64::MAX, fault);
-        let report = scripted(drive, options()).unwrap();
-        assert_eq!(report.refusal().unwrap().name, "standstill");
+        let report = scripted(faulty(0, u64::MAX, fault), options()).unwrap();
+        refuses(&report, "standstill", "");
     }
 }
 
 #[test]
 fn a_shaft_that_coasts_is_waited_for_and_not_counted_as_noise() {
-    let waived = CheckOptions {
-        waivers: Waivers {
-            watchdog: true,
-            ..Waivers::default()
-        },
-        ..options()
-    };
-    let drive = ScriptedDrive::new(0.01).with(0, 30, Fault::Set(Channel::Speed, 50.0));
-    let report = scripted(drive, waived).unwrap();
-    assert!(report.passed(), "{:?}", report.refusal());
-    assert!(text(&report, "link").contains("0 lost"));
-    let speed = report.noise.iter().find(|f| f.channel == Channel::Speed);
-    assert!(speed.unwrap().std < 1e-9, "{speed:?}");
+    let turns = Fault::Set(Channel::Speed, 50.0);
+    let report = scripted(faulty(0, 30, turns.clone()), waived()).unwrap();
+    passes(&report);
+    has(text(&report, "link"), "0 lost");
+    within(speed_noise(&report), ..1e-9);
     // One that begins to move later is no noise either.
-    let drive = ScriptedDrive::new(0.01).with(20, 30, Fault::Set(Channel::Speed, 50.0));
-    let report = scripted(drive, waived).unwrap();
-    let refusal = report.refusal().unwrap();
-    assert!(
-        refusal.text.contains("moves with the output off: speed 50"),
-        "{}",
-        refusal.text
-    );
+    let report = scripted(faulty(20, 30, turns), waived()).unwrap();
+    refuses(&report, "standstill", "moves with the output off: speed 50");
 }
 
 #[test]
 fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_waived() {
-    let waived = || CheckOptions {
-        waivers: Waivers {
-            watchdog: true,
-            ..Waivers::default()
-        },
-        ..options()
-    };
-    let limits = BenchFile::embedded_default().limits();
     let mut calm = ScriptedDrive::new(0.01);
-    check(&mut calm, &mut VirtualClock::new(), &limits, waived()).unwrap();
+    checked(&mut calm, waived());
     let asked = calm.demands.len();
     let first = calm.demands.iter().position(|d| d.energises()).unwrap();
     for (at, fault) in [
@@ -452,18 +404,14 @@ fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_w
         (asked - 1, Fault::Set(Channel::Speed, 10.2)),
     ] {
         let words = format!("{at} {fault:?}");
-        let from = u64::try_from(at).unwrap();
-        let mut drive = ScriptedDrive::new(0.01).with(from, u64::MAX, fault);
-        let report = check(&mut drive, &mut VirtualClock::new(), &limits, waived()).unwrap();
+        let mut drive = faulty(u64::try_from(at).unwrap(), u64::MAX, fault);
+        let report = checked(&mut drive, waived());
         let refusal = report.refusal().expect(&words);
         assert_eq!(refusal.name, "watchdog");
-        assert!(
-            refusal
-                .text
-                .starts_with("the shaft moved at zero reference"),
-            "{words}: {}",
-            refusal.text
-        );
+        let says = refusal
+            .text
+            .starts_with("the shaft moved at zero reference");
+        assert!(says, "{words}: {}", refusal.text);
         assert_eq!(
             drive.demands.len(),
             at + 1,
@@ -477,72 +425,55 @@ fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_w
 fn a_rate_that_the_line_cannot_carry_is_refused_without_asking_anything() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.shortest_cycle_s = Some(0.02);
-    let limits = BenchFile::embedded_default().limits();
-    let report = check(&mut drive, &mut VirtualClock::new(), &limits, options()).unwrap();
-    let refusal = report.refusal().unwrap();
-    assert_eq!(refusal.name, RATE_CHECK);
-    assert!(
-        refusal
-            .text
-            .contains("at most 50 Hz at its baud rate, asked 100 Hz"),
-        "{}",
-        refusal.text
+    let report = checked(&mut drive, options());
+    refuses(
+        &report,
+        RATE_CHECK,
+        "at most 50 Hz at its baud rate, asked 100 Hz",
     );
     assert!(drive.demands.is_empty());
 }
 
 #[test]
 fn hardware_needs_to_be_allowed() {
-    let mut drive = ScriptedDrive::new(0.01);
-    drive.is_emulator = false;
-    let report = scripted(drive, options()).unwrap();
-    assert_eq!(report.refusal().unwrap().name, "identity");
-    let mut drive = ScriptedDrive::new(0.01);
-    drive.is_emulator = false;
-    let allowed = CheckOptions {
-        hardware_allowed: true,
-        ..options()
-    };
-    assert_ne!(
-        scripted(drive, allowed).unwrap().refusal().unwrap().name,
-        "identity"
-    );
+    for hardware_allowed in [false, true] {
+        let mut drive = ScriptedDrive::new(0.01);
+        drive.is_emulator = false;
+        let asked = CheckOptions {
+            hardware_allowed,
+            ..options()
+        };
+        let report = scripted(drive, asked).unwrap();
+        let is_by_identity = report.refusal().unwrap().name == "identity";
+        assert_eq!(is_by_identity, !hardware_allowed);
+    }
 }
 
 #[test]
 fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
-    let silent = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Timeout);
-    assert!(matches!(
-        scripted(silent, options()),
-        Err(CheckError::Link(LinkError::Timeout { .. }))
-    ));
-    let lossy = ScriptedDrive::new(0.01).with(5, 15, Fault::Timeout);
-    let report = scripted(lossy, options()).unwrap();
-    assert!(report.refusal().unwrap().text.contains("10 lost"));
+    let silent = scripted(faulty(0, u64::MAX, Fault::Timeout), options());
+    let is_timeout = matches!(silent, Err(CheckError::Link(LinkError::Timeout { .. })));
+    assert!(is_timeout, "{silent:?}");
+    let report = scripted(faulty(5, 15, Fault::Timeout), options()).unwrap();
+    refuses(&report, "link", "10 lost");
 }
 
 #[test]
 fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
-    let mut clock = VirtualClock::new();
     let asked = CheckOptions {
         reset_fault: true,
         ..options()
     };
-    let limits = BenchFile::embedded_default().limits();
-    let report = check(&mut drive, &mut clock, &limits, asked).unwrap();
-    assert_eq!(report.refusal().unwrap().name, "identity");
+    refuses(&checked(&mut drive, asked), "identity", "");
     assert!(drive.demands.is_empty() && drive.stops == 0);
 }
 
 #[test]
 fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
-    let limits = BenchFile::embedded_default().limits();
     for reset_fault in [false, true] {
-        let mut clock = VirtualClock::new();
-        let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
-        let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+        let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
         // A host that was killed while the drive ran: its watchdog has tripped.
         let left = Command {
             seq: 1,
@@ -554,12 +485,190 @@ fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
             reset_fault,
             ..options()
         };
-        let report = check(&mut link, &mut clock, &limits, asked).unwrap();
+        let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
         if reset_fault {
-            assert!(report.passed(), "{:?}", report.refusal());
+            passes(&report);
             assert_eq!(text(&report, "reset"), "the drive is without a fault");
         } else {
             assert_eq!(report.refusal().unwrap().text, "the drive is in fault");
         }
+    }
+}
+
+/// The checks at `rate_hz` with the watchdog waived, before a drive that may take 2 s to run.
+fn patient(drive: &mut ScriptedDrive, rate_hz: f64) -> CheckReport {
+    drive.times.enable_s = 2.0;
+    let asked = CheckOptions {
+        rate_hz,
+        ..waived()
+    };
+    checked(drive, asked)
+}
+
+#[test]
+fn a_drive_that_takes_its_time_to_run_passes_at_a_high_rate_too() {
+    let mut prompt = ScriptedDrive::new(0.001);
+    patient(&mut prompt, 1000.0);
+    let demands = prompt.demands.iter();
+    let first = demands.take_while(|demand| !demand.energises()).count() as u64;
+    let mut slow = ScriptedDrive::new(0.001).with(first, first + 1500, Fault::NeverRuns);
+    passes(&patient(&mut slow, 1000.0));
+}
+
+#[test]
+fn a_drive_that_never_runs_is_given_up_after_the_time_that_is_told() {
+    for rate_hz in [4.0, 100.0, 1000.0] {
+        let mut drive = ScriptedDrive::new(1.0 / rate_hz).with(0, u64::MAX, Fault::NeverRuns);
+        let report = patient(&mut drive, rate_hz);
+        let times = CommandTimes {
+            enable_s: 2.0,
+            ..CommandTimes::default()
+        };
+        let waited_s = times.asked_every(1.0 / rate_hz).enable_s;
+        let words = format!("the drive does not run at zero within {waited_s:.2} s");
+        assert_eq!(report.refusal().unwrap().text, words);
+        let asked = drive.demands.iter().filter(|d| d.energises()).count() as f64;
+        near(asked, waited_s * rate_hz, 1.5);
+    }
+}
+
+/// Below the silence that is allowed and the drive's watchdog.
+const STALLS: Stalls = Stalls {
+    share: 0.03,
+    longest_s: 0.2,
+};
+
+#[test]
+fn a_good_machine_is_not_refused_because_the_laptop_stood_still() {
+    let config = emulator("zk-22fc-plain");
+    let first = plain();
+    for rate_hz in [20.0, 50.0, 100.0] {
+        let options = CheckOptions {
+            rate_hz,
+            ..moving(&first)
+        };
+        let refused = |seed| {
+            let (mut link, mut clock) = STALLS.at(&config, seed);
+            let report = check(&mut link, &mut clock, &limits(), options).unwrap();
+            // A line that loses a tenth of its replies is refused as such, and rightly.
+            let refusal = report.refusal().filter(|item| item.name != "link")?;
+            Some(format!("{seed}: {}: {}", refusal.name, refusal.text))
+        };
+        let refusals: Vec<String> = (0..200).filter_map(refused).collect();
+        assert!(refusals.is_empty(), "{rate_hz} Hz: {refusals:#?}");
+    }
+}
+
+/// A servo amplifier whose set-point has two registers.
+fn servo(order: &str, scale: &str) -> DriveProfile {
+    let text = DriveProfile::text("epulse50-dc").unwrap();
+    let from = "address = 0x1026\ntype = \"i16\"\n";
+    let to = format!(
+        "address = 0x1026\ntype = \"i32\"\nreadback = true\nword_order = \"{order}\"\nscale = {scale}\n"
+    );
+    assert!(text.contains(from));
+    DriveProfile::parse("epulse50-dc", &text.replacen(from, &to, 1)).unwrap()
+}
+
+struct Table {
+    link: ProfiledLink<ForeignBus>,
+    clock: VirtualClock,
+    host: DriveProfile,
+}
+
+impl Table {
+    /// A host with one profile at a servo amplifier.
+    fn new(host: DriveProfile) -> Self {
+        let guise = Guise::of(&servo("high_first", "0.1")).unwrap();
+        let clock = VirtualClock::new();
+        let drive = ForeignDrive::new(&guise, &exact("zk-22fc-plain"), 1);
+        let bus = ForeignBus::new(drive, &guise, clock.clone());
+        let link = ProfiledLink::new(Arc::clone(host.registers.as_ref().unwrap()), bus);
+        Self { link, clock, host }
+    }
+
+    /// With the profile of the drive.
+    fn right() -> Self {
+        Self::new(servo("high_first", "0.1"))
+    }
+
+    fn check(&mut self, reset_fault: bool) -> CheckReport {
+        let limits = Limits {
+            link_silence_s: 1.0,
+            bus_min_v: None,
+            bus_max_v: None,
+            ..limits()
+        };
+        let first = (plain().0, self.host.clone());
+        let options = CheckOptions {
+            rate_hz: 15.0,
+            waivers: NO_WATCHDOG,
+            reset_fault,
+            ..moving(&first)
+        };
+        check(&mut self.link, &mut self.clock, &limits, options).unwrap()
+    }
+
+    fn is_running(&self) -> bool {
+        self.link.bus().drive().is_running()
+    }
+}
+
+#[test]
+fn a_set_point_that_is_right_is_compared_at_rest_and_passes_the_pulse() {
+    let mut table = Table::right();
+    let report = table.check(false);
+    passes(&report);
+    let compared = text(&report, "set-points");
+    assert_eq!(compared, "speed_ref read back as written");
+    assert!(!table.is_running());
+}
+
+#[test]
+fn a_speed_of_another_word_order_or_scale_is_stopped_in_the_pulse_and_asked_about() {
+    for (order, scale) in [
+        ("low_first", "0.1"),
+        ("high_first", "0.01"),
+        ("high_first", "1.0"),
+    ] {
+        let mut table = Table::new(servo(order, scale));
+        let report = table.check(false);
+        let refusal = &report.refusal().unwrap().text;
+        has(format!("{order} {scale}: {refusal}"), "asked ");
+        has(refusal, "word order or scale of speed_ref right?");
+        // A quarter of the rated speed and what a cycle adds.
+        let link = &table.link;
+        let speed = link.reading("speed").or(link.reading("shaft_speed"));
+        assert!(speed.is_none_or(|rpm| rpm.abs() < 1000.0), "{speed:?}");
+        assert!(!table.is_running(), "it was stopped");
+    }
+}
+
+#[test]
+fn a_set_point_that_reads_back_otherwise_is_refused_at_rest() {
+    let mut table = Table::right();
+    let bus = table.link.bus_mut();
+    bus.write(16, 0x1026, &[5, 0]).unwrap();
+    bus.drive_mut().ignore(Some("speed_ref"));
+    let report = table.check(false);
+    refuses(&report, "set-points", "setpoint speed_ref was written as");
+    assert!(!table.is_running());
+}
+
+#[test]
+fn a_drive_that_somebody_runs_is_refused_and_nothing_is_asked_of_it() {
+    for reset_fault in [false, true] {
+        let mut table = Table::right();
+        let bus = table.link.bus_mut();
+        for (address, words) in [(0x0010, &[2][..]), (0x1000, &[1]), (0x1026, &[0, 9990])] {
+            bus.write(16, address, words).unwrap();
+        }
+        table.clock.set_time_s(2.0);
+        let report = table.check(reset_fault);
+        let words = "the drive is running; who commands it? speed";
+        refuses(&report, "standstill", words);
+        assert_eq!(report.last_seq, 0, "nothing was asked of it");
+        assert!(report.noise.is_empty());
+        assert!(table.is_running(), "it is left to who runs it");
     }
 }

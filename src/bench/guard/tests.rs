@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::bench::testing::{has, near, within};
 
 const PERIOD_S: f64 = 0.01;
 
@@ -13,8 +14,32 @@ fn limits() -> Limits {
     }
 }
 
+fn guard_of(limits: Limits) -> Guard {
+    Guard::new(limits, &Nameplate::zk_22fc(), None)
+}
+
 fn guard() -> Guard {
-    Guard::new(limits(), &Nameplate::zk_22fc(), None)
+    guard_of(limits())
+}
+
+impl Guard {
+    /// The voltage that leaves, V.
+    fn volts(&mut self, now_s: f64, wanted_v: f64) -> f64 {
+        let shaped = self.shape(now_s, Demand::Voltage(wanted_v));
+        shaped.demand.voltage_v().unwrap()
+    }
+
+    /// One cycle with a wanted voltage and its reply; the voltage that left, V.
+    fn cycle(&mut self, now_s: f64, wanted_v: f64, reply: &Sample) -> f64 {
+        self.tick(now_s);
+        let volts = self.volts(now_s, wanted_v);
+        self.watch(now_s, reply, true);
+        volts
+    }
+}
+
+fn at_rad_s(time_s: f64, speed_rad_s: f64) -> Sample {
+    sample(time_s).with(Channel::Speed, speed_rad_s)
 }
 
 fn sample(time_s: f64) -> Sample {
@@ -47,11 +72,9 @@ fn trip_within(cycles: u32, change: impl Fn(&mut Sample)) -> Option<(u32, Trip)>
     let (mut guard, mut now_s) = running();
     for cycle in 1..=cycles {
         now_s += PERIOD_S;
-        guard.tick(now_s);
-        guard.shape(now_s, Demand::Voltage(5.0));
         let mut sample = sample(now_s);
         change(&mut sample);
-        guard.watch(now_s, &sample, true);
+        guard.cycle(now_s, 5.0, &sample);
         if let Some(trip) = guard.tripped() {
             return Some((cycle, trip.clone()));
         }
@@ -61,55 +84,49 @@ fn trip_within(cycles: u32, change: impl Fn(&mut Sample)) -> Option<(u32, Trip)>
 
 #[test]
 fn a_limit_is_enforced_in_the_cycle_that_sees_it_broken() {
+    use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
     for (channel, value, kind) in [
-        (Channel::Current, 22.9, TripKind::OverCurrent),
-        (Channel::Current, -22.9, TripKind::OverCurrent),
-        (Channel::Speed, -367.0, TripKind::OverSpeed),
-        (Channel::Voltage, 122.0, TripKind::OverVoltage),
-        (Channel::Angle, 50.1, TripKind::Travel),
-        (Channel::Bus, 99.0, TripKind::BusLow),
-        (Channel::Bus, 161.0, TripKind::BusHigh),
+        (Channel::Current, 22.9, OverCurrent),
+        (Channel::Current, -22.9, OverCurrent),
+        (Channel::Speed, -367.0, OverSpeed),
+        (Channel::Voltage, 122.0, OverVoltage),
+        (Channel::Angle, 50.1, Travel),
+        (Channel::Bus, 99.0, BusLow),
+        (Channel::Bus, 161.0, BusHigh),
     ] {
         let (cycle, trip) = trip_within(5, |sample| sample.set(channel, value)).unwrap();
         assert_eq!((cycle, trip.kind), (1, kind), "{trip:?}");
-        assert!(trip.reason.contains(channel.unit()) && trip.reason.contains("limit"));
+        has(&trip.reason, channel.unit());
+        has(&trip.reason, "limit");
     }
-    assert_eq!(
-        trip_within(50, |sample| sample.set(Channel::Current, 22.7)),
-        None
-    );
+    let below = trip_within(50, |sample| sample.set(Channel::Current, 22.7));
+    assert_eq!(below, None);
+}
+
+/// The trip of a drive that reports a fault, in the first cycle.
+fn drive_fault(code: u16, text: Option<&str>) -> String {
+    let fault = trip_within(3, |sample| {
+        sample.state = Some(DriveState::Fault);
+        sample.fault = Some(code);
+        sample.fault_text = text.map(Into::into);
+    });
+    let (cycle, trip) = fault.unwrap();
+    assert_eq!((cycle, trip.kind), (1, TripKind::DriveFault));
+    trip.reason
 }
 
 #[test]
 fn the_drive_s_own_fault_ends_the_run_at_once_with_its_code() {
-    let (cycle, trip) = trip_within(3, |sample| {
-        sample.state = Some(DriveState::Fault);
-        sample.fault = Some(0x12);
-    })
-    .unwrap();
-    assert_eq!((cycle, trip.kind), (1, TripKind::DriveFault));
-    assert!(trip.reason.contains("0x0012"), "{}", trip.reason);
+    has(drive_fault(0x12, None), "0x0012");
 }
 
 #[test]
 fn a_fault_code_of_zero_is_no_code_and_words_without_one_are_told() {
-    let told = |code: Option<u16>, text: Option<&str>| {
-        let (_, trip) = trip_within(3, |sample| {
-            sample.state = Some(DriveState::Fault);
-            sample.fault = code;
-            sample.fault_text = text.map(Into::into);
-        })
-        .unwrap();
-        trip.reason
-    };
     let lost = "communication loss (comm_loss): the drive's own watchdog has expired";
-    let reason = told(Some(0), Some(lost));
-    assert_eq!(
-        reason,
-        format!("drive fault: the drive reports a fault, {lost}")
-    );
-    assert!(told(Some(0), None).ends_with("no code"));
-    assert!(told(Some(0x81), Some(lost)).ends_with(&format!("code 0x0081: {lost}")));
+    let reason = format!("drive fault: the drive reports a fault, {lost}");
+    assert_eq!(drive_fault(0, Some(lost)), reason);
+    assert!(drive_fault(0, None).ends_with("no code"));
+    assert!(drive_fault(0x81, Some(lost)).ends_with(&format!("code 0x0081: {lost}")));
 }
 
 #[test]
@@ -136,17 +153,12 @@ fn a_drive_is_given_the_time_that_it_may_take_to_run() {
     let mut now_s = 0.0;
     while now_s < 10.0 && guard.tripped().is_none() {
         now_s += PERIOD_S;
-        guard.tick(now_s);
-        guard.shape(now_s, Demand::Voltage(0.0));
         let mut sample = sample(now_s);
         sample.state = Some(DriveState::Ready);
-        guard.watch(now_s, &sample, true);
+        guard.cycle(now_s, 0.0, &sample);
     }
-    assert_eq!(
-        guard.tripped().map(|trip| trip.kind),
-        Some(TripKind::NotRunning)
-    );
-    assert!((4.0..4.1).contains(&now_s), "{now_s}");
+    assert_eq!(guard.tripped().unwrap().kind, TripKind::NotRunning);
+    within(now_s, 4.0..4.1);
 }
 
 #[test]
@@ -166,14 +178,10 @@ fn silence_of_the_link_and_of_the_host_are_told_apart() {
 
 #[test]
 fn the_time_limit_counts_the_time_with_the_output_on_only() {
-    let mut guard = Guard::new(
-        Limits {
-            time_s: 1.0,
-            ..limits()
-        },
-        &Nameplate::zk_22fc(),
-        None,
-    );
+    let mut guard = guard_of(Limits {
+        time_s: 1.0,
+        ..limits()
+    });
     guard.begin(0.0, &sample(0.0));
     let mut on_cycles = 0;
     for cycle in 1..1000 {
@@ -184,14 +192,12 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
         // On for half of the time.
         let on = cycle % 2 == 0;
         on_cycles += u32::from(on);
-        guard.shape(
-            now_s,
-            if on {
-                Demand::Voltage(1.0)
-            } else {
-                Demand::Disable
-            },
-        );
+        let demand = if on {
+            Demand::Voltage(1.0)
+        } else {
+            Demand::Disable
+        };
+        guard.shape(now_s, demand);
         guard.watch(now_s, &sample(now_s), true);
     }
     assert_eq!(guard.tripped().unwrap().kind, TripKind::TimeLimit);
@@ -208,31 +214,23 @@ fn a_voltage_step_is_capped_at_current_limit_times_resistance_unless_the_drive_l
         };
         let mut guard = Guard::new(fast, &Nameplate::zk_22fc(), drive_limit_a);
         guard.begin(0.0, &sample(0.0));
-        guard.watch(0.0, &sample(0.0).with(Channel::Speed, 0.0), true);
+        guard.watch(0.0, &at_rad_s(0.0, 0.0), true);
         let shaped = guard.shape(PERIOD_S, Demand::Voltage(60.0));
-        let Demand::Voltage(volts) = shaped.demand else {
-            panic!("{shaped:?}")
-        };
-        assert!((volts - first_v).abs() < 1e-9, "{volts}");
+        near(shaped.demand.voltage_v().unwrap(), first_v, 1e-9);
         assert_eq!(shaped.causes.winding, drive_limit_a != Some(20.0));
     }
 }
 
 /// Voltages in V that leave when 60 V are taken back to -60 V with a slew limit that allows it at once, while the last
 /// reply told a shaft at 10 rad/s and none comes any more.
-fn unseen(guard: Guard) -> Vec<f64> {
-    let mut guard = guard;
+fn unseen(mut guard: Guard) -> Vec<f64> {
     guard.begin(0.0, &sample(0.0));
     guard.set_slew(Some(1e6));
     guard.shape(0.0, Demand::Voltage(60.0));
     guard.watch(0.001, &sample(0.0), true);
-    (1..12)
-        .map(|cycle| {
-            let wanted = Demand::Voltage(if cycle < 4 { 60.0 } else { -60.0 });
-            let shaped = guard.shape(f64::from(cycle) * PERIOD_S, wanted);
-            shaped.demand.voltage_v().unwrap()
-        })
-        .collect()
+    let wanted_v = |cycle| if cycle < 4 { 60.0 } else { -60.0 };
+    let volts = |cycle| guard.volts(f64::from(cycle) * PERIOD_S, wanted_v(cycle));
+    (1..12).map(volts).collect()
 }
 
 #[test]
@@ -241,33 +239,25 @@ fn a_shaft_that_was_not_seen_may_have_followed_the_voltage_and_is_braked_no_hard
     let winding_v = limits().current_a * 1.1;
     let seen_v = 0.3538 * 10.0;
     let known = unseen(guard().with_period(PERIOD_S));
-    assert!((known[2] - (seen_v + winding_v)).abs() < 1e-9, "{known:?}");
+    near(known[2], seen_v + winding_v, 1e-9);
     // By now it may turn at what those 28 V make of it, or at as much more as a load pulls: from there down to no more
     // than the limit allows.
     let load_v = 1.1 * 0.455 / 0.3538;
     for volts in &known[3..] {
-        assert!((volts - seen_v - load_v).abs() < 1e-9, "{known:?}");
+        near(*volts, seen_v + load_v, 1e-9);
     }
     // Without the period the old speed counts for ever, and twice the limit would flow.
     let trusting = unseen(guard());
-    assert!(
-        (trusting[3] - (seen_v - winding_v)).abs() < 1e-9,
-        "{trusting:?}"
-    );
+    near(trusting[3], seen_v - winding_v, 1e-9);
 }
 
 #[test]
 fn after_coasting_the_voltage_begins_at_the_back_emf() {
     let (mut guard, now_s) = running();
     guard.shape(now_s + 0.01, Demand::Disable);
-    guard.watch(
-        now_s + 0.01,
-        &sample(now_s + 0.01).with(Channel::Speed, 200.0),
-        true,
-    );
+    guard.watch(now_s + 0.01, &at_rad_s(now_s + 0.01, 200.0), true);
     let shaped = guard.shape(now_s + 0.02, Demand::Voltage(0.0));
-    let volts = shaped.demand.voltage_v().unwrap();
-    assert!((volts - 200.0 * 0.3538).abs() < 4.0, "{volts}");
+    near(shaped.demand.voltage_v().unwrap(), 200.0 * 0.3538, 4.0);
     assert!(shaped.causes.slew);
 }
 
@@ -275,23 +265,17 @@ fn after_coasting_the_voltage_begins_at_the_back_emf() {
 fn a_trip_stays_until_it_is_re_armed_at_rest() {
     let (mut guard, now_s) = running();
     guard.watch(now_s, &sample(now_s).with(Channel::Current, 30.0), true);
-    assert_eq!(
-        guard.shape(now_s, Demand::Voltage(5.0)).demand,
-        Demand::Stop
-    );
+    let after = guard.shape(now_s, Demand::Voltage(5.0)).demand;
+    assert_eq!(after, Demand::Stop);
     // A second cause does not replace the first.
-    guard.watch(now_s, &sample(now_s).with(Channel::Speed, 900.0), true);
+    guard.watch(now_s, &at_rad_s(now_s, 900.0), true);
     assert_eq!(guard.tripped().unwrap().kind, TripKind::OverCurrent);
-    assert!(matches!(
-        guard.rearm(now_s, Some(&sample(now_s))),
-        Err(RearmError::State { state: "running" })
-    ));
-    let mut rest = sample(now_s).with(Channel::Speed, 100.0);
+    let running = RearmError::State { state: "running" };
+    assert_eq!(guard.rearm(now_s, Some(&sample(now_s))), Err(running));
+    let mut rest = at_rad_s(now_s, 100.0);
     rest.state = Some(DriveState::Disabled);
-    assert!(matches!(
-        guard.rearm(now_s, Some(&rest)),
-        Err(RearmError::Moving { .. })
-    ));
+    let moving = guard.rearm(now_s, Some(&rest));
+    assert!(matches!(moving, Err(RearmError::Moving { .. })));
     rest.set(Channel::Speed, 0.1);
     rest.set(Channel::Current, 0.1);
     assert_eq!(guard.rearm(now_s, None), Err(RearmError::NoSample));
@@ -403,16 +387,16 @@ proptest! {
         falls in any::<bool>(),
     ) {
         let limits = Limits { braking_w, speed_rad_s: 1e9, ..limits() };
-        let mut guard = Guard::new(limits, &Nameplate::zk_22fc(), None).with_period(PERIOD_S);
+        let mut guard = guard_of(limits).with_period(PERIOD_S);
         guard.begin(0.0, &sample(0.0));
         let mut now_s = 0.0;
         let mut output_v = 0.0;
         for n in 0..100 {
             now_s += PERIOD_S;
             guard.tick(now_s);
-            output_v = guard.shape(now_s, Demand::Voltage(volts)).demand.voltage_v().unwrap();
+            output_v = guard.volts(now_s, volts);
             let speed = if n < 99 { output_v / 0.3538 } else { 250.0 };
-            guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), true);
+            guard.watch(now_s, &at_rad_s(now_s, speed), true);
         }
         guard.begin_stop(now_s);
         let by_s = now_s + guard.ramp_down_s();
@@ -421,16 +405,12 @@ proptest! {
         while now_s < by_s {
             now_s += PERIOD_S;
             guard.tick(now_s);
-            let next_v = guard.shape(now_s, Demand::Voltage(0.0)).demand.voltage_v().unwrap();
+            let next_v = guard.volts(now_s, 0.0);
             prop_assert!(next_v.abs() <= output_v.abs() + 1e-12 && next_v * output_v >= 0.0, "{output_v} {next_v}");
             output_v = next_v;
             fall -= 0.1;
             let speed = if falls { Some(fall) } else { *told.next().unwrap() };
-            let mut sample = sample(now_s).with(Channel::Speed, f64::NAN);
-            if let Some(speed) = speed {
-                sample.set(Channel::Speed, speed);
-            }
-            guard.watch(now_s, &sample, false);
+            guard.watch(now_s, &at_rad_s(now_s, speed.unwrap_or(f64::NAN)), false);
         }
         prop_assert!(output_v.abs() < 1e-9, "{output_v} V are left");
     }
@@ -438,13 +418,12 @@ proptest! {
 
 #[test]
 fn a_heavy_load_is_braked_no_harder_than_the_limit_allows_while_it_is_seen_to_slow_down() {
-    let motor = Nameplate::zk_22fc();
     let limits = Limits {
         current_a: 10.0,
         slew_v_per_s: 400.0,
         ..limits()
     };
-    let mut guard = Guard::new(limits, &motor, None).with_period(PERIOD_S);
+    let mut guard = guard_of(limits).with_period(PERIOD_S);
     guard.begin(0.0, &sample(0.0));
     let (mut now_s, mut speed) = (0.0, 150.0);
     let mut most_a: f64 = 0.0;
@@ -452,34 +431,29 @@ fn a_heavy_load_is_braked_no_harder_than_the_limit_allows_while_it_is_seen_to_sl
     for _ in 0..50 {
         now_s += PERIOD_S;
         guard.tick(now_s);
-        guard.shape(now_s, Demand::Voltage(0.3538 * speed + 1.4));
-        guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), false);
+        guard.volts(now_s, 0.3538 * speed + 1.4);
+        guard.watch(now_s, &at_rad_s(now_s, speed), false);
     }
     guard.begin_stop(now_s);
     let by_s = now_s + guard.ramp_down_s();
     while now_s < by_s {
         now_s += PERIOD_S;
         guard.tick(now_s);
-        let volts = guard
-            .shape(now_s, Demand::Voltage(0.0))
-            .demand
-            .voltage_v()
-            .unwrap();
-        let amps = (volts - 0.3538 * speed) / 1.1;
+        let amps = (guard.volts(now_s, 0.0) - 0.3538 * speed) / 1.1;
         most_a = most_a.max(amps.abs());
         // Twice the inertia of the nameplate.
         speed = (speed + (0.3538 * amps - 0.455) / 0.009 * PERIOD_S).max(0.0);
-        guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), false);
+        guard.watch(now_s, &at_rad_s(now_s, speed), false);
     }
-    assert!(speed < 1.0, "{speed}");
-    assert!((9.0..10.5).contains(&most_a), "{most_a}");
+    within(speed, ..1.0);
+    within(most_a, 9.0..10.5);
 }
 
 /// A guard that runs at this speed, with limits of its own.
 fn at_speed(limits: Limits, speed_rad_s: f64) -> Guard {
     let mut guard = Guard::new(limits, &Nameplate::zk_22fc(), Some(0.0));
     guard.begin(0.0, &sample(0.0));
-    guard.watch(0.0, &sample(0.0).with(Channel::Speed, speed_rad_s), true);
+    guard.watch(0.0, &at_rad_s(0.0, speed_rad_s), true);
     guard
 }
 
@@ -492,11 +466,8 @@ fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
     let mut guard = at_speed(one_way.clone(), 200.0);
     let emf = 0.3538 * 200.0;
     let shaped = guard.shape(0.01, Demand::Voltage(0.0));
-    let volts = shaped.demand.voltage_v().unwrap();
-    assert!(
-        (volts - emf).abs() < 0.1 && shaped.causes.supply,
-        "{shaped:?}"
-    );
+    near(shaped.demand.voltage_v().unwrap(), emf, 0.1);
+    assert!(shaped.causes.supply, "{shaped:?}");
     let shaped = guard.shape(0.02, Demand::Voltage(emf + 1.0));
     assert!(!shaped.causes.supply, "driving is free: {shaped:?}");
     assert!(guard.ramp_down_s() > at_speed(limits(), 0.0).ramp_down_s() + 2.0);
@@ -506,11 +477,12 @@ fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
     let Demand::Speed(next) = guard.shape(0.02, Demand::Speed(0.0)).demand else {
         panic!("a speed stays a speed");
     };
-    assert!((200.0 - next - 1.01).abs() < 0.05, "{next}");
+    near(200.0 - next, 1.01, 0.05);
 }
 
 #[test]
 fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
+    use Demand::{Current, Speed, Voltage};
     let of = |quadrants, demand| {
         let few = Limits {
             quadrants,
@@ -519,11 +491,15 @@ fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
         let shaped = at_speed(few, 0.0).shape(0.04, demand);
         (shaped.demand, shaped.causes.quadrant)
     };
-    assert_eq!(of(1, Demand::Voltage(-5.0)), (Demand::Voltage(0.0), true));
-    assert_eq!(of(1, Demand::Speed(-5.0)), (Demand::Speed(0.0), true));
-    assert_eq!(of(2, Demand::Current(-5.0)), (Demand::Current(0.0), true));
-    assert_eq!(of(2, Demand::Speed(-5.0)), (Demand::Speed(-5.0), false));
-    assert_eq!(of(4, Demand::Current(-5.0)), (Demand::Current(-5.0), false));
+    for (quadrants, wanted, sent) in [
+        (1, Voltage(-5.0), Voltage(0.0)),
+        (1, Speed(-5.0), Speed(0.0)),
+        (2, Current(-5.0), Current(0.0)),
+        (2, Speed(-5.0), Speed(-5.0)),
+        (4, Current(-5.0), Current(-5.0)),
+    ] {
+        assert_eq!(of(quadrants, wanted), (sent, wanted != sent));
+    }
 }
 
 #[test]
@@ -538,19 +514,15 @@ fn a_lost_field_is_a_trip_of_its_own_even_where_the_drive_only_reports_a_fault()
         let mut guard = at_speed(watched.clone(), 10.0);
         guard.watch(0.01, &sample, true).map(|trip| trip.kind)
     };
-    assert_eq!(with(Some(1.0), DriveState::Running), None);
-    assert_eq!(
-        with(Some(0.1), DriveState::Running),
-        Some(TripKind::FieldLost)
-    );
-    assert_eq!(
-        with(Some(0.1), DriveState::Fault),
-        Some(TripKind::FieldLost)
-    );
-    assert_eq!(with(None, DriveState::Fault), Some(TripKind::FieldLost));
-    assert_eq!(
-        with(None, DriveState::Running),
-        None,
-        "a slow reading that is to come"
-    );
+    let lost = Some(TripKind::FieldLost);
+    for (field_a, state, trip) in [
+        (Some(1.0), DriveState::Running, None),
+        (Some(0.1), DriveState::Running, lost),
+        (Some(0.1), DriveState::Fault, lost),
+        (None, DriveState::Fault, lost),
+        // A slow reading that is to come.
+        (None, DriveState::Running, None),
+    ] {
+        assert_eq!(with(field_a, state), trip, "{field_a:?} {state:?}");
+    }
 }

@@ -1,5 +1,7 @@
 //! Why a run was ended by the guard.
 
+use std::fmt::Display;
+
 use serde::Serialize;
 
 use crate::sample::{Channel, DriveState, Hindrance};
@@ -122,6 +124,22 @@ pub struct Trip {
 }
 
 impl Trip {
+    /// Found value and limit, and the sentence after the name of the kind.
+    pub(in crate::bench) fn new(
+        kind: TripKind,
+        at_s: f64,
+        (value, limit): (f64, f64),
+        what: impl Display,
+    ) -> Self {
+        Self {
+            kind,
+            at_s,
+            value,
+            limit,
+            reason: format!("{}: {what}", kind.name()),
+        }
+    }
+
     /// A measured quantity beyond its limit.
     pub(super) fn beyond(
         kind: TripKind,
@@ -131,72 +149,44 @@ impl Trip {
         limit: f64,
     ) -> Self {
         let (name, unit) = (channel.name(), channel.unit());
-        Self {
-            kind,
-            at_s,
-            value,
-            limit,
-            reason: format!(
-                "{}: {name} {value:.4} {unit}, limit {limit:.4} {unit}",
-                kind.name()
-            ),
-        }
+        let what = format!("{name} {value:.4} {unit}, limit {limit:.4} {unit}");
+        Self::new(kind, at_s, (value, limit), what)
     }
 
     /// A span of time that was too long.
-    pub(super) fn after(kind: TripKind, at_s: f64, value_s: f64, limit_s: f64, what: &str) -> Self {
-        Self {
-            kind,
-            at_s,
-            value: value_s,
-            limit: limit_s,
-            reason: format!(
-                "{}: {what} for {value_s:.3} s, limit {limit_s:.3} s",
-                kind.name()
-            ),
-        }
+    pub(in crate::bench) fn after(
+        kind: TripKind,
+        at_s: f64,
+        (value_s, limit_s): (f64, f64),
+        what: &str,
+    ) -> Self {
+        let what = format!("{what} for {value_s:.3} s, limit {limit_s:.3} s");
+        Self::new(kind, at_s, (value_s, limit_s), what)
+    }
+
+    /// Something that was seen more often in a row than is allowed.
+    pub(super) fn repeated(kind: TripKind, at_s: f64, times: u32, most: u32, what: &str) -> Self {
+        let what = format!("{what} in {times} samples running, {most} allowed");
+        Self::new(kind, at_s, (times.into(), most.into()), what)
     }
 
     /// The computer was suspended for so long.
     pub(super) fn suspended(at_s: f64, slept_s: f64) -> Self {
+        let reason = format!(
+            "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+        );
         Self {
-            kind: TripKind::Suspended,
-            at_s,
-            value: slept_s,
-            limit: 0.0,
-            reason: format!(
-                "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
-            ),
+            reason,
+            ..Self::new(TripKind::Suspended, at_s, (slept_s, 0.0), "")
         }
     }
 
     /// Somebody else writes to the drive: so many frames of theirs were seen.
     pub(super) fn other_master(at_s: f64, frames: u64) -> Self {
-        let kind = TripKind::OtherMaster;
-        Self {
-            kind,
-            at_s,
-            value: frames as f64,
-            limit: 0.0,
-            reason: format!(
-                "{}: {frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access",
-                kind.name()
-            ),
-        }
-    }
-
-    /// Something that was seen too many times in a row.
-    pub(super) fn repeated(kind: TripKind, at_s: f64, times: u32, limit: u32, what: &str) -> Self {
-        Self {
-            kind,
-            at_s,
-            value: f64::from(times),
-            limit: f64::from(limit),
-            reason: format!(
-                "{}: {what} in {times} samples running, {limit} allowed",
-                kind.name()
-            ),
-        }
+        let what = format!(
+            "{frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
+        );
+        Self::new(TripKind::OtherMaster, at_s, (frames as f64, 0.0), what)
     }
 
     pub(super) fn field_lost(at_s: f64, field_a: Option<f64>, least_a: f64) -> Self {
@@ -204,15 +194,11 @@ impl Trip {
             || "cannot be read".to_owned(),
             |amperes| format!("{amperes:.3} A"),
         );
-        Self {
-            kind: TripKind::FieldLost,
-            at_s,
-            value: field_a.unwrap_or(0.0),
-            limit: least_a,
-            reason: format!(
-                "field lost: field current {found}, at least {least_a:.3} A (limits.field_min_a of the drive's profile)"
-            ),
-        }
+        let what = format!(
+            "field current {found}, at least {least_a:.3} A (limits.field_min_a of the drive's profile)"
+        );
+        let figures = (field_a.unwrap_or(0.0), least_a);
+        Self::new(TripKind::FieldLost, at_s, figures, what)
     }
 
     pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {
@@ -224,13 +210,9 @@ impl Trip {
             (None, Some(text)) => text.to_owned(),
             (None, None) => "no code".to_owned(),
         };
-        Self {
-            kind: TripKind::DriveFault,
-            at_s,
-            value: code.map_or(0.0, f64::from),
-            limit: 0.0,
-            reason: format!("drive fault: the drive reports a fault, {code_text}"),
-        }
+        let what = format!("the drive reports a fault, {code_text}");
+        let figures = (code.map_or(0.0, f64::from), 0.0);
+        Self::new(TripKind::DriveFault, at_s, figures, what)
     }
 
     pub(super) fn hindered(at_s: f64, hindrance: Hindrance) -> Self {
@@ -238,13 +220,7 @@ impl Trip {
             Hindrance::LocalControl => TripKind::LocalControl,
             Hindrance::TorqueOff => TripKind::TorqueOff,
         };
-        Self {
-            kind,
-            at_s,
-            value: 0.0,
-            limit: 0.0,
-            reason: format!("{}: {}", kind.name(), hindrance.sentence()),
-        }
+        Self::new(kind, at_s, (0.0, 0.0), hindrance.sentence())
     }
 
     pub(in crate::bench) fn not_running(
@@ -253,72 +229,27 @@ impl Trip {
         value_s: f64,
         limit_s: f64,
     ) -> Self {
-        Self {
-            kind: TripKind::NotRunning,
-            at_s,
-            value: value_s,
-            limit: limit_s,
-            reason: format!(
-                "drive does not run: state {:?} for {value_s:.3} s while commanded to run, limit {limit_s:.3} s",
-                state.name()
-            ),
-        }
-    }
-
-    /// Something measured that cannot be: the value, what it should be, and the sentence after the name.
-    pub(in crate::bench) fn implausible(
-        kind: TripKind,
-        at_s: f64,
-        (value, expected): (f64, f64),
-        what: &str,
-    ) -> Self {
-        Self {
-            kind,
-            at_s,
-            value,
-            limit: expected,
-            reason: format!("{}: {what}", kind.name()),
-        }
+        let what = format!(
+            "state {:?} for {value_s:.3} s while commanded to run, limit {limit_s:.3} s",
+            state.name()
+        );
+        Self::new(TripKind::NotRunning, at_s, (value_s, limit_s), what)
     }
 
     /// A shaft that does not come to rest after the pulse of the checks.
     pub(in crate::bench) fn unrested(at_s: f64, speed_rad_s: f64, waited_s: f64) -> Self {
+        let reason = format!(
+            "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
+        );
         Self {
-            kind: TripKind::OverSpeed,
-            at_s,
-            value: speed_rad_s,
-            limit: 0.0,
-            reason: format!(
-                "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
-            ),
+            reason,
+            ..Self::new(TripKind::OverSpeed, at_s, (speed_rad_s, 0.0), "")
         }
     }
 
     /// A drive that goes on running although its output is to be off.
     pub(in crate::bench) fn unstopped(at_s: f64, waited_s: f64) -> Self {
-        Self::after(
-            TripKind::NotRunning,
-            at_s,
-            waited_s,
-            waited_s,
-            "it still runs although its output is to be off",
-        )
-    }
-
-    pub(in crate::bench) fn runaway(at_s: f64, speed_rad_s: f64, reference_rad_s: f64) -> Self {
-        Self {
-            kind: TripKind::Runaway,
-            at_s,
-            value: speed_rad_s,
-            limit: reference_rad_s,
-            reason: format!(
-                "runaway: the speed grows to {speed_rad_s:.1} rad/s against the torque, the reference is {reference_rad_s:.1} rad/s"
-            ),
-        }
-    }
-
-    /// No speed to answer to for too long.
-    pub(in crate::bench) fn silent_speed(at_s: f64, silent_s: f64, limit_s: f64) -> Self {
-        Self::after(TripKind::SignalMissing, at_s, silent_s, limit_s, "no speed")
+        let what = "it still runs although its output is to be off";
+        Self::after(TripKind::NotRunning, at_s, (waited_s, waited_s), what)
     }
 }

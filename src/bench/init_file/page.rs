@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use super::{InitRequest, InitUse, Reasoned};
 use crate::bench::bench_file::{BenchFile, Port};
 use crate::bench::plan::Plan;
-use crate::bench::speed::ReferencePart;
 use crate::drive::KickedBy;
 use crate::excitation::Segment;
 use crate::text::lines::{capitalised, wrapped};
@@ -237,7 +236,7 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
             page.comment(&format!("Speeds in rad/s: {}.", reason.reason));
         }
         page.line("[[speed.reference]]");
-        page.line(&reference_text(part));
+        page.line(&inline(part));
     }
 }
 
@@ -274,10 +273,6 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
         page.line("[[sequence]]");
         page.line(&inline(segment));
     }
-}
-
-fn reference_text(part: &ReferencePart) -> String {
-    inline(part)
 }
 
 /// The one key of a part with its table on one line.

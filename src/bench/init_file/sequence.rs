@@ -68,11 +68,11 @@ pub(super) fn fit(
                 _ => LEVEL_S,
             }
         );
-        fitted.reasons.push(Reasoned {
-            key: "speed.reference".to_owned(),
-            value: None,
-            reason: format!("{LEVELS:?} {why}"),
-        });
+        fitted.reasons.push(Reasoned::new(
+            "speed.reference",
+            None,
+            format!("{LEVELS:?} {why}"),
+        ));
         bench.speed = Some(speed);
     } else {
         fitted.remarks.push(
@@ -80,22 +80,15 @@ pub(super) fn fit(
                 .to_owned(),
         );
     }
-    let sequence_s = bench
-        .program(bench.runs.fit)
-        .map_err(|error| InitError::new(error.to_string(), error.help()))?
-        .duration_s();
+    let sequence_s = bench.program(bench.runs.fit)?.duration_s();
     let reference_s = bench.speed.as_ref().map_or(0.0, |speed| {
         speed.reference.iter().map(length_s).sum::<f64>() + ENDS_S
     });
     let time_s = (sequence_s.max(reference_s) * ROOM / 5.0).ceil() * 5.0;
     bench.limits.time_s = Some(time_s);
-    fitted.reasons.push(Reasoned {
-        key: "limits.time_s".to_owned(),
-        value: Some(time_s),
-        reason: format!(
+    fitted.reasons.push(Reasoned::new("limits.time_s", Some(time_s), format!(
             "the longer of sequence ({sequence_s:.1} s) and reference with its ends ({reference_s:.1} s), and a quarter of it as room"
-        ),
-    });
+        )));
     Ok(fitted)
 }
 
@@ -122,11 +115,7 @@ fn voltages(
     let one_way = set_point(request, Quantity::Voltage).is_some_and(|(low, _)| low >= 0.0);
     let Some(plate) = plate else {
         bench.sequence = paced(sequence(voltage_v, limits.slew_v_per_s, one_way), period_s);
-        fitted.reasons.push(Reasoned {
-            key: "limits.slew_v_per_s".to_owned(),
-            value: None,
-            reason: "follows from the motor when it has been found; until then each stage has its own, smaller one".to_owned(),
-        });
+        fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", None, "follows from the motor when it has been found; until then each stage has its own, smaller one"));
         return Ok(());
     };
     let load_a = plate.load_torque_n_m / plate.back_emf_v_s_per_rad;
@@ -148,9 +137,7 @@ fn voltages(
         })?;
     bench.sequence = scaled.bench.sequence.iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
-    let program = bench
-        .program(bench.runs.fit)
-        .map_err(|error| InitError::new(error.to_string(), error.help()))?;
+    let program = bench.program(bench.runs.fit)?;
     let planned = plan(
         &program,
         plate,
@@ -159,15 +146,11 @@ fn voltages(
         own_limit_a,
     )
     .map_err(|error| broken(error.to_string()))?;
-    fitted.reasons.push(Reasoned {
-        key: "limits.slew_v_per_s".to_owned(),
-        value: bench.limits.slew_v_per_s,
-        reason: format!(
+    fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
             "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
             load_a + spare_a,
             100.0 * (load_a + spare_a) / limits.current_a
-        ),
-    });
+        )));
     if scaled.factor < 1.0 {
         fitted.remarks.push(format!(
             "the sequence was made smaller ({:.0} % of the voltages): {}",

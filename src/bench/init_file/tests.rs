@@ -1,5 +1,6 @@
 use super::*;
 use crate::bench::limits::Nameplate;
+use crate::bench::testing::{has, within};
 
 fn plate() -> MotorSection {
     (&Nameplate::zk_22fc()).into()
@@ -92,11 +93,7 @@ fn the_sequence_is_planned_and_stays_below_the_drive_s_own_limit() {
     let file = made("own", &plate(), told()).unwrap();
     let plan = file.plan.as_ref().unwrap();
     assert!(!plan.is_refused());
-    assert!(
-        (3.0..9.0).contains(&plan.peak_current_a),
-        "{} A",
-        plan.peak_current_a
-    );
+    within(plan.peak_current_a, 3.0..9.0);
     assert!(
         plan.peak_speed_rad_s > 150.0,
         "{} rad/s",
@@ -135,10 +132,9 @@ fn what_was_not_read_back_is_said() {
         ..told()
     };
     let file = made("own", &plate(), mute).unwrap();
-    assert!(
-        reason(&file, "limits.current_a")
-            .reason
-            .contains("does not tell its own current limit")
+    has(
+        &reason(&file, "limits.current_a").reason,
+        "does not tell its own current limit",
     );
 }
 
@@ -149,33 +145,21 @@ fn an_unknown_motor_is_left_to_be_found() {
     let file = made("own", &motor, told()).unwrap();
     assert!(file.bench.motor.is_unknown() && file.plan.is_none());
     assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
-    assert!(
-        file.text.contains("# resistance_ohm: none. "),
-        "{}",
-        file.text
-    );
+    has(&file.text, "# resistance_ohm: none. ");
     assert_eq!(
         file.next("b.toml"),
         ["drivebench run b.toml --hardware --headless"]
     );
     // A drive that takes no voltage has no small steps.
     let error = made("epulse50-dc", &motor, told()).unwrap_err();
-    assert!(
-        error.reason.contains("resistance_ohm is left out"),
-        "{}",
-        error.reason
-    );
+    has(&error.reason, "resistance_ohm is left out");
 }
 
 #[test]
 fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
     let file = made("epulse50-dc", &plate(), told()).unwrap();
     assert_eq!(file.purpose, InitUse::SpeedLoop);
-    assert!(
-        file.remarks[0].contains("takes no voltage command"),
-        "{:?}",
-        file.remarks
-    );
+    has(&file.remarks[0], "takes no voltage command");
     let speed = file.bench.speed.as_ref().unwrap();
     assert_eq!(speed.controller.id(), "pi");
     assert!(speed.drive_lag_s.is_some());
@@ -193,18 +177,13 @@ fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
         "{remarks:?}"
     );
     // Its reference takes 3000 rpm.
-    assert!(
-        reason(&file, "limits.speed_rad_s")
-            .reason
-            .contains("314.2 rad/s (profile)")
+    has(
+        &reason(&file, "limits.speed_rad_s").reason,
+        "314.2 rad/s (profile)",
     );
     let error = made("siemens-v20", &plate(), told()).unwrap_err();
-    assert!(
-        error.reason.contains("takes no armature voltage")
-            && error.reason.contains("no speed loop"),
-        "{}",
-        error.reason
-    );
+    has(&error.reason, "takes no armature voltage");
+    has(&error.reason, "no speed loop");
 }
 
 #[test]
@@ -319,10 +298,7 @@ fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
     let file = init_file(&request(&profile, &motor, silent)).unwrap();
     let silence = reason(&file, "limits.link_silence_s");
     assert_eq!(silence.value, Some(0.72));
-    assert!(
-        silence.reason.contains("0.8 s (set by the profile"),
-        "{silence:?}"
-    );
+    has(&silence.reason, "0.8 s (set by the profile");
 }
 
 #[test]

@@ -1,4 +1,16 @@
-//! The terms of the voltage balance `u = R i + L di/dt + Ke w`, as ranges over some rows.
+//! The balances of voltage and torque: their terms as ranges over some rows, and the factor by which the current is read,
+//! from both at once.
+//!
+//! ```text
+//! voltage   u    = r (R i + L di/dt) + k Ke w + d sign(i)      a current read s times as large: r = 1/s
+//! torque    Kt i = j J dw/dt + m Mc sign(w)                    and j = s
+//! ```
+//!
+//! Each alone proves nothing: a warm winding, a soft supply and brushes look like `r`, another inertia looks like `j`. A
+//! current that is read wrong moves both, in opposite directions and by the same factor. Weighted least squares that
+//! forget, with what the nameplate leaves open as prior.
+
+use nalgebra::{SMatrix, SVector};
 
 use super::REST_VOLTAGE;
 use super::history::{Range, Row};
@@ -95,4 +107,132 @@ pub(super) fn is_mirrored(
     let mirrored = (rest + reading).abs();
     let (size, slack) = (reading.abs(), REST_VOLTAGE * rated_v);
     size > least_v && as_read > size + slack && mirrored < 0.5 * size + slack
+}
+
+/// Rows are forgotten with this time constant, s, and not within fewer than so many rows.
+const MEMORY_S: f64 = 0.25;
+const MEMORY_ROWS: f64 = 10.0;
+/// Standard deviations of an estimate that are not believed to be chance.
+const SIGMAS: f64 = 3.0;
+/// What a row's voltage and torque are worth, in rated ones.
+const FLOOR_V: f64 = 0.005;
+const FLOOR_TORQUE: f64 = 0.05;
+/// What is believed of the factors before: the one of the flux, the drop in rated voltages, the one of the friction.
+const FLUX: f64 = 0.5;
+const DROP: f64 = 0.02;
+const FRICTION: f64 = 1.0;
+const UNKNOWN: f64 = 10.0;
+/// Share of the rated speed below which friction may have either sign.
+const TURNS: f64 = 0.01;
+/// Factors within these are no fault.
+const LEAST: f64 = 0.5;
+const MOST: f64 = 2.0;
+
+/// Weighted normal equations of `N` factors with a prior.
+#[derive(Clone, Debug)]
+struct Normal<const N: usize> {
+    matrix: SMatrix<f64, N, N>,
+    right: SVector<f64, N>,
+    square: f64,
+    rows: f64,
+    prior: [(f64, f64); N],
+}
+
+impl<const N: usize> Normal<N> {
+    fn new(prior: [(f64, f64); N]) -> Self {
+        Self {
+            matrix: SMatrix::zeros(),
+            right: SVector::zeros(),
+            square: 0.0,
+            rows: 0.0,
+            prior,
+        }
+    }
+
+    fn add(&mut self, keep: f64, factors: [f64; N], value: f64, noise: f64) {
+        let row = SVector::from(factors) / noise;
+        let value = value / noise;
+        self.matrix = self.matrix * keep + row * row.transpose();
+        self.right = self.right * keep + row * value;
+        self.square = self.square * keep + value * value;
+        self.rows = self.rows * keep + 1.0;
+    }
+
+    /// The first factor and its standard deviation.
+    fn first(&self) -> Option<(f64, f64)> {
+        let mut matrix = self.matrix;
+        let mut right = self.right;
+        for (index, (mean, std)) in self.prior.iter().enumerate() {
+            let weight = 1.0 / (std * std);
+            matrix[(index, index)] += weight;
+            right[index] += weight * mean;
+        }
+        let inverse = matrix.try_inverse()?;
+        let found = inverse * right;
+        let misfit = self.square - 2.0 * found.dot(&self.right) + found.dot(&(self.matrix * found));
+        // Rows that fit worse than they should are worth less.
+        let inflated = (misfit / self.rows.max(1.0)).max(1.0);
+        Some((found[0], (inverse[(0, 0)] * inflated).max(0.0).sqrt()))
+    }
+}
+
+/// Both balances over the last rows.
+#[derive(Clone, Debug)]
+pub(super) struct Factor {
+    voltage: Normal<3>,
+    torque: Normal<2>,
+}
+
+impl Factor {
+    pub(super) fn new(scale: &Scale) -> Self {
+        Self {
+            voltage: Normal::new([(1.0, UNKNOWN), (1.0, FLUX), (0.0, DROP * scale.volts)]),
+            torque: Normal::new([(1.0, UNKNOWN), (1.0, FRICTION)]),
+        }
+    }
+
+    /// Takes a row of which the voltage is known; the factor by which the current is read, once it is beyond doubt that
+    /// it lies outside 0.5 to 2. Of a current that may have no sign, only what drives the shaft counts.
+    pub(super) fn push(
+        &mut self,
+        row: &Row,
+        is_signed: bool,
+        plate: &Plate,
+        scale: &Scale,
+    ) -> Option<f64> {
+        let volts = row.volts?;
+        let direction = volts.middle().signum();
+        let is_driven =
+            row.speed_rad_s * direction >= 0.0 && row.speed_change_rad_s * direction >= 0.0;
+        let sign = if is_signed { 1.0 } else { direction };
+        if !(is_signed || is_driven) {
+            return None;
+        }
+        let memory_s = MEMORY_S.max(MEMORY_ROWS * row.seconds);
+        let keep = (-row.seconds / memory_s).exp();
+        let current_v = sign * plate.current_v(row);
+        let speed_v = plate.back_emf * row.speed_rad_s;
+        let dynamic_v = plate.doubt_v(row);
+        let noise = (FLOOR_V * scale.volts)
+            .hypot(0.5 * volts.width())
+            .hypot(dynamic_v);
+        let factors = [current_v, speed_v, sign * row.current_a.signum()];
+        self.voltage.add(keep, factors, volts.middle(), noise);
+        if row.speed_rad_s.abs() > TURNS * scale.rad_s {
+            let acceleration = plate.inertia * row.speed_change_rad_s / row.seconds;
+            let friction = plate.friction * row.speed_rad_s.signum();
+            let floor = FLOOR_TORQUE * plate.back_emf * scale.amps;
+            let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
+            let torque = sign * plate.back_emf * row.current_a;
+            self.torque
+                .add(keep, [acceleration, friction], torque, noise);
+        }
+        let (r, r_std) = self.voltage.first()?;
+        let (j, j_std) = self.torque.first()?;
+        let (r_by, j_by) = (SIGMAS * r_std, SIGMAS * j_std);
+        let large = r + r_by < LEAST && j - j_by > MOST;
+        let small = r - r_by > MOST && j + j_by < LEAST;
+        let reversed = r + r_by < 0.0 && j + j_by < 0.0;
+        (large || small || reversed).then(|| (j / r).abs().sqrt().copysign(j))
+    }
 }

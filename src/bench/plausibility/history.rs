@@ -33,6 +33,10 @@ impl Range {
         Self { low, high }
     }
 
+    pub(super) const fn at(value: f64) -> Self {
+        Self::new(value, value)
+    }
+
     pub(super) const EVERY: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
 
     pub(super) const fn around(value: f64, by: f64) -> Self {
@@ -41,9 +45,14 @@ impl Range {
 
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         values.fold(None, |range: Option<Self>, value| {
-            let range = range.unwrap_or(Self::new(value, value));
+            let range = range.unwrap_or(Self::at(value));
             Some(range.with(value))
         })
+    }
+
+    /// Of values that all have to be known.
+    fn of_known(values: impl Iterator<Item = Option<f64>>) -> Option<Self> {
+        Self::of(values.collect::<Option<Vec<f64>>>()?.into_iter())
     }
 
     pub(super) const fn with(self, value: f64) -> Self {
@@ -191,17 +200,16 @@ impl History {
     pub(super) fn asked(&self, cycles: usize) -> Option<(Demand, Range)> {
         let last = self.samples.back()?;
         let lag = if last.exact { 2 } else { cycles as u64 };
-        let mut range: Option<Range> = None;
-        for demand in self.in_force(last, last, lag) {
-            let ((Demand::Voltage(value), Demand::Voltage(_))
-            | (Demand::Current(value), Demand::Current(_))
-            | (Demand::Speed(value), Demand::Speed(_))) = (demand, last.demand?)
-            else {
-                return None;
-            };
-            range = Some(range.map_or(Range::new(value, value), |range| range.with(value)));
-        }
-        Some((last.demand?, range?))
+        let wanted = last.demand?;
+        let values = self
+            .in_force(last, last, lag)
+            .map(|demand| match (demand, wanted) {
+                (Demand::Voltage(value), Demand::Voltage(_))
+                | (Demand::Current(value), Demand::Current(_))
+                | (Demand::Speed(value), Demand::Speed(_)) => Some(value),
+                _ => None,
+            });
+        Some((wanted, Range::of_known(values)?))
     }
 
     fn volts(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Range> {
@@ -234,16 +242,9 @@ impl History {
         // Where the drive stamps itself, what the newest sample came with is not in force before it.
         let to = keys.1.saturating_sub(u64::from(now.exact));
         let from = keys.0.saturating_sub(lag);
-        let mut range: Option<Range> = None;
-        for (_, demand) in self
-            .commands
-            .iter()
-            .filter(|(seq, _)| (from..=to).contains(seq))
-        {
-            let volts = demand.voltage_v()?;
-            range = Some(range.map_or(Range::new(volts, volts), |range| range.with(volts)));
-        }
-        let range = range?;
+        let sent = self.commands.iter();
+        let sent = sent.filter(|(seq, _)| (from..=to).contains(seq));
+        let range = Range::of_known(sent.map(|(_, demand)| demand.voltage_v()))?;
         Some(match measured {
             Some((a, _)) if now.exact => range.with(a),
             Some((a, b)) => range.with(a).with(b),

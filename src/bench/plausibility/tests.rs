@@ -1,19 +1,14 @@
 //! Broken signals through the session and the runner, in virtual time, and what must not be taken for broken.
 
-use std::sync::atomic::AtomicBool;
-use std::sync::mpsc::channel;
-
 use crate::bench::bench_file::BenchFile;
-use crate::bench::guard::{Guard, Trip, TripKind};
+use crate::bench::guard::{Guard, TripKind};
 use crate::bench::limits::{Limits, Nameplate};
-use crate::bench::program::Program;
-use crate::bench::runner::{Bench, RunOptions, run};
+use crate::bench::pilot::Program;
 use crate::bench::session::{Outcome, Session};
-use crate::bench::snapshot::{SnapshotCell, Target};
-use crate::bench::testing::Wave;
-use crate::drive::{CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock, mystery};
-use crate::recording::{Layout, MemoryRecorder};
+use crate::bench::testing::{Course, Tamper, Tampered, Wave, in_memory};
+use crate::bench::timing::whole;
+use crate::drive::{DriveLink, LinkError};
+use crate::emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// What is wrong on the way.
@@ -40,10 +35,9 @@ enum Wrong {
     AngleStays,
 }
 
-/// A link on which something goes wrong from an instant on, and whose values may be coarse, late and without a sign.
-struct Broken {
-    link: MemoryLink,
-    clock: VirtualClock,
+/// What is odd about a drive, each for itself.
+#[derive(Clone, Copy)]
+struct Oddities {
     wrong: Wrong,
     from_s: f64,
     /// Sensors are read once in so many exchanges, the command acts so many later.
@@ -52,6 +46,12 @@ struct Broken {
     unsigned: bool,
     /// Neither stamps nor a measured voltage.
     foreign: bool,
+}
+
+/// Something goes wrong from an instant on, and values may be coarse, late and without a sign.
+struct Broken {
+    odd: Oddities,
+    clock: VirtualClock,
     held: Option<Sample>,
     deaf: Option<Demand>,
     exchanges: u64,
@@ -62,8 +62,8 @@ struct Broken {
 impl Broken {
     fn spoil(&mut self, mut sample: Sample) -> Sample {
         let raw = |sample: &Sample, channel| sample.get(channel).unwrap();
-        if self.stale > 1 {
-            if self.exchanges.is_multiple_of(self.stale) || self.held.is_none() {
+        if self.odd.stale > 1 {
+            if self.exchanges.is_multiple_of(self.odd.stale) || self.held.is_none() {
                 self.held = Some(sample.clone());
             }
             let held = self.held.as_ref().unwrap();
@@ -76,9 +76,9 @@ impl Broken {
             raw(&sample, Channel::Current),
             raw(&sample, Channel::Speed),
         );
-        if self.clock.time_s() >= self.from_s {
+        if self.clock.time_s() >= self.odd.from_s {
             let still = self.held.get_or_insert_with(|| sample.clone()).clone();
-            match self.wrong {
+            match self.odd.wrong {
                 Wrong::Nothing | Wrong::Deaf { tells: true } | Wrong::SetPointTimes(_) => {}
                 Wrong::Frozen => {
                     for channel in [Channel::Speed, Channel::Angle] {
@@ -109,7 +109,7 @@ impl Broken {
                 }
             }
         }
-        if self.coarse {
+        if self.odd.coarse {
             for (channel, step) in [
                 (Channel::Voltage, 0.1),
                 (Channel::Current, 0.01),
@@ -120,12 +120,12 @@ impl Broken {
                 }
             }
         }
-        if self.unsigned
+        if self.odd.unsigned
             && let Some(amps) = sample.get(Channel::Current)
         {
             sample.set(Channel::Current, amps.abs());
         }
-        if self.foreign {
+        if self.odd.foreign {
             sample.applied = None;
             sample.set(Channel::Voltage, f64::NAN);
         }
@@ -133,21 +133,13 @@ impl Broken {
     }
 }
 
-impl DriveLink for Broken {
-    fn name(&self) -> LinkName {
-        self.link.name()
-    }
-
-    fn identify(&mut self) -> Result<Identity, LinkError> {
-        self.link.identify()
-    }
-
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+impl Tamper<MemoryLink> for Broken {
+    fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
         self.exchanges += 1;
         let mut command = command;
-        let broken = self.clock.time_s() >= self.from_s;
+        let broken = self.clock.time_s() >= self.odd.from_s;
         if let (true, Demand::Voltage(volts)) = (broken, command.demand) {
-            match self.wrong {
+            match self.odd.wrong {
                 Wrong::Deaf { .. } => {
                     let volts = match self.last {
                         Demand::Voltage(volts) => volts,
@@ -160,40 +152,15 @@ impl DriveLink for Broken {
             }
         }
         self.last = command.demand;
-        let sample = self.link.exchange(command)?;
+        let sample = link.exchange(command)?;
         Ok(self.spoil(sample))
-    }
-
-    fn stop(&mut self) -> Result<(), LinkError> {
-        self.link.stop()
-    }
-
-    fn command_times(&self) -> CommandTimes {
-        self.link.command_times()
-    }
-
-    fn statistics(&self) -> LinkStatistics {
-        self.link.statistics()
-    }
-
-    fn shortest_cycle_s(&self) -> Option<f64> {
-        None
     }
 }
 
 /// One run.
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "what is odd about a drive, each for itself"
-)]
 struct Trial {
-    wrong: Wrong,
-    from_s: f64,
+    odd: Oddities,
     rate_hz: f64,
-    stale: u64,
-    coarse: bool,
-    unsigned: bool,
-    foreign: bool,
     waived: bool,
     config: EmulatorConfig,
     plate: Nameplate,
@@ -205,13 +172,15 @@ impl Trial {
     fn new(wrong: Wrong, from_s: f64, seed: u64) -> Self {
         let bench = BenchFile::embedded_default();
         Self {
-            wrong,
-            from_s,
+            odd: Oddities {
+                wrong,
+                from_s,
+                stale: 1,
+                coarse: false,
+                unsigned: false,
+                foreign: false,
+            },
             rate_hz: 100.0,
-            stale: 1,
-            coarse: false,
-            unsigned: false,
-            foreign: false,
             waived: false,
             config: EmulatorConfig::embedded("zk-22fc-plain").unwrap(),
             plate: bench.nameplate().unwrap(),
@@ -220,66 +189,46 @@ impl Trial {
         }
     }
 
-    fn of(self, program: Box<dyn Program>) -> Outcome {
-        let mut clock = VirtualClock::new();
-        let drive = SoftDrive::new(&self.config, self.seed);
-        let mut link = Broken {
-            link: MemoryLink::new(drive, clock.clone(), Latency::default()),
+    /// A drive at a slow line, with the watchdog and the silence that go with it.
+    fn slow(wrong: Wrong, from_s: f64, seed: u64, rate_hz: f64) -> Self {
+        let mut trial = Self::new(wrong, from_s, seed);
+        trial.rate_hz = rate_hz;
+        trial.odd.coarse = true;
+        trial.config.watchdog_ms = 1000;
+        trial.limits.link_silence_s = 0.6;
+        trial
+    }
+
+    fn run(self, program: Box<dyn Program>) -> Outcome {
+        let (link, mut clock) = in_memory(&self.config, self.seed);
+        let by = Broken {
+            odd: self.odd,
             clock: clock.clone(),
-            wrong: self.wrong,
-            from_s: self.from_s,
-            stale: self.stale,
-            coarse: self.coarse,
-            unsigned: self.unsigned,
-            foreign: self.foreign,
             held: None,
             deaf: None,
             exchanges: 0,
             last: Demand::Disable,
         };
-        let guard = Guard::new(self.limits.clone(), &self.plate, Some(11.4))
-            .with_period(1.0 / self.rate_hz);
-        let mut session = Session::new(program, guard);
+        let mut link = Tampered { link, by };
+        let guard = Guard::new(self.limits, &self.plate, Some(11.4));
+        let mut session = Session::new(program, guard.with_period(1.0 / self.rate_hz));
         if self.waived {
             session = session.with_waivers(vec!["plausibility".to_owned()]);
         }
-        let mut recorder = MemoryRecorder::new(Layout::of_drive(&[
-            Channel::VoltageCmd,
-            Channel::Voltage,
-            Channel::Current,
-            Channel::Speed,
-        ]));
-        let (_keep, intents) = channel();
-        let summary = run(
-            session,
-            Bench {
-                link: &mut link,
-                clock: &mut clock,
-                recorder: &mut recorder,
-                estimator: None,
-                intents: &intents,
-                interrupted: &AtomicBool::new(false),
-                snapshots: &SnapshotCell::default(),
-            },
-            &RunOptions {
-                name: "trial".to_owned(),
-                target: Target::Sim,
-                rate_hz: self.rate_hz,
-                motor: None,
-                auto_start: true,
-            },
-        );
-        assert!(
-            matches!(link.last, Demand::Stop | Demand::Disable),
-            "{:?}",
-            link.last
-        );
+        let course = Course {
+            rate_hz: self.rate_hz,
+            ..Course::default()
+        };
+        let (summary, _) = course.run(session, &mut link, &mut clock);
+        let last = link.by.last;
+        assert!(matches!(last, Demand::Stop | Demand::Disable), "{last:?}");
         summary.outcome
     }
 
-    fn embedded(self) -> Outcome {
+    /// On the embedded sequence.
+    fn outcome(self) -> Outcome {
         let program = BenchFile::embedded_default().program(self.seed).unwrap();
-        self.of(Box::new(program))
+        self.run(Box::new(program))
     }
 }
 
@@ -302,143 +251,117 @@ const fn is_doubt(kind: TripKind) -> bool {
     )
 }
 
-/// Ten seeds with this fault from each instant on; `(from, latest)`: the host times between which it has to be found. The
-/// motor begins to turn at 0.53 s, runs at 95 V until 1.6 s and is back at rest at 2.3 s.
-#[track_caller]
-fn found(wrong: Wrong, times: &[(f64, f64)], kinds: &[TripKind]) {
-    for &(from_s, latest_s) in times {
-        for seed in 1..=10 {
-            let outcome = Trial::new(wrong, from_s, seed).embedded();
-            let Outcome::Tripped(trip) = &outcome else {
-                panic!("{wrong:?} from {from_s} s, seed {seed}: {outcome:?}");
-            };
-            assert!(
-                kinds.contains(&trip.kind),
-                "{wrong:?} from {from_s} s, seed {seed}: {trip:?}"
-            );
-            assert!(
-                trip.at_s <= latest_s,
-                "{wrong:?} from {from_s} s, seed {seed}: {trip:?}"
-            );
-            assert_eq!(outcome.exit_status(), 4);
+/// The embedded motor begins to turn at 0.53 s, runs at 95 V until 1.6 s and is back at rest at 2.3 s.
+#[test]
+fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
+    use TripKind::{
+        AngleImplausible, CurrentImplausible, CurrentReversed, CurrentStuck, EncoderFrozen,
+        EncoderReversed, OverCurrent, OverSpeed, SetPointIgnored, SignalsSwapped, SpeedImplausible,
+        VoltageImplausible,
+    };
+    // From an instant on, and the host time at which it has to be found at the latest.
+    const REST: (f64, f64) = (0.0, 0.75);
+    const START: (f64, f64) = (0.0, 1.0);
+    const FAST: (f64, f64) = (1.2, 1.4);
+    const BACK: (f64, f64) = (2.0, 2.2);
+    type Case = (Wrong, &'static [(f64, f64)], &'static [TripKind]);
+    let cases: [Case; 16] = [
+        (Wrong::Frozen, &[REST, FAST, BACK], &[EncoderFrozen]),
+        (Wrong::Reversed, &[REST, FAST, BACK], &[EncoderReversed]),
+        // From rest a third or three times the speed shows from some 60 rad/s on, that is from 0.8 s.
+        (
+            Wrong::SpeedTimes(0.3),
+            &[START, FAST],
+            &[SpeedImplausible, OverSpeed],
+        ),
+        (
+            Wrong::SpeedTimes(3.0),
+            &[START, FAST],
+            &[SpeedImplausible, OverSpeed],
+        ),
+        (Wrong::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
+        (Wrong::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
+        // At a steady 1.3 A nothing shows, and little while it is only braked; it shows at the latest when it accelerates
+        // again.
+        (
+            Wrong::CurrentTimes(-1.0),
+            &[REST, (1.2, 3.6), BACK],
+            &[CurrentReversed],
+        ),
+        // Three times as much is beyond the current limit first; a third of it shows in no single row.
+        (
+            Wrong::CurrentTimes(3.0),
+            &[REST, BACK],
+            &[CurrentImplausible, OverCurrent, SignalsSwapped],
+        ),
+        (
+            Wrong::CurrentTimes(0.3),
+            &[(0.0, 4.0)],
+            &[CurrentImplausible],
+        ),
+        (
+            Wrong::Deaf { tells: true },
+            &[START, (1.2, 1.85), (2.0, 2.5)],
+            &[SetPointIgnored],
+        ),
+        (
+            Wrong::Deaf { tells: false },
+            &[START, (1.2, 1.85), (2.0, 2.5)],
+            &[SetPointIgnored],
+        ),
+        (Wrong::SetPointTimes(0.3), &[START], &[SetPointIgnored]),
+        (Wrong::VoltageTimes(0.3), &[START], &[VoltageImplausible]),
+        (Wrong::SwappedCurrentSpeed, &[REST], &[SignalsSwapped]),
+        (
+            Wrong::SwappedVoltageCurrent,
+            &[REST, FAST],
+            &[SignalsSwapped],
+        ),
+        (
+            Wrong::AngleStays,
+            &[START, (1.2, 1.45)],
+            &[AngleImplausible],
+        ),
+    ];
+    for (wrong, times, kinds) in cases {
+        for &(from_s, latest_s) in times {
+            for seed in 1..=10 {
+                let about = format!("{wrong:?} from {from_s} s, seed {seed}");
+                let outcome = Trial::new(wrong, from_s, seed).outcome();
+                let Outcome::Tripped(trip) = &outcome else {
+                    panic!("{about}: {outcome:?}");
+                };
+                assert!(kinds.contains(&trip.kind), "{about}: {trip:?}");
+                assert!(trip.at_s <= latest_s, "{about}: {trip:?}");
+                assert_eq!(outcome.exit_status(), 4);
+            }
         }
     }
 }
 
 #[test]
-fn a_frozen_or_reversed_encoder_ends_a_run() {
-    found(
-        Wrong::Frozen,
-        &[(0.0, 0.75), (1.2, 1.4), (2.0, 2.2)],
-        &[TripKind::EncoderFrozen],
-    );
-    found(
-        Wrong::Reversed,
-        &[(0.0, 0.75), (1.2, 1.4), (2.0, 2.2)],
-        &[TripKind::EncoderReversed],
-    );
-}
-
-#[test]
-fn an_encoder_that_reads_a_third_or_three_times_the_speed_ends_a_run() {
-    // From rest it shows from some 60 rad/s on, that is from 0.8 s.
-    let kinds = [TripKind::SpeedImplausible, TripKind::OverSpeed];
-    found(Wrong::SpeedTimes(0.3), &[(0.0, 1.0), (1.2, 1.4)], &kinds);
-    found(Wrong::SpeedTimes(3.0), &[(0.0, 1.0), (1.2, 1.4)], &kinds);
-}
-
-#[test]
-fn a_current_that_stays_or_has_the_wrong_sign_ends_a_run() {
-    let kinds = [TripKind::CurrentStuck];
-    found(
-        Wrong::CurrentZero,
-        &[(0.0, 0.75), (1.2, 1.4), (2.0, 2.2)],
-        &kinds,
-    );
-    found(
-        Wrong::CurrentStays,
-        &[(0.0, 0.75), (1.2, 1.4), (2.0, 2.2)],
-        &kinds,
-    );
-    // At a steady 1.3 A nothing shows, and little while it is only braked; it shows at the latest when it accelerates again.
-    let times = [(0.0, 0.75), (1.2, 3.6), (2.0, 2.2)];
-    found(
-        Wrong::CurrentTimes(-1.0),
-        &times,
-        &[TripKind::CurrentReversed],
-    );
-}
-
-#[test]
-fn a_current_of_a_wrong_scale_ends_a_run_once_both_balances_have_seen_enough() {
-    // Three times as much is beyond the current limit first; a third of it shows in no single row.
-    let kinds = [
-        TripKind::CurrentImplausible,
-        TripKind::OverCurrent,
-        TripKind::SignalsSwapped,
-    ];
-    found(Wrong::CurrentTimes(3.0), &[(0.0, 0.75), (2.0, 2.2)], &kinds);
-    found(
-        Wrong::CurrentTimes(0.3),
-        &[(0.0, 4.0)],
-        &[TripKind::CurrentImplausible],
-    );
-}
-
-#[test]
-fn a_drive_that_does_not_do_what_it_is_asked_ends_a_run_with_a_measured_voltage_or_without() {
-    let kinds = [TripKind::SetPointIgnored];
-    let times = [(0.0, 1.0), (1.2, 1.85), (2.0, 2.5)];
-    found(Wrong::Deaf { tells: true }, &times, &kinds);
-    found(Wrong::Deaf { tells: false }, &times, &kinds);
-    found(Wrong::SetPointTimes(0.3), &[(0.0, 1.0)], &kinds);
-    found(
-        Wrong::VoltageTimes(0.3),
-        &[(0.0, 1.0)],
-        &[TripKind::VoltageImplausible],
-    );
-}
-
-#[test]
-fn signals_in_each_other_s_place_are_named_as_such() {
-    let kinds = [TripKind::SignalsSwapped];
-    found(Wrong::SwappedCurrentSpeed, &[(0.0, 0.75)], &kinds);
-    found(
-        Wrong::SwappedVoltageCurrent,
-        &[(0.0, 0.75), (1.2, 1.4)],
-        &kinds,
-    );
-    found(
-        Wrong::AngleStays,
-        &[(0.0, 1.0), (1.2, 1.45)],
-        &[TripKind::AngleImplausible],
-    );
-}
-
-#[test]
 fn waived_a_scale_is_no_matter_and_a_broken_signal_still_is() {
-    let waived = |wrong| {
+    for (wrong, expected) in [
+        (Wrong::SpeedTimes(0.3), None),
+        (Wrong::CurrentTimes(0.3), None),
+        (Wrong::Frozen, Some(TripKind::EncoderFrozen)),
+        (Wrong::Reversed, Some(TripKind::EncoderReversed)),
+        (Wrong::CurrentZero, Some(TripKind::CurrentStuck)),
+        (Wrong::Deaf { tells: true }, Some(TripKind::SetPointIgnored)),
+    ] {
         let mut trial = Trial::new(wrong, 0.0, 1);
         trial.waived = true;
-        match trial.embedded() {
+        let found = match trial.outcome() {
             Outcome::Tripped(trip) => Some(trip.kind),
             _ => None,
-        }
-    };
-    assert_eq!(waived(Wrong::SpeedTimes(0.3)), None);
-    assert_eq!(waived(Wrong::CurrentTimes(0.3)), None);
-    assert_eq!(waived(Wrong::Frozen), Some(TripKind::EncoderFrozen));
-    assert_eq!(waived(Wrong::Reversed), Some(TripKind::EncoderReversed));
-    assert_eq!(waived(Wrong::CurrentZero), Some(TripKind::CurrentStuck));
-    assert_eq!(
-        waived(Wrong::Deaf { tells: true }),
-        Some(TripKind::SetPointIgnored)
-    );
+        };
+        assert_eq!(found, expected, "{wrong:?}");
+    }
 }
 
 /// What the watch says of a healthy drive, if anything.
-fn said(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
-    match trial.of(program) {
+fn doubted(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
+    match trial.run(program) {
         Outcome::Tripped(trip) if is_doubt(trip.kind) => Some(format!("{about}: {}", trip.reason)),
         _ => None,
     }
@@ -459,7 +382,7 @@ fn a_healthy_motor_with_any_hidden_effect_is_believed() {
             trial.config = EmulatorConfig::embedded(&format!("zk-22fc-{name}")).unwrap();
             trial.config.tolerance = 0.1 * seed as f64;
             let about = format!("{name}, seed {seed}");
-            false_alarms.extend(said(trial, embedded_program(seed), &about));
+            false_alarms.extend(doubted(trial, embedded_program(seed), &about));
         }
     }
     for seed in 1..=40 {
@@ -467,7 +390,7 @@ fn a_healthy_motor_with_any_hidden_effect_is_believed() {
         trial.config = mystery::draw(seed).config;
         trial.config.tolerance = 0.3;
         let about = format!("mystery {seed}: {:?}", trial.config.hidden);
-        false_alarms.extend(said(trial, embedded_program(seed), &about));
+        false_alarms.extend(doubted(trial, embedded_program(seed), &about));
     }
     assert_eq!(false_alarms, Vec::<String>::new());
 }
@@ -478,14 +401,8 @@ fn slow_steps() -> Box<dyn Program> {
         duration_s: 12.0,
         demand: |time_s| {
             let levels = [0.0, 20.0, 60.0, 30.0, 0.0, -40.0, -80.0, 10.0];
-            let level = (time_s / 1.5).floor();
-            let index = levels
-                .iter()
-                .enumerate()
-                .filter(|(n, _)| *n as f64 <= level)
-                .count()
-                - 1;
-            Demand::Voltage(levels[index])
+            let last = levels.len() - 1;
+            Demand::Voltage(levels[whole((time_s / 1.5).floor()).min(last)])
         },
     })
 }
@@ -506,15 +423,13 @@ fn a_slow_coarse_and_stale_drive_is_believed() {
     ] {
         for seed in 1..=3 {
             for foreign in [false, true] {
-                let mut trial = Trial::new(Wrong::Nothing, 0.0, seed);
+                let mut trial = Trial::slow(Wrong::Nothing, 0.0, seed, rate_hz);
                 trial.config.tolerance = 0.3;
-                trial.config.watchdog_ms = 1000;
-                trial.limits.link_silence_s = 0.6;
                 // Its samples are not stamped where its values are older than they say.
-                (trial.rate_hz, trial.stale) = (rate_hz, if foreign { stale } else { 1 });
-                (trial.coarse, trial.unsigned, trial.foreign) = (true, seed == 2, foreign);
+                trial.odd.stale = if foreign { stale } else { 1 };
+                (trial.odd.unsigned, trial.odd.foreign) = (seed == 2, foreign);
                 let about = format!("{rate_hz} Hz, stale {stale}, foreign {foreign}, seed {seed}");
-                false_alarms.extend(said(trial, slow_steps(), &about));
+                false_alarms.extend(doubted(trial, slow_steps(), &about));
             }
         }
     }
@@ -529,29 +444,18 @@ fn on_a_slow_drive_a_broken_encoder_is_found_within_five_cycles_too() {
         (Wrong::SpeedTimes(0.3), TripKind::SpeedImplausible),
     ] {
         for rate_hz in [8.0, 20.0, 50.0] {
-            let mut trial = Trial::new(wrong, 3.5, 1);
-            trial.config.watchdog_ms = 1000;
-            trial.limits.link_silence_s = 0.6;
-            (trial.rate_hz, trial.coarse, trial.foreign) = (rate_hz, true, true);
-            let outcome = trial.of(slow_steps());
-            let Outcome::Tripped(Trip {
-                kind: found,
-                at_s,
-                reason,
-                ..
-            }) = &outcome
-            else {
+            let mut trial = Trial::slow(wrong, 3.5, 1, rate_hz);
+            trial.odd.foreign = true;
+            let outcome = trial.run(slow_steps());
+            let Outcome::Tripped(trip) = &outcome else {
                 panic!("{wrong:?} {rate_hz} Hz: {outcome:?}");
             };
-            assert_eq!(*found, kind, "{rate_hz} Hz: {reason}");
+            assert_eq!(trip.kind, kind, "{rate_hz} Hz: {}", trip.reason);
             // A speed that froze on a plateau shows when the voltage leaves it, at 4.5 s.
-            let from_s = if kind == TripKind::EncoderFrozen {
-                4.6
-            } else {
-                3.5
-            };
+            let frozen = kind == TripKind::EncoderFrozen;
+            let from_s = if frozen { 4.6 } else { 3.5 };
             let latest_s = from_s + (7.0 / rate_hz).max(0.3) + 0.1;
-            assert!(*at_s <= latest_s, "{wrong:?} {rate_hz} Hz: {at_s} {reason}");
+            assert!(trip.at_s <= latest_s, "{wrong:?} {rate_hz} Hz: {trip:?}");
         }
     }
 }

@@ -1,60 +1,10 @@
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 
 use super::*;
 use crate::bench::VirtualClock;
-use crate::bench::testing::{Fault, ScriptedDrive};
+use crate::bench::testing::{Fault, ScriptedDrive, has, within};
 use crate::recording::{Layout, MemoryRecorder};
-
-/// A drive as it comes back, which tells the test what it was asked when it is dropped.
-struct Told {
-    drive: ScriptedDrive,
-    serial_number: &'static str,
-    confirms: bool,
-    asked: std::sync::Arc<std::sync::Mutex<Vec<String>>>,
-}
-
-impl Told {
-    fn note(&self, what: &str) {
-        self.asked.lock().unwrap().push(what.to_owned());
-    }
-}
-
-impl DriveLink for Told {
-    fn name(&self) -> crate::drive::LinkName {
-        self.drive.name()
-    }
-
-    fn identify(&mut self) -> Result<Identity, LinkError> {
-        self.note("identify");
-        let identity = self.drive.identify()?;
-        Ok(Identity {
-            serial_number: self.serial_number.to_owned(),
-            ..identity
-        })
-    }
-
-    fn exchange(&mut self, command: Command) -> Result<crate::sample::Sample, LinkError> {
-        self.note(&format!("{:?}", command.demand));
-        self.drive.exchange(command)
-    }
-
-    fn stop(&mut self) -> Result<(), LinkError> {
-        self.note("stop");
-        self.drive.stop()
-    }
-
-    fn confirms_stop(&self) -> bool {
-        self.confirms
-    }
-
-    fn statistics(&self) -> crate::drive::LinkStatistics {
-        self.drive.statistics()
-    }
-
-    fn shortest_cycle_s(&self) -> Option<f64> {
-        None
-    }
-}
 
 struct Case {
     /// The attempt from which on the port can be opened.
@@ -84,11 +34,11 @@ struct Outcome {
     has_link: bool,
     asked: Vec<String>,
     events: Vec<serde_json::Value>,
-    shown: std::sync::Arc<crate::bench::Snapshot>,
+    shown: Arc<crate::bench::Snapshot>,
 }
 
 impl Case {
-    fn go(self) -> Outcome {
+    fn go(&self) -> Outcome {
         let mut clock = VirtualClock::new();
         clock.set_time_s(20.0);
         let mut recorder = MemoryRecorder::new(Layout::plain(&[]));
@@ -117,7 +67,7 @@ impl Case {
             limit_s: self.limit_s,
             seed: 1,
         };
-        let asked = std::sync::Arc::<std::sync::Mutex<Vec<String>>>::default();
+        let asked = Arc::<Mutex<Vec<String>>>::default();
         let mut tries = 0;
         let (reopened, link) = reopen(
             ReopenBench {
@@ -138,22 +88,19 @@ impl Case {
                 }
                 let mut drive = ScriptedDrive::new(0.01);
                 drive.faults.extend(self.faults.iter().cloned());
-                Ok(Box::new(Told {
-                    drive,
-                    serial_number: self.serial_number,
-                    confirms: self.confirms,
-                    asked: std::sync::Arc::clone(&asked),
-                }))
+                drive.serial_number = self.serial_number;
+                drive.confirms_stop = self.confirms;
+                drive.asked = Arc::clone(&asked);
+                Ok(Box::new(drive))
             },
         );
         recorder.finish();
         let events = recorder.events_jsonl();
         let events = events.lines().map(|l| serde_json::from_str(l).unwrap());
-        let asked = asked.lock().unwrap().clone();
         Outcome {
             reopened,
             has_link: link.is_some(),
-            asked,
+            asked: asked.lock().unwrap().clone(),
             events: events.collect(),
             shown: snapshots.latest(),
         }
@@ -170,8 +117,7 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
     // Not as it was before it was lost.
     assert_eq!(done.shown.drive_state, Some(DriveState::Disabled));
     // 50, 100, 200 and 400 ms, each up to a quarter off, after the reply 0.1 s before.
-    let downtime_s = done.reopened.downtime_s;
-    assert!((0.6..1.2).contains(&downtime_s), "{downtime_s}");
+    within(done.reopened.downtime_s, 0.6..1.2);
     assert_eq!(done.reopened.state, Some("disabled"));
     let kinds: Vec<_> = done.events.iter().map(|e| &e["event"]).collect();
     // The same reason three times is one event.
@@ -185,10 +131,7 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
     );
     assert_eq!(done.shown.phase, Some(Phase::Safe));
     let shown = done.shown.reopening.as_deref().unwrap();
-    assert!(
-        shown.contains("stop confirmed; nothing is armed"),
-        "{shown}"
-    );
+    has(shown, "stop confirmed; nothing is armed");
 }
 
 #[test]
@@ -201,9 +144,8 @@ fn another_drive_is_only_read() {
     assert_eq!(done.reopened.ending, ReopenEnding::AnotherDrive);
     assert!(!done.has_link);
     assert_eq!(done.asked, ["identify"]);
-    let text = done.reopened.text;
-    assert!(text.contains("identity mismatch"), "{text}");
-    assert!(text.contains("\"8\", before it was \"7\""), "{text}");
+    has(&done.reopened.text, "identity mismatch");
+    has(&done.reopened.text, "\"8\", before it was \"7\"");
     assert_ne!(done.shown.phase, Some(Phase::Safe));
 }
 
@@ -216,7 +158,7 @@ fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
     .go();
     assert_eq!(done.reopened.ending, ReopenEnding::StopUnconfirmed);
     assert!(!done.reopened.is_safe() && done.reopened.state.is_none());
-    assert!(done.reopened.text.contains("not confirmed"));
+    has(&done.reopened.text, "not confirmed");
 }
 
 #[test]
@@ -228,8 +170,8 @@ fn a_drive_that_never_comes_is_given_up_after_the_time_and_one_that_is_mute_as_w
     }
     .go();
     assert_eq!(absent.reopened.ending, ReopenEnding::GivenUp);
-    assert!((1.5..=3.2).contains(&absent.reopened.downtime_s));
-    assert!(absent.reopened.text.contains("it does not exist"));
+    within(absent.reopened.downtime_s, 1.5..=3.2);
+    has(&absent.reopened.text, "it does not exist");
     let mute = Case {
         faults: vec![(0, u64::MAX, Fault::Timeout)],
         ..Case::default()

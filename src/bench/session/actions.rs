@@ -1,10 +1,10 @@
 //! What goes into a session and what comes out.
 
 use serde::Serialize;
-use serde_json::Value;
 
 use crate::bench::guard::Trip;
 use crate::drive::LinkError;
+use crate::recording::Event;
 use crate::sample::{Command, Sample};
 
 /// Exceptions that say that the request itself is wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
@@ -128,7 +128,6 @@ impl Outcome {
         }
     }
 
-    /// Exit status of DESIGN.md 5.4.
     pub const fn exit_status(&self) -> u8 {
         match self {
             Self::Done => 0,
@@ -147,7 +146,7 @@ pub enum Action {
     ArmBurst,
     /// A row of the record; the recorder pairs it with the commands that were sent.
     Row(Box<Sample>),
-    Event(Value),
+    Event(Event),
     Notice(Notice),
     Finished(Outcome),
 }

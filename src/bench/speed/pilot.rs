@@ -4,7 +4,7 @@ use super::delay::DelayMeter;
 use super::reference::Reference;
 use super::regulator::Regulator;
 use super::report::{Cycle, GainChange, SpeedReport, figures, tracking};
-use crate::bench::guard::Trip;
+use crate::bench::guard::{Trip, TripKind};
 use crate::bench::pilot::Pilot;
 use crate::control::{Measured, SpeedController};
 use crate::sample::{Channel, Command, Demand, Sample};
@@ -187,7 +187,13 @@ impl Pilot for SpeedPilot {
             self.reference_rad_s = Some(self.reference.value_at(elapsed_s));
             let silent_s = now_s - self.heard_s;
             if silent_s > self.settings.silence_s {
-                return Err(Trip::silent_speed(now_s, silent_s, self.settings.silence_s));
+                let times_s = (silent_s, self.settings.silence_s);
+                return Err(Trip::after(
+                    TripKind::SignalMissing,
+                    now_s,
+                    times_s,
+                    "no speed",
+                ));
             }
         }
         Ok(self.regulator.actuator.demand(self.output))

@@ -131,6 +131,7 @@ pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::testing::near;
 
     #[test]
     fn each_step_has_the_figures_of_its_own_time() {
@@ -177,10 +178,7 @@ mod tests {
         // The third is cut short. Of the lag: the mean of 10 exp(-t/0.1) over a second, and of its square.
         assert_eq!(tracked.len(), 2);
         assert!(!tracked[0].feed_forward && tracked[1].feed_forward);
-        assert!(
-            (tracked[0].mean_abs_rad_s - 1.05).abs() < 0.01,
-            "{tracked:?}"
-        );
+        near(tracked[0].mean_abs_rad_s, 1.05, 0.01);
         assert!((tracked[0].rms_rad_s - 2.35).abs() < 0.02, "{tracked:?}");
         assert!((tracked[0].peak_rad_s - 10.0).abs() < 1e-9);
     }

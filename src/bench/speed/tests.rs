@@ -1,18 +1,16 @@
-//! The loop in a session on the emulated drive, in virtual time: what is lost, what lies, what starts again.
+//! The loop in a session on the emulated drive, in virtual time: what is lost, what lies, what starts again, over a
+//! voltage, a current and a speed command, and on motors far from what it was told.
 
 use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::guard::{Guard, TripKind};
-use crate::bench::session::{Action, Input, Intent, Lost, Outcome, Phase, Session};
-use crate::bench::testing::{Fault, ScriptedDrive};
+use crate::bench::session::{Intent, Outcome, Phase, Session};
+use crate::bench::testing::{Lab, ScriptedDrive, exact, has, in_memory, near, unspoilt, within};
+use crate::bench::{Limits, Nameplate};
 use crate::control::Actuator;
-use crate::drive::DriveLink;
-use crate::emulator::{EmulatorConfig, FaultsConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use crate::emulator::{EmulatorConfig, FaultsConfig, MemoryLink, VirtualClock, mystery};
 use crate::plant::{Model, MotorKey};
-use crate::sample::{Channel, Command, Demand, DriveState, Sample};
-
-mod actuators;
-mod monte_carlo;
+use crate::sample::{Channel, Demand, DriveState, Sample};
 
 const PERIOD_S: f64 = 0.01;
 
@@ -20,24 +18,23 @@ fn bench() -> BenchFile {
     BenchFile::embedded_default()
 }
 
+fn baseline(bench: &BenchFile) -> Model {
+    Model::baseline(bench.motor.motor())
+}
+
 fn design<'a>(
     bench: &'a BenchFile,
     model: &'a Model,
-    motor: &'a crate::bench::Nameplate,
-    limits: &'a crate::bench::Limits,
+    (motor, limits): (&'a Nameplate, &'a Limits),
     delay_cycles: f64,
 ) -> Design<'a> {
+    let section = bench.speed.as_ref().unwrap();
     Design {
         model,
         motor,
         limits,
-        section: bench.speed.as_ref().unwrap(),
-        actuator: bench
-            .speed
-            .as_ref()
-            .unwrap()
-            .actuator
-            .unwrap_or(Actuator::Voltage),
+        section,
+        actuator: section.actuator.unwrap_or(Actuator::Voltage),
         timing: timing(model, PERIOD_S, delay_cycles * PERIOD_S),
         noise_rad_s: 0.15,
         peak_reference_rad_s: 110.0,
@@ -46,180 +43,80 @@ fn design<'a>(
 
 fn refusal(bench: &BenchFile, model: &Model, delay_cycles: f64) -> Option<RegulatorError> {
     let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
-    design(bench, model, &motor, &limits, delay_cycles)
-        .regulator()
-        .err()
+    let design = design(bench, model, (&motor, &limits), delay_cycles);
+    design.regulator().err()
 }
 
-fn session(bench: &BenchFile) -> Session {
-    session_on(bench, &Model::baseline(bench.motor.motor()))
+/// The words of a refusal, which comes with what to do.
+#[track_caller]
+fn refused(bench: &BenchFile, model: &Model, delay_cycles: f64) -> String {
+    let error = refusal(bench, model, delay_cycles).unwrap();
+    assert!(!error.help().is_empty());
+    error.to_string()
 }
 
-fn session_on(bench: &BenchFile, model: &Model) -> Session {
-    let motor = bench.nameplate().unwrap();
-    let limits = bench.limits();
+fn session(bench: &BenchFile, model: &Model) -> Session {
+    let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
     let section = bench.speed.as_ref().unwrap();
-    let regulator = design(bench, model, &motor, &limits, 1.0)
-        .regulator()
-        .unwrap();
+    let design = design(bench, model, (&motor, &limits), 1.0);
     let settings = PilotSettings {
         slew_v_per_s: section.slew_v_per_s(&motor, &limits, PERIOD_S),
         silence_s: limits.link_silence_s,
         hold: 0.0,
     };
     let reference = bench.reference(section).unwrap();
-    let pilot = SpeedPilot::new(regulator, reference, settings);
+    let pilot = SpeedPilot::new(design.regulator().unwrap(), reference, settings);
     Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
 }
 
-/// A session on a link; `spoil` may change a sample or lose it, by the number of the exchange.
-struct Lab<L, F> {
-    session: Session,
-    link: L,
-    clock: VirtualClock,
-    now_s: f64,
-    exchanges: u64,
-    spoil: F,
-    sent: Vec<Command>,
-    log: Vec<Action>,
+type MemoryLab<F> = Lab<MemoryLink, F>;
+
+/// The embedded bench on its own motor, with faults of the drive and replies spoilt on the way.
+fn lab<F: FnMut(usize, Sample) -> Option<Sample>>(faults: FaultsConfig, spoil: F) -> MemoryLab<F> {
+    let config = EmulatorConfig {
+        faults,
+        ..exact("zk-22fc-plain")
+    };
+    let bench = bench();
+    let session = session(&bench, &baseline(&bench));
+    Lab::new(session, in_memory(&config, 1), spoil)
 }
 
-impl<L: DriveLink, F: FnMut(u64, Sample) -> Option<Sample>> Lab<L, F> {
-    fn feed(&mut self, input: Input) {
-        let mut actions = Vec::new();
-        self.session.step(self.now_s, input, &mut actions);
-        for action in actions {
-            self.log.push(action.clone());
-            if let Action::Send(command) = action {
-                self.sent.push(command);
-                self.exchanges += 1;
-                let sample = self.link.exchange(command).unwrap();
-                let reply = match (self.spoil)(self.exchanges, sample) {
-                    Some(sample) => Input::Sample(Box::new(sample)),
-                    None => Input::Lost(Lost::Transient("spoilt".to_owned())),
-                };
-                self.feed(reply);
-            }
-        }
-    }
-
-    fn cycles(&mut self, cycles: u32) {
-        for _ in 0..cycles {
-            self.now_s += PERIOD_S;
-            self.clock.set_time_s(self.now_s);
-            self.feed(Input::Cycle);
-        }
-    }
-
-    fn start(&mut self) {
-        self.cycles(3);
-        self.feed(Input::Intent(Intent::Start));
-    }
-
-    fn outcome(&self) -> Option<&Outcome> {
-        self.log.iter().find_map(|action| match action {
-            Action::Finished(outcome) => Some(outcome),
-            _ => None,
-        })
-    }
-
-    #[track_caller]
-    fn trip(&self) -> (TripKind, String) {
-        match self.outcome() {
-            Some(Outcome::Tripped(trip)) => (trip.kind, trip.reason.clone()),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    fn volts(&self) -> Vec<f64> {
-        let volts = self.sent.iter().map(|command| match command.demand {
-            Demand::Voltage(volts) => volts,
-            _ => f64::NAN,
-        });
-        volts.collect()
-    }
-
-    /// What of a quantity was recorded.
-    fn largest(&self, channel: Channel) -> f64 {
-        let rows = self.log.iter().filter_map(|action| match action {
-            Action::Row(sample) => sample.get(channel),
-            _ => None,
-        });
-        rows.fold(0.0, |largest, value| value.abs().max(largest))
-    }
-}
-
-fn lab<F: FnMut(u64, Sample) -> Option<Sample>>(
-    faults: FaultsConfig,
-    spoil: F,
-) -> Lab<MemoryLink, F> {
-    let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-    config.faults = faults;
-    config.tolerance = 0.0;
-    lab_of(&config, 1, session(&bench()), spoil)
-}
-
-fn lab_of<F: FnMut(u64, Sample) -> Option<Sample>>(
-    config: &EmulatorConfig,
-    seed: u64,
-    session: Session,
-    spoil: F,
-) -> Lab<MemoryLink, F> {
-    let clock = VirtualClock::new();
-    let drive = SoftDrive::new(config, seed);
-    Lab {
-        session,
-        link: MemoryLink::new(drive, clock.clone(), Latency::default()),
-        clock,
-        now_s: 0.0,
-        exchanges: 0,
-        spoil,
-        sent: Vec::new(),
-        log: Vec::new(),
-    }
-}
-
-#[expect(clippy::unnecessary_wraps, reason = "as the others, which lose some")]
-fn healthy(_: u64, sample: Sample) -> Option<Sample> {
-    Some(sample)
+fn healthy_lab() -> MemoryLab<impl FnMut(usize, Sample) -> Option<Sample>> {
+    lab(FaultsConfig::default(), unspoilt)
 }
 
 #[test]
 fn a_healthy_loop_follows_its_steps_to_the_end() {
-    let mut lab = lab(FaultsConfig::default(), healthy);
-    lab.start();
-    lab.cycles(1600);
+    let lab = healthy_lab().started(1600);
     assert_eq!(lab.outcome(), Some(&Outcome::Done));
     let report = lab.session.report().unwrap();
     assert_eq!((report.controller, report.steps.len()), ("addc", 6));
-    assert!((report.delay.unwrap().median_cycles - 1.0).abs() < 0.01);
+    near(report.delay.unwrap().median_cycles, 1.0, 0.01);
     assert_eq!(report.held_cycles, 0);
     for step in &report.steps {
-        let response = &step.response;
-        assert!(response.overshoot_percent < 10.0, "{step:?}");
-        assert!(response.settling_s.unwrap() < 0.6, "{step:?}");
+        within(step.response.overshoot_percent, ..10.0);
+        within(step.response.settling_s.unwrap(), ..0.6);
     }
     // Current through the winding within the controller's limit, but for noise and what the speed does within a cycle.
-    assert!(lab.largest(Channel::Current) < 11.0);
+    within(lab.largest(Channel::Current), ..11.0);
+}
+
+/// The voltage of the first held command holds the one before to the bit.
+#[track_caller]
+fn are_held(volts: &[f64], held: std::ops::Range<usize>) {
+    let before = volts[held.start - 1].to_bits();
+    let mut held = volts[held].iter();
+    assert!(held.all(|volts| volts.to_bits() == before), "{volts:?}");
 }
 
 #[test]
 fn a_lost_reply_holds_the_last_output_and_the_loop_goes_on() {
-    let lost = 60..64;
-    let mut lab = lab(FaultsConfig::default(), |n, sample| {
-        (!lost.contains(&n)).then_some(sample)
-    });
-    lab.start();
-    lab.cycles(55);
-    lab.cycles(12);
+    let spoil = |n, sample| (!(60..64).contains(&n)).then_some(sample);
+    let mut lab = lab(FaultsConfig::default(), spoil).started(67);
     let volts = lab.volts();
     // The reply to command 60 is lost: commands 61 to 64 repeat it, 65 answers again.
-    assert!(
-        volts[60..64]
-            .iter()
-            .all(|held| held.to_bits() == volts[59].to_bits()),
-        "{volts:?}"
-    );
+    are_held(&volts, 60..64);
     assert_ne!(volts[64].to_bits(), volts[63].to_bits(), "{volts:?}");
     lab.cycles(1600);
     assert_eq!(lab.outcome(), Some(&Outcome::Done));
@@ -228,164 +125,122 @@ fn a_lost_reply_holds_the_last_output_and_the_loop_goes_on() {
 
 #[test]
 fn silence_beyond_the_limit_stops() {
-    let mut lab = lab(FaultsConfig::default(), |n, sample| {
-        (n < 60).then_some(sample)
-    });
-    lab.start();
-    lab.cycles(300);
+    let spoil = |n, sample| (n < 60).then_some(sample);
+    let lab = lab(FaultsConfig::default(), spoil).started(300);
     // 0.45 s of silence, then stop in every cycle.
-    let stop = lab
-        .sent
-        .iter()
-        .position(|command| command.demand == Demand::Stop)
-        .unwrap();
-    assert!((103..=107).contains(&stop), "{stop}");
+    let mut sent = lab.sent.iter();
+    let stop = sent.position(|command| command.demand == Demand::Stop);
+    assert!((103..=107).contains(&stop.unwrap()), "{stop:?}");
     assert!(matches!(lab.outcome(), Some(Outcome::LinkLost { .. })));
 }
 
 #[test]
 fn a_missing_speed_is_held_and_after_three_the_loop_stops() {
-    let without_speed = |n: u64, from: u64, to: u64, mut sample: Sample| {
-        if (from..to).contains(&n) {
-            sample.set(Channel::Speed, f64::NAN);
-        }
-        Some(sample)
+    let without_speed_until = |to: usize| {
+        let spoil = move |n, mut sample: Sample| {
+            if (60..to).contains(&n) {
+                sample.set(Channel::Speed, f64::NAN);
+            }
+            Some(sample)
+        };
+        lab(FaultsConfig::default(), spoil).started(80)
     };
-    let mut two = lab(FaultsConfig::default(), |n, sample| {
-        without_speed(n, 60, 62, sample)
-    });
-    two.start();
-    two.cycles(80);
+    let two = without_speed_until(62);
     let volts = two.volts();
-    assert!(
-        volts[60..62]
-            .iter()
-            .all(|held| held.to_bits() == volts[59].to_bits()),
-        "{volts:?}"
-    );
-    assert!(
-        volts
-            .iter()
-            .all(|volts| !volts.is_nan() || volts.is_nan() && two.outcome().is_none())
-    );
+    are_held(&volts, 60..62);
+    assert!(volts.iter().all(|volts| !volts.is_nan()) || two.outcome().is_none());
     assert_eq!(two.session.phase(), Phase::Running);
-    let mut three = lab(FaultsConfig::default(), |n, sample| {
-        without_speed(n, 60, 99, sample)
-    });
-    three.start();
-    three.cycles(80);
+    let three = without_speed_until(99);
     assert_eq!(three.trip().0, TripKind::SignalMissing);
-    let energised = three.sent[62..]
-        .iter()
-        .filter(|command| command.demand.energises());
-    assert_eq!(energised.count(), 0, "three samples and no more");
+    assert_eq!(three.energised_from(62), 0, "three samples and no more");
 }
 
 #[test]
 fn a_reversed_encoder_is_stopped_in_the_first_move() {
-    let mut lab = lab(
-        FaultsConfig {
-            encoder_reversed: true,
-            ..FaultsConfig::default()
-        },
-        healthy,
-    );
-    lab.start();
-    lab.cycles(300);
+    let faults = FaultsConfig {
+        encoder_reversed: true,
+        ..FaultsConfig::default()
+    };
+    let lab = lab(faults, unspoilt).started(300);
     let (kind, reason) = lab.trip();
     assert_eq!(kind, TripKind::EncoderReversed, "{reason}");
     // It is at work from the first cycle on, so the drive is off within a tenth of a second and a few per cent of speed.
     assert!(lab.largest(Channel::Speed) < 0.05 * 340.0, "{reason}");
-    let energised = lab.sent.iter().filter(|command| command.demand.energises());
-    assert!(energised.count() < 30, "{reason}");
+    assert!(lab.energised_from(0) < 30, "{reason}");
 }
 
 #[test]
 fn a_frozen_encoder_is_stopped_wherever_it_freezes() {
     // At rest; during the start; at 110 rad/s just before the first step down.
-    for (from_s, most_cycles) in [(0.0, 20), (0.15, 15), (1.9, 40)] {
-        let mut lab = lab(
-            FaultsConfig {
-                encoder_frozen_from_s: Some(from_s),
-                ..FaultsConfig::default()
-            },
-            healthy,
-        );
-        lab.start();
-        lab.cycles(600);
+    for (from_s, most_cycles) in [(0.0, 20.0), (0.15, 15.0), (1.9, 40.0)] {
+        let faults = FaultsConfig {
+            encoder_frozen_from_s: Some(from_s),
+            ..FaultsConfig::default()
+        };
+        let lab = lab(faults, unspoilt).started(600);
         let (kind, reason) = lab.trip();
         assert_eq!(kind, TripKind::EncoderFrozen, "{from_s}: {reason}");
-        let energised = lab.sent.iter().filter(|command| command.demand.energises());
-        let after = energised.count() as f64 - from_s / PERIOD_S;
-        assert!(
-            after < f64::from(most_cycles),
-            "{from_s}: {after} cycles, {reason}"
-        );
+        let after = lab.energised_from(0) as f64 - from_s / PERIOD_S;
+        assert!(after < most_cycles, "{from_s}: {after} cycles, {reason}");
     }
 }
 
 #[test]
 fn a_loop_whose_signals_are_broken_under_way_is_stopped_with_the_signal_s_name() {
-    // At the 150th exchange it follows 110 rad/s; the next step comes at 2 s.
-    let spoilt = |change: fn(&mut Sample)| {
-        let mut lab = lab(FaultsConfig::default(), move |n, mut sample| {
+    fn scale(sample: &mut Sample, factor: f64) {
+        let speed = sample.get(Channel::Speed).unwrap();
+        sample.set(Channel::Angle, f64::NAN);
+        sample.set(Channel::Speed, factor * speed);
+    }
+    fn exchange(sample: &mut Sample) {
+        let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
+        sample.set(Channel::Speed, current.unwrap());
+        sample.set(Channel::Current, speed.unwrap());
+    }
+    use TripKind::{CurrentStuck, EncoderReversed, SignalsSwapped, SpeedImplausible};
+    type Case = (fn(&mut Sample), &'static [TripKind], usize);
+    let cases: [Case; 4] = [
+        (
+            |sample| sample.set(Channel::Current, 0.0),
+            &[CurrentStuck],
+            235,
+        ),
+        (|sample| scale(sample, 0.3), &[SpeedImplausible], 172),
+        // The loop reverses its voltage within a cycle: whether sign or scale is wrong may not be told from so few.
+        (
+            |sample| scale(sample, -1.0),
+            &[EncoderReversed, SpeedImplausible],
+            172,
+        ),
+        (exchange, &[SignalsSwapped], 172),
+    ];
+    for (change, kinds, most_cycles) in cases {
+        // At the 150th exchange it follows 110 rad/s; the next step comes at 2 s.
+        let spoil = move |n, mut sample: Sample| {
             if n >= 150 {
                 change(&mut sample);
             }
             Some(sample)
-        });
-        lab.start();
-        lab.cycles(400);
-        let energised = lab.sent.iter().filter(|command| command.demand.energises());
-        (lab.trip().0, energised.count())
-    };
-    let (kind, cycles) = spoilt(|sample| sample.set(Channel::Current, 0.0));
-    assert!(
-        kind == TripKind::CurrentStuck && cycles < 235,
-        "{kind:?} {cycles}"
-    );
-    let (kind, cycles) = spoilt(|sample| {
-        let speed = sample.get(Channel::Speed).unwrap();
-        sample.set(Channel::Angle, f64::NAN);
-        sample.set(Channel::Speed, 0.3 * speed);
-    });
-    assert!(
-        kind == TripKind::SpeedImplausible && cycles < 172,
-        "{kind:?} {cycles}"
-    );
-    let (kind, cycles) = spoilt(|sample| {
-        let speed = sample.get(Channel::Speed).unwrap();
-        sample.set(Channel::Angle, f64::NAN);
-        sample.set(Channel::Speed, -speed);
-    });
-    // The loop reverses its voltage within a cycle: whether sign or scale is wrong may not be told from so few.
-    let named = matches!(kind, TripKind::EncoderReversed | TripKind::SpeedImplausible);
-    assert!(named && cycles < 172, "{kind:?} {cycles}");
-    let (kind, cycles) = spoilt(|sample| {
-        let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
-        sample.set(Channel::Speed, current.unwrap());
-        sample.set(Channel::Current, speed.unwrap());
-    });
-    assert!(
-        kind == TripKind::SignalsSwapped && cycles < 172,
-        "{kind:?} {cycles}"
-    );
+        };
+        let lab = lab(FaultsConfig::default(), spoil).started(400);
+        let (kind, cycles) = (lab.trip().0, lab.energised_from(0));
+        let named = kinds.contains(&kind) && cycles < most_cycles;
+        assert!(named, "{kinds:?}: {kind:?} {cycles}");
+    }
 }
 
 #[test]
 fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
-    let mut lab = lab(FaultsConfig::default(), healthy);
-    lab.start();
-    lab.cycles(150);
-    assert!(lab.largest(Channel::Speed) > 80.0);
+    let mut lab = healthy_lab().started(150);
+    within(lab.largest(Channel::Speed), 80.0..);
     let first: Vec<f64> = lab.volts()[3..40].to_vec();
-    lab.feed(Input::Intent(Intent::Stop));
+    lab.ask(Intent::Stop);
     lab.cycles(300);
     assert_eq!(lab.outcome(), Some(&Outcome::Stopped));
-    lab.feed(Input::Intent(Intent::Rearm));
+    lab.ask(Intent::Rearm);
     assert_eq!(lab.session.phase(), Phase::Safe);
     let before = lab.sent.len();
-    lab.feed(Input::Intent(Intent::Start));
+    lab.ask(Intent::Start);
     let mut references = Vec::new();
     for _ in 0..40 {
         lab.cycles(1);
@@ -394,144 +249,106 @@ fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
         }
     }
     // The reference starts at the measured speed, and the output at what holds it: no integral of the first run.
-    assert!(references[0].abs() < 1.0, "{references:?}");
-    assert!((references[1] - 110.0).abs() < 1e-9);
+    within(references[0].abs(), ..1.0);
+    near(references[1], 110.0, 1e-9);
     let again: Vec<f64> = lab.volts()[before..].to_vec();
     let begun = |volts: &[f64]| volts.iter().position(|volts| volts.abs() > 2.0).unwrap();
     let (one, two) = (begun(&first), begun(&again));
     for n in 0..15 {
-        assert!(
-            (first[one + n] - again[two + n]).abs() < 1.0,
-            "{n}: {first:?} {again:?}"
-        );
+        near(again[two + n], first[one + n], 1.0);
     }
 }
 
 #[test]
 fn a_drive_that_never_echoes_a_command_is_still_regulated() {
     // The scripted drive has no physics that the encoder watch could believe, but it is quick and obeys.
-    let drive = ScriptedDrive::new(PERIOD_S).with(0, 0, Fault::Timeout);
-    let mut lab = Lab {
-        session: session(&bench()),
-        link: drive,
-        clock: VirtualClock::new(),
-        now_s: 0.0,
-        exchanges: 0,
-        spoil: |_, mut sample: Sample| {
-            sample.applied = None;
-            sample.seq = None;
-            Some(sample)
-        },
-        sent: Vec::new(),
-        log: Vec::new(),
+    let unstamped = |_, mut sample: Sample| {
+        (sample.applied, sample.seq) = (None, None);
+        Some(sample)
     };
-    lab.start();
-    lab.cycles(150);
+    let bench = bench();
+    let link = (ScriptedDrive::new(PERIOD_S), VirtualClock::new());
+    let lab = Lab::new(session(&bench, &baseline(&bench)), link, unstamped).started(150);
     assert_eq!(lab.session.phase(), Phase::Running, "{:?}", lab.outcome());
     assert_eq!(lab.session.report().unwrap().delay, None);
     let last = lab.session.last_sample().unwrap();
     assert_eq!(last.state, Some(DriveState::Running));
-    assert!(
-        (last.get(Channel::Speed).unwrap() - 110.0).abs() < 3.0,
-        "{last:?}"
-    );
+    near(last.get(Channel::Speed).unwrap(), 110.0, 3.0);
 }
 
 #[test]
 fn models_that_would_not_be_stable_are_refused_by_name() {
+    use MotorKey::{BackEmf, Inertia, Resistance};
     let bench = bench();
-    let baseline = || Model::baseline(bench.motor.motor());
-    assert!(refusal(&bench, &baseline(), 1.0).is_none());
+    assert!(refusal(&bench, &baseline(&bench), 1.0).is_none());
     for (key, value, expected) in [
+        (Inertia, -0.004, "inertia_kg_m2 = -0.004 is not physical"),
+        (Inertia, f64::NAN, "inertia_kg_m2 = NaN is not physical"),
+        (Resistance, 0.0, "resistance_ohm = 0 is not physical"),
         (
-            MotorKey::Inertia,
-            -0.004,
-            "inertia_kg_m2 = -0.004 is not physical",
-        ),
-        (
-            MotorKey::Inertia,
-            f64::NAN,
-            "inertia_kg_m2 = NaN is not physical",
-        ),
-        (
-            MotorKey::Resistance,
-            0.0,
-            "resistance_ohm = 0 is not physical",
-        ),
-        (
-            MotorKey::Resistance,
+            Resistance,
             2.3,
             "resistance_ohm = 2.3 is that of another motor (expected 0.6875 to 1.7600",
         ),
         (
-            MotorKey::BackEmf,
+            BackEmf,
             0.2,
             "back_emf_v_s_per_rad = 0.2 is that of another motor",
         ),
     ] {
-        let mut model = baseline();
+        let mut model = baseline(&bench);
         model.motor.set(key, value);
-        let error = refusal(&bench, &model, 1.0).unwrap();
-        assert!(error.to_string().contains(expected), "{error}");
-        assert!(!error.help().is_empty());
+        has(refused(&bench, &model, 1.0), expected);
     }
-    let mut other = baseline();
+    let mut other = baseline(&bench);
     other.motor.name = "another".to_owned();
-    let error = refusal(&bench, &other, 1.0).unwrap().to_string();
-    assert!(
-        error.contains("\"another\"") && error.contains("ZK-22FC"),
-        "{error}"
-    );
-    let mut short = baseline();
+    let error = refused(&bench, &other, 1.0);
+    has(&error, "\"another\"");
+    has(&error, "ZK-22FC");
+    let mut short = baseline(&bench);
     short.motor.clear(MotorKey::Inductance);
-    let error = refusal(&bench, &short, 1.0).unwrap().to_string();
-    assert!(error.contains("inductance_h is missing"), "{error}");
+    has(refused(&bench, &short, 1.0), "inductance_h is missing");
 }
 
 #[test]
 fn gains_by_hand_are_held_within_what_the_delay_leaves() {
+    use ControllerKind::{Addc, Pi};
     let mut bench = bench();
-    let model = Model::baseline(bench.motor.motor());
-    let mut with = |controller, proportional, integral_time_s, cycles| {
+    let model = baseline(&bench);
+    for (controller, proportional, cycles, expected) in [
+        (Pi, 0.25, 1.0, None),
+        // What one cycle of delay bears five do not.
+        (Pi, 0.25, 5.0, Some("proportional_v_s_per_rad = 0.25")),
+        (Pi, 5.0, 1.0, Some("= 5 is not allowed (expected up to")),
+        (Addc, 0.25, 1.0, Some("\"pi\" over a voltage only")),
+    ] {
         let section = bench.speed.as_mut().unwrap();
         section.controller = controller;
         section.gains = Some(GainsSection {
             proportional_v_s_per_rad: proportional,
-            integral_time_s,
+            integral_time_s: 0.04,
         });
-        refusal(&bench, &model, cycles).map(|error| error.to_string())
-    };
-    let pi = ControllerKind::Pi;
-    assert_eq!(with(pi, 0.25, 0.04, 1.0), None);
-    // What one cycle of delay bears five do not.
-    let error = with(pi, 0.25, 0.04, 5.0).unwrap();
-    assert!(error.contains("proportional_v_s_per_rad = 0.25"), "{error}");
-    let error = with(pi, 5.0, 0.04, 1.0).unwrap();
-    assert!(
-        error.contains("= 5 is not allowed (expected up to"),
-        "{error}"
-    );
-    let error = with(ControllerKind::Addc, 0.25, 0.04, 1.0).unwrap();
-    assert!(error.contains("\"pi\" over a voltage only"), "{error}");
+        match expected {
+            Some(words) => has(refused(&bench, &model, cycles), words),
+            None => assert!(refusal(&bench, &model, cycles).is_none()),
+        }
+    }
 }
 
 #[test]
 fn a_bandwidth_that_the_link_cannot_carry_is_refused_with_the_one_that_it_can() {
     let mut bench = bench();
-    let model = Model::baseline(bench.motor.motor());
     bench.speed.as_mut().unwrap().bandwidth_rad_s = Some(500.0);
-    let error = refusal(&bench, &model, 2.0).unwrap().to_string();
-    assert!(
-        error.contains("bandwidth 500") && error.contains("reachable"),
-        "{error}"
-    );
+    let error = refused(&bench, &baseline(&bench), 2.0);
+    has(&error, "bandwidth 500");
+    has(&error, "reachable");
 }
 
 #[test]
 fn every_controller_can_be_made_or_says_why_not() {
     let mut bench = bench();
-    let model = Model::baseline(bench.motor.motor().with(MotorKey::Inertia, 0.02276));
     bench.motor.inertia_kg_m2 = Some(0.02276);
+    let model = baseline(&bench);
     for kind in ControllerKind::ALL {
         bench.speed.as_mut().unwrap().controller = kind;
         let error = refusal(&bench, &model, 1.0);
@@ -539,6 +356,209 @@ fn every_controller_can_be_made_or_says_why_not() {
     }
     // Paper B knows of no delay: with four cycles its loop swings, which is seen before the motor does.
     bench.speed.as_mut().unwrap().controller = ControllerKind::PaperB;
-    let error = refusal(&bench, &model, 4.0).unwrap().to_string();
-    assert!(error.contains("paper-b: with 4.00 cycles"), "{error}");
+    has(refused(&bench, &model, 4.0), "paper-b: with 4.00 cycles");
+}
+
+fn over(actuator: Actuator, change: impl FnOnce(&mut SpeedSection)) -> BenchFile {
+    let mut bench = bench();
+    let section = bench.speed.as_mut().unwrap();
+    section.actuator = Some(actuator);
+    section.rule = None;
+    change(section);
+    bench
+}
+
+fn followed(config: &EmulatorConfig, bench: &BenchFile, model: &Model, cycles: u32) -> SpeedReport {
+    let lab = Lab::new(session(bench, model), in_memory(config, 1), unspoilt).started(cycles);
+    assert_eq!(lab.outcome(), Some(&Outcome::Done));
+    within(lab.largest(Channel::Current), ..13.0);
+    lab.session.report().unwrap()
+}
+
+#[test]
+fn a_drive_that_takes_a_current_is_regulated_and_one_that_takes_a_speed_is_trimmed_from_outside() {
+    use ControllerKind::{Addc, Pi};
+    for (actuator, controller, lag_s, overshoot_percent, settling_s) in [
+        (Actuator::Current, Pi, None, 10.0, 0.8),
+        // Its inertia is followed.
+        (Actuator::Current, Addc, None, 10.0, 0.8),
+        (Actuator::Speed, Pi, Some(0.06), 15.0, 1.0),
+    ] {
+        let bench = over(actuator, |section| {
+            (section.controller, section.drive_lag_s) = (controller, lag_s);
+        });
+        let report = followed(&exact("zk-22fc-plain"), &bench, &baseline(&bench), 1800);
+        assert_eq!((report.actuator, report.steps.len()), (actuator, 6));
+        for step in &report.steps[1..] {
+            within(step.response.overshoot_percent, ..overshoot_percent);
+            within(step.response.settling_s.unwrap(), ..settling_s);
+        }
+    }
+}
+
+#[test]
+fn what_an_actuator_does_not_allow_is_refused_by_name() {
+    type Case = (Actuator, fn(&mut SpeedSection), &'static str);
+    let cases: [Case; 4] = [
+        (
+            Actuator::Speed,
+            |section| section.controller = ControllerKind::Pi,
+            "speed.drive_lag_s is missing",
+        ),
+        (
+            Actuator::Speed,
+            |section| section.drive_lag_s = Some(0.05),
+            "\"addc\" does not act with a speed (expected one of voltage, current)",
+        ),
+        (
+            Actuator::Current,
+            |section| section.controller = ControllerKind::PaperB,
+            "\"paper-b\" does not act with a current",
+        ),
+        (
+            Actuator::Speed,
+            |section| {
+                section.controller = ControllerKind::Pi;
+                section.drive_lag_s = Some(0.05);
+                section.feed_forward = ForwardUse::On;
+            },
+            "nothing can be given forward with a speed command",
+        ),
+    ];
+    for (actuator, change, words) in cases {
+        let bench = over(actuator, change);
+        has(refused(&bench, &baseline(&bench), 1.0), words);
+    }
+}
+
+#[test]
+fn what_the_model_knows_given_forward_lowers_the_tracking_error() {
+    let config = exact("zk-22fc-fan");
+    let fan = config.hidden[0].parameters()[0].1;
+    for actuator in [Actuator::Voltage, Actuator::Current] {
+        let bench = over(actuator, |section| {
+            section.controller = ControllerKind::Pi;
+            section.feed_forward = ForwardUse::Compare;
+            section.reference = vec![ReferencePart::Polyline {
+                points: vec![[0.0, 20.0], [2.0, -20.0], [4.0, 20.0], [6.0, -20.0]],
+            }];
+        });
+        let mut model = baseline(&bench).with_effect("quadratic_load").unwrap();
+        model.effects[0].values = vec![Some(fan)];
+        let report = followed(&config, &bench, &model, 2200);
+        let [without, with] = report.tracking.as_slice() else {
+            panic!("{:?}", report.tracking);
+        };
+        assert!(!without.feed_forward && with.feed_forward);
+        // What is left is the lag behind the ramp.
+        within(with.rms_rad_s, ..0.8 * without.rms_rad_s);
+        within(with.peak_rad_s, ..0.6 * without.peak_rad_s);
+    }
+}
+
+#[test]
+fn behind_a_current_command_a_broken_encoder_is_stopped_too() {
+    for frozen in [false, true] {
+        let bench = over(Actuator::Current, |section| {
+            section.controller = ControllerKind::Pi;
+        });
+        let mut config = exact("zk-22fc-plain");
+        config.faults.encoder_reversed = !frozen;
+        config.faults.encoder_frozen_from_s = frozen.then_some(1.0);
+        let session = session(&bench, &baseline(&bench));
+        let lab = Lab::new(session, in_memory(&config, 1), unspoilt).started(1800);
+        let (kind, reason) = lab.trip();
+        within(lab.largest(Channel::Speed), ..340.0);
+        assert_eq!(kind == TripKind::EncoderFrozen, frozen, "{reason}");
+    }
+}
+
+/// Motors that are tried, and how far R, L, Ke, J and the load lie from the nameplate at most.
+const MOTORS: u64 = 200;
+const TOLERANCE: f64 = 0.5;
+/// Doubt of what was identified, either way in turn.
+const DOUBT: f64 = 0.05;
+/// What a level may still swing by when it ends, peak to peak, rad/s: effects that push with the angle or hold and let
+/// go move the shaft, whatever the loop does.
+const STILL_RAD_S: f64 = 7.0;
+
+/// How one motor fared.
+#[derive(Debug)]
+struct Fate {
+    #[expect(dead_code, reason = "shown where a motor fails")]
+    seed: u64,
+    hidden: String,
+    outcome: Option<Outcome>,
+    largest_a: f64,
+    largest_rad_s: f64,
+    largest_v: f64,
+    /// Largest swing over the last fifth of a level.
+    swing_rad_s: f64,
+}
+
+/// Runs the embedded reference on the motor that `seed` draws. The electrical half of the model is what identification
+/// gives; inertia and load are the nameplate's, wrong by up to a half.
+fn fare(seed: u64) -> Fate {
+    let mut config = mystery::draw(seed).config;
+    config.tolerance = TOLERANCE;
+    let bench = bench();
+    let specimen = config.motor.specimen(TOLERANCE, seed);
+    let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let doubt = 1.0 + sign * DOUBT;
+    let mut plate = bench.clone();
+    plate.motor.resistance_ohm = Some(specimen.resistance_ohm * doubt);
+    plate.motor.inductance_h = Some(specimen.inductance_h / doubt);
+    plate.motor.back_emf_v_s_per_rad = Some(specimen.back_emf_v_s_per_rad * (2.0 - doubt).sqrt());
+    let hidden = config
+        .hidden
+        .first()
+        .map_or("nothing", |effect| effect.id());
+    let hidden = hidden.to_owned();
+    let session = session(&plate, &baseline(&plate));
+    let lab = Lab::new(session, in_memory(&config, seed), unspoilt).started(1600);
+    let end: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
+    let begin_s = end.first().map_or(0.0, |row| row.0);
+    // On the first level a loop that swings may still be made softer.
+    let swings = (1..6_u32).map(|level| {
+        let until_s = begin_s + 2.0 * f64::from(level + 1);
+        let rows = end
+            .iter()
+            .filter(|row| (until_s - 0.4..until_s).contains(&row.0));
+        let (low, high) = rows.fold((f64::MAX, f64::MIN), |(low, high), row| {
+            (low.min(row.1), high.max(row.1))
+        });
+        (high - low).max(0.0)
+    });
+    Fate {
+        seed,
+        hidden,
+        outcome: lab.outcome().cloned(),
+        largest_a: lab.largest(Channel::Current),
+        largest_rad_s: lab.largest(Channel::Speed),
+        largest_v: lab.volts().into_iter().map(f64::abs).fold(0.0, f64::max),
+        swing_rad_s: swings.fold(0.0, f64::max),
+    }
+}
+
+#[test]
+fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() {
+    let limits = bench().limits();
+    let fates: Vec<Fate> = (1..=MOTORS).map(fare).collect();
+    for fate in &fates {
+        assert!(fate.largest_a <= limits.current_a, "{fate:?}");
+        assert!(fate.largest_rad_s <= limits.speed_rad_s, "{fate:?}");
+        assert!(fate.largest_v <= limits.voltage_v + 1e-9, "{fate:?}");
+    }
+    // A sensor that shows a current at rest is refused before anything moves.
+    let (started, refused): (Vec<Fate>, Vec<Fate>) =
+        fates.into_iter().partition(|fate| fate.largest_v > 0.0);
+    assert!(started.len() >= 190, "{refused:?}");
+    assert!(
+        refused.iter().all(|fate| fate.hidden == "current_offset"),
+        "{refused:?}"
+    );
+    for fate in &started {
+        assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
+        assert!(fate.swing_rad_s < STILL_RAD_S, "{fate:?}");
+    }
 }

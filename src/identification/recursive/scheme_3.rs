@@ -75,7 +75,8 @@ impl Default for Memory {
 }
 
 /// First guess of the winding: it competes with the one that the data give, and the data decide.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct StartValues {
     pub resistance_ohm: f64,
     pub inductance_h: f64,

@@ -1,14 +1,33 @@
-//! Whether the drive does what it is asked, and readings that stand in each other's place.
+//! What needs no balance: whether the drive does what it is asked, readings that stand in each other's place, the angle
+//! against the speed, and a speed that grows beyond its reference.
 
 use super::balance::negative;
 use super::history::Range;
 use super::{
-    ANY, CHECK_SET_POINT, FOLLOWS_CURRENT, FOLLOWS_CURRENT_S, FOLLOWS_SPEED, FOLLOWS_SPEED_S,
-    IDLE_A, IDLE_S, KNOWN_SCALE, LATENCY_CYCLES, LATENCY_S, LONGEST_WINDOW, Plausibility,
-    REST_SPEED, STAYS_SHARE, STAYS_V,
+    ANY, CHECK_ENCODER, CHECK_SET_POINT, CONFIRM, IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S,
+    LONGEST_WINDOW, Plausibility, REST_SPEED, SAME, WINDOW,
 };
 use crate::bench::guard::{Trip, TripKind};
 use crate::sample::Demand;
+
+/// A set-point that is not followed for so long, s: of a voltage, of a current, and of a speed, of which the drive's own
+/// ramp is not known.
+const FOLLOWS_CURRENT_S: f64 = 0.4;
+const FOLLOWS_SPEED_S: f64 = 2.0;
+/// A voltage that stays behind a set-point which has moved by so much, in rated voltages: it has moved by less than this
+/// share of it.
+const STAYS_V: f64 = 0.08;
+const STAYS_SHARE: f64 = 0.25;
+/// Factors by which a voltage may be off whose scale was seen to be right.
+const KNOWN_SCALE: Range = Range::new(0.85, 1.15);
+/// What of it is no doubt, in rated values.
+const FOLLOWS_CURRENT: f64 = 0.1;
+const FOLLOWS_SPEED: f64 = 0.1;
+/// A runaway: so many cycles in a row the speed grows beyond its reference although the torque is against it, by this
+/// share of the speed limit and from this share beyond the reference.
+const RUNAWAY_CYCLES: usize = 4;
+const RUNAWAY_GROWTH: f64 = 0.01;
+const RUNAWAY_BEYOND: f64 = 0.05;
 
 /// A set-point that is not followed.
 struct Astray {
@@ -25,7 +44,7 @@ struct Astray {
 
 impl Plausibility {
     /// Two readings that fit in each other's place and not in their own.
-    pub(in crate::bench) fn swapped(&self, now_s: f64) -> Option<Trip> {
+    pub(in crate::bench) fn swapped(&self) -> Option<Trip> {
         let plate = self.plate.filter(|_| !self.waived)?;
         let last = self.history.last()?;
         let (current, speed) = (last.current_a?, last.speed_rad_s?);
@@ -37,7 +56,7 @@ impl Plausibility {
                 asked
                     .times(Range::new(0.9, 1.1))
                     .wider(0.02 * self.scale.volts)
-                    .gap(Range::new(value, value))
+                    .gap(Range::at(value))
                     <= 0.0
             };
             let far = asked.middle().abs() > 0.05 * self.scale.volts;
@@ -46,12 +65,7 @@ impl Plausibility {
                     "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
                     asked.middle()
                 );
-                return Some(Trip::implausible(
-                    TripKind::SignalsSwapped,
-                    now_s,
-                    (volts, asked.middle()),
-                    &what,
-                ));
+                return Some(self.doubt(TripKind::SignalsSwapped, (volts, asked.middle()), &what));
             }
         }
         if speed.abs() > self.current_limit_a || current.abs() > self.speed_limit_rad_s {
@@ -64,7 +78,7 @@ impl Plausibility {
                 let volts = row.volts?;
                 let misfit = |current_a: f64, speed_rad_s: f64| {
                     let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
-                    volts.gap(Range::new(needed, needed))
+                    volts.gap(Range::at(needed))
                 };
                 let (current_a, speed_rad_s) = row.ends();
                 Some((
@@ -83,18 +97,18 @@ impl Plausibility {
             "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
         );
         (as_read > floor && all)
-            .then(|| Trip::implausible(TripKind::SignalsSwapped, now_s, (current, speed), &what))
+            .then(|| self.doubt(TripKind::SignalsSwapped, (current, speed), &what))
     }
 
     /// A trip beyond a limit, with what speaks against the reading that broke it.
-    pub(in crate::bench) fn explained(&mut self, now_s: f64, mut beyond: Trip) -> Trip {
-        if let Some(trip) = self.swapped(now_s) {
+    pub(in crate::bench) fn explained(&mut self, mut beyond: Trip) -> Trip {
+        if let Some(trip) = self.swapped() {
             return trip;
         }
         let doubt = self.plate.and_then(|plate| {
             let window = self.window(&plate, 1)?;
             let doubted = window.gap(ANY, ANY, self.drop_v()) > 0.0;
-            doubted.then(|| self.name(now_s, &plate, &window)).flatten()
+            doubted.then(|| self.name(&plate, &window)).flatten()
         });
         if let Some(doubt) = doubt {
             beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
@@ -103,7 +117,7 @@ impl Plausibility {
     }
 
     /// Whether the drive does what it is asked.
-    pub(super) fn follows(&mut self, now_s: f64) -> Option<Trip> {
+    pub(super) fn follows(&mut self) -> Option<Trip> {
         let cycles = self.cycles();
         let last = *self.history.last()?;
         let asked = self.history.asked(cycles - 2);
@@ -134,7 +148,7 @@ impl Plausibility {
                 if last.limited || current.abs() > self.limits_from_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
                     let emf_v = self.plate.map(|plate| plate.back_emf * speed);
-                    let emf = emf_v.map(|emf_v| Range::new(emf_v, emf_v).times(ANY));
+                    let emf = emf_v.map(|emf_v| Range::at(emf_v).times(ANY));
                     region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
                 }
                 (last.voltage_v, self.scale.volts, confirm_s, "V")
@@ -157,23 +171,22 @@ impl Plausibility {
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
         };
+        let astray = |region, value, for_s| Astray {
+            demand,
+            asked,
+            region,
+            value,
+            unit,
+            idle,
+            for_s,
+        };
         if let (Demand::Voltage(_), Some(value)) = (demand, measured)
             && let Some(for_s) = self.stays(asked, value).filter(|for_s| *for_s >= confirm_s)
         {
-            return Some(self.not_followed(
-                now_s,
-                &Astray {
-                    demand,
-                    asked,
-                    region: asked.wider(self.drop_v()),
-                    value,
-                    unit,
-                    idle,
-                    for_s,
-                },
-            ));
+            let region = asked.wider(self.drop_v());
+            return Some(self.not_followed(&astray(region, value, for_s)));
         }
-        let distance = measured.map_or(0.0, |value| region.gap(Range::new(value, value)));
+        let distance = measured.map_or(0.0, |value| region.gap(Range::at(value)));
         let Some(value) = measured.filter(|_| distance > 0.0) else {
             self.astray = None;
             return None;
@@ -184,25 +197,12 @@ impl Plausibility {
             self.astray = Some((last.time_s, distance));
             return None;
         }
-        if last.time_s - since_s < confirm_s {
+        let for_s = last.time_s - since_s;
+        if for_s < confirm_s {
             return None;
         }
-        if let Some(trip) = self.swapped(now_s) {
-            return Some(trip);
-        }
-        let for_s = last.time_s - since_s;
-        Some(self.not_followed(
-            now_s,
-            &Astray {
-                demand,
-                asked,
-                region,
-                value,
-                unit,
-                idle,
-                for_s,
-            },
-        ))
+        self.swapped()
+            .or_else(|| Some(self.not_followed(&astray(region, value, for_s))))
     }
 
     /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
@@ -210,7 +210,7 @@ impl Plausibility {
     /// set-point around the back-EMF leaves no more than this to see.
     fn stays(&mut self, asked: Range, value: f64) -> Option<f64> {
         let last = *self.history.last()?;
-        let read = Range::new(value, value);
+        let read = Range::at(value);
         if asked.wider(self.drop_v()).gap(read) <= 0.0 {
             // Of the set-points that it may answer to, the nearest.
             self.agreed = Some((value.clamp(asked.low, asked.high), value));
@@ -223,7 +223,7 @@ impl Plausibility {
                 .current_a
                 .is_some_and(|current| current.abs() > self.limits_from_a);
         let stays = self.agreed.is_some_and(|(asked_v, value_v)| {
-            let moved = asked.gap(Range::new(asked_v, asked_v));
+            let moved = asked.gap(Range::at(asked_v));
             moved > STAYS_V * self.scale.volts && (value - value_v).abs() < STAYS_SHARE * moved
         });
         if is_limited || !stays {
@@ -234,7 +234,7 @@ impl Plausibility {
         Some(last.time_s - since_s)
     }
 
-    fn not_followed(&self, now_s: f64, astray: &Astray) -> Trip {
+    fn not_followed(&self, astray: &Astray) -> Trip {
         let &Astray {
             demand,
             asked,
@@ -260,15 +260,105 @@ impl Plausibility {
                 let what = format!(
                     "{figures}; current and speed are those of {answer:.1} V, so it is the measured voltage that is wrong; check its address, scale and sign in the drive's profile"
                 );
-                return Trip::implausible(
-                    TripKind::VoltageImplausible,
-                    now_s,
-                    (value, wanted),
-                    &what,
-                );
+                return self.doubt(TripKind::VoltageImplausible, (value, wanted), &what);
             }
         }
         let what = format!("{figures}; {CHECK_SET_POINT}");
-        Trip::implausible(TripKind::SetPointIgnored, now_s, (value, wanted), &what)
+        self.doubt(TripKind::SetPointIgnored, (value, wanted), &what)
+    }
+
+    /// The angle turned over the last cycles against the speed.
+    pub(super) fn by_angle(&mut self) -> Option<Trip> {
+        // An angle that is read more seldom than it is asked stays for some cycles; the confirmations come on top.
+        let times = if self.is_exact() { 1 } else { 2 };
+        let rows = times * self.cycles() - CONFIRM;
+        let all = self.history.rows();
+        if all.len() < rows {
+            return None;
+        }
+        let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
+        let (mut by_speed, mut widest) = (0.0, 0.0_f64);
+        // A counter that was set anew is no motion: the one row that fits least does not count.
+        let mut worst = (0.0, 0.0, 0.0);
+        for row in all.iter().skip(all.len() - rows) {
+            let row_rad = row.turned_rad?;
+            let misfit = (row_rad - row.speed_rad_s * row.seconds).abs();
+            if misfit >= worst.0 {
+                worst = (misfit, row_rad, row.seconds);
+            }
+            turned += row_rad;
+            by_speed += row.speed_rad_s * row.seconds;
+            widest = widest.max(row.speed_change_rad_s.abs());
+            seconds += row.seconds;
+            let half = 0.5 * row.speed_change_rad_s.abs();
+            let range = Range::around(row.speed_rad_s, half);
+            speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
+        }
+        let rate = (turned - worst.1) / (seconds - worst.2);
+        // Where each speed has its time the mean says more than the lowest and the highest of them.
+        let speeds = if self.is_exact() {
+            Range::around(by_speed / seconds, widest)
+        } else {
+            speeds?
+        };
+        let believed = speeds.times(ANY).wider(2.0 * REST_SPEED * self.scale.rad_s);
+        if believed.gap(Range::at(rate)) <= 0.0 {
+            self.angle_disagrees = 0;
+            return None;
+        }
+        self.angle_disagrees += 1;
+        if self.angle_disagrees < CONFIRM {
+            return None;
+        }
+        let speed = speeds.middle();
+        let what = format!(
+            "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
+            believed.low, believed.high
+        );
+        let kind = if self.speed.run() >= SAME {
+            TripKind::EncoderFrozen
+        } else {
+            TripKind::AngleImplausible
+        };
+        Some(self.doubt(kind, (rate, speed), &what))
+    }
+
+    /// The speed grows beyond its reference although the torque is against it.
+    pub(super) fn runs_away(&mut self) -> Option<Trip> {
+        let row = *self.history.rows().back()?;
+        let speed = self.history.last()?.speed_rad_s?;
+        let reference = self.reference_rad_s?;
+        let direction = speed.signum();
+        let beyond = direction * (speed - reference);
+        let grows = direction * row.speed_change_rad_s > 0.0;
+        let braked = direction * row.current_a < 0.0;
+        if !(grows && braked && beyond > RUNAWAY_BEYOND * self.speed_limit_rad_s) {
+            self.away.clear();
+            return None;
+        }
+        if self.away.is_empty() {
+            self.away.push(speed - row.speed_change_rad_s);
+        }
+        self.away.push(speed);
+        let growth = direction * (speed - self.away[0]);
+        let long = self.away.len() > RUNAWAY_CYCLES;
+        if !(long && growth > RUNAWAY_GROWTH * self.speed_limit_rad_s) {
+            return None;
+        }
+        // Seen by a reversed encoder the shaft runs away as soon as it moves.
+        let window = self
+            .plate
+            .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
+        Some(match window {
+            Some((plate, window)) if window.misfit(-1.0) < window.misfit(1.0) => {
+                self.speed_trip(TripKind::EncoderReversed, &plate, &window)
+            }
+            _ => {
+                let what = format!(
+                    "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"
+                );
+                self.doubt(TripKind::Runaway, (speed, reference), &what)
+            }
+        })
     }
 }
