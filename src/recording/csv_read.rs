@@ -238,8 +238,7 @@ impl<R: BufRead> CsvRows<R> {
             .map
             .and_then(|map| map.items().iter().find(|item| item.target.is_none()))
             .map_or("time_s", |item| item.header.as_str());
-        let head = Head::read(&mut reader, file, time)?;
-        let headers = head.headers;
+        let (headers, dialect, lines_before) = head(&mut reader, file, time)?;
         let mut warnings = Vec::new();
         let wanted = match options.map {
             Some(map) => wanted_by_map(&headers, map, file)?,
@@ -255,7 +254,7 @@ impl<R: BufRead> CsvRows<R> {
             reader: ReaderBuilder::new()
                 .has_headers(false)
                 .flexible(true)
-                .delimiter(head.dialect.separator)
+                .delimiter(dialect.separator)
                 .terminator(csv::Terminator::Any(b'\n'))
                 .buffer_capacity(1 << 16)
                 .from_reader(body),
@@ -266,8 +265,8 @@ impl<R: BufRead> CsvRows<R> {
             wanted,
             is_mapped: options.map.is_some(),
             in_run_folder: options.in_run_folder,
-            dialect: head.dialect,
-            lines_before: head.lines,
+            dialect,
+            lines_before,
             last_s: None,
             lines: 0,
             rows: 0,
@@ -300,7 +299,7 @@ impl<R: BufRead> CsvRows<R> {
                 }
                 Err(error) => {
                     let line = self.line();
-                    if !self.is_torn_end()? {
+                    if !self.is_torn_end() {
                         return Err(error);
                     }
                     self.leave_out_torn(line);
@@ -386,13 +385,10 @@ impl<R: BufRead> CsvRows<R> {
     }
 
     /// Whether the record that was read last is what a file without a last line feed ends with.
-    fn is_torn_end(&mut self) -> Result<bool, RecordingError> {
-        if self.record.as_slice().matches('\n').count() > 1 {
-            return Ok(false);
-        }
+    fn is_torn_end(&mut self) -> bool {
+        let swallows_lines = self.record.as_slice().matches('\n').count() > 1;
         let next = self.reader.read_record(&mut self.record);
-        let is_end = !next.map_err(|error| self.unreadable(&error))?;
-        Ok(is_end && self.reader.get_ref().is_open)
+        !swallows_lines && matches!(next, Ok(false)) && self.reader.get_ref().is_open
     }
 
     fn unreadable(&self, error: &csv::Error) -> RecordingError {
@@ -512,85 +508,76 @@ impl<R: BufRead> CsvRows<R> {
     }
 }
 
-/// What stands before the rows.
-struct Head {
-    headers: Vec<String>,
-    dialect: Dialect,
-    /// Lines up to the header row, with it.
-    lines: u64,
-}
-
-impl Head {
-    /// The header row is the first line that is neither blank nor a remark. A line that begins with `#` but has the time
-    /// column is a header, as some tools write it.
-    fn read(reader: &mut impl BufRead, file: &str, time: &str) -> Result<Self, RecordingError> {
-        let mut dialect = Dialect {
-            separator: b',',
-            decimal: None,
-            has_mark: false,
-            has_sep_line: false,
-        };
-        let mut separators = SEPARATORS.to_vec();
-        let mut bytes = Vec::new();
-        for lines in 1.. {
-            bytes.clear();
-            let count = reader.read_until(b'\n', &mut bytes);
-            let count = count.map_err(|error| RecordingError::Io {
-                path: file.to_owned(),
-                doing: "read",
-                reason: error.to_string(),
-            })?;
-            if count == 0 {
-                break;
-            }
-            if lines == 1 && bytes.starts_with(b"\xef\xbb\xbf") {
-                bytes.drain(..3);
-                dialect.has_mark = true;
-            }
-            let text = bytes.trim_ascii();
-            if text.is_empty() {
-                continue;
-            }
-            if lines == 1
-                && text.len() == 5
-                && text[..4].eq_ignore_ascii_case(b"sep=")
-                && text[4].is_ascii_punctuation()
-            {
-                separators = vec![text[4]];
-                dialect.has_sep_line = true;
-                continue;
-            }
-            let is_remark = text[0] == b'#';
-            // Only a line end within its field tells that a quote is not closed.
-            let line = [text, b"\n"].concat();
-            let found = separators
-                .iter()
-                .map(|separator| headers(&line, *separator, lines, file))
-                .collect::<Result<Vec<_>, _>>();
-            let found = match found {
-                Err(_) if is_remark => continue,
-                found => found?,
-            };
-            let with_time = found
-                .iter()
-                .position(|names| names.iter().any(|n| n == time));
-            if is_remark && with_time.is_none() {
-                continue;
-            }
-            let most = found.iter().map(Vec::len).max();
-            let most = found.iter().position(|names| Some(names.len()) == most);
-            let chosen = with_time.or(most).unwrap_or_default();
-            dialect.separator = separators[chosen];
-            return Ok(Self {
-                headers: found.into_iter().nth(chosen).unwrap_or_default(),
-                dialect,
-                lines,
-            });
+/// Headers, dialect, and number of the header row: the first line that is neither blank nor a remark. A line that begins with
+/// `#` but has the time column is a header, as some tools write it.
+fn head(
+    reader: &mut impl BufRead,
+    file: &str,
+    time: &str,
+) -> Result<(Vec<String>, Dialect, u64), RecordingError> {
+    let mut dialect = Dialect {
+        separator: b',',
+        decimal: None,
+        has_mark: false,
+        has_sep_line: false,
+    };
+    let mut separators = SEPARATORS.to_vec();
+    let mut bytes = Vec::new();
+    for lines in 1.. {
+        bytes.clear();
+        let count = reader.read_until(b'\n', &mut bytes);
+        let count = count.map_err(|error| RecordingError::Io {
+            path: file.to_owned(),
+            doing: "read",
+            reason: error.to_string(),
+        })?;
+        if count == 0 {
+            break;
         }
-        Err(RecordingError::Empty {
-            file: file.to_owned(),
-        })
+        if lines == 1 && bytes.starts_with(b"\xef\xbb\xbf") {
+            bytes.drain(..3);
+            dialect.has_mark = true;
+        }
+        let text = bytes.trim_ascii();
+        if text.is_empty() {
+            continue;
+        }
+        if lines == 1
+            && text.len() == 5
+            && text[..4].eq_ignore_ascii_case(b"sep=")
+            && text[4].is_ascii_punctuation()
+        {
+            separators = vec![text[4]];
+            dialect.has_sep_line = true;
+            continue;
+        }
+        let is_remark = text[0] == b'#';
+        // Only a line end within its field tells that a quote is not closed.
+        let line = [text, b"\n"].concat();
+        let found = separators
+            .iter()
+            .map(|separator| headers(&line, *separator, lines, file))
+            .collect::<Result<Vec<_>, _>>();
+        let found = match found {
+            Err(_) if is_remark => continue,
+            found => found?,
+        };
+        let with_time = found
+            .iter()
+            .position(|names| names.iter().any(|n| n == time));
+        if is_remark && with_time.is_none() {
+            continue;
+        }
+        let most = found.iter().map(Vec::len).max();
+        let most = found.iter().position(|names| Some(names.len()) == most);
+        let chosen = with_time.or(most).unwrap_or_default();
+        dialect.separator = separators[chosen];
+        let headers = found.into_iter().nth(chosen).unwrap_or_default();
+        return Ok((headers, dialect, lines));
     }
+    Err(RecordingError::Empty {
+        file: file.to_owned(),
+    })
 }
 
 fn headers(

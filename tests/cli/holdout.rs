@@ -41,37 +41,15 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
     let nameplate = desk.nameplate();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
     let again = record(again(23), 0.9);
-    for (name, text, reason) in [
-        (
-            "the run itself",
-            text_of(good(), |_| {}),
-            "are those of the run",
-        ),
-        (
-            "another motor",
-            text_of(&record(OTHER, 0.9), |_| {}),
-            "not of the same motor",
-        ),
-        (
-            "half a second",
-            text_of(&again[..100], |_| {}),
-            "at least 1 s",
-        ),
-        (
-            "standstill",
-            text_of(&again, |row| row[1..].fill(0.0)),
-            "nothing changes",
-        ),
-        (
-            "milliamperes",
-            text_of(&again, |row| row[2] *= 1e3),
-            "seems to be in mA",
-        ),
-        (
-            "milliseconds",
-            text_of(&again, |row| row[0] *= 1e3),
-            "seems to be in ms",
-        ),
+    let other = record(OTHER, 0.9);
+    let again_but = |change: fn(&mut Row)| text_of(&again, change);
+    for (reason, text) in [
+        ("are those of the run", text_of(good(), |_| {})),
+        ("not of the same motor", text_of(&other, |_| {})),
+        ("at least 1 s", text_of(&again[..100], |_| {})),
+        ("nothing changes", again_but(|row| row[1..].fill(0.0))),
+        ("seems to be in mA", again_but(|row| row[2] *= 1e3)),
+        ("seems to be in ms", again_but(|row| row[0] *= 1e3)),
     ] {
         let holdout = desk.put("holdout.csv", &text);
         let done = call(
@@ -80,12 +58,10 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
         )
         .expect(0);
         let found = done.json();
-        assert_eq!(found["holdout_from"], "split", "{name}: {}", done.stderr);
-        assert_eq!(found["verdict"], "none", "{name}: {found:#}");
-        assert!(done.stderr.contains(reason), "{name}: {}", done.stderr);
-        assert!(done.stderr.contains("not used"), "{name}: {}", done.stderr);
-        let notes = found["notes"].to_string();
-        assert!(notes.contains(reason), "{name}: {notes}");
+        assert_eq!(found["holdout_from"], "split", "{reason}: {}", done.stderr);
+        assert_eq!(found["verdict"], "none", "{reason}: {found:#}");
+        has(&done.stderr, &[reason, "not used"]);
+        has(&found["notes"].to_string(), &[reason]);
     }
     let good = desk.put("holdout.csv", &text_of(&again, |_| {}));
     let done = call(
