@@ -38,6 +38,8 @@ pub mod stamps;
 pub mod start;
 pub mod step_response;
 pub mod temperature;
+#[cfg(test)]
+mod testing;
 mod torque_ratio;
 pub mod torque_rows;
 pub(crate) mod verdict;
