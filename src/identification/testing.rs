@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal, Uniform};
 
 use super::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, testing};
+use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Sample};
 
 pub(super) use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};

@@ -1,7 +1,7 @@
 //! Effects of a model that a scheme has no place for: what it cannot carry it says.
 
 use super::Identified;
-use crate::identification::regressor::why_no_regressor;
+use crate::identification::balance::why_no_regressor;
 use crate::plant::{ActiveEffect, Model, MotorKey};
 use crate::sample::ParameterEstimate;
 

@@ -2,7 +2,8 @@
 
 use super::left_out::{of_balances, once_each};
 use super::{Data, Identified, IdentifyError, Scheme};
-use crate::identification::{missing_cells, torque_ratio, weak_form};
+use crate::identification::balance::{as_ratio, lacks_torque_constant};
+use crate::identification::{missing_cells, weak_form};
 use crate::numerics::statistics::median;
 use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
@@ -73,12 +74,16 @@ pub(super) fn parameters(
 ) -> Result<Vec<ParameterEstimate>, IdentifyError> {
     let bridged = missing_cells::bridged(scenario);
     let scenario = bridged.as_ref().unwrap_or(scenario);
-    let relative = torque_ratio::lacks_torque_constant(model, scenario);
-    let unit = relative.then(|| torque_ratio::with_unit_torque_constant(model));
-    let balances = weak_form::fit(unit.as_ref().unwrap_or(model), scenario)?;
+    let relative = lacks_torque_constant(model, scenario);
+    let mut model = model.clone();
+    if relative {
+        // With a torque constant of one the values are ratios to it.
+        model.motor.set(MotorKey::TorqueConstant, 1.0);
+    }
+    let balances = weak_form::fit(&model, scenario)?;
     let told = |found: ParameterEstimate| match found.verdict {
         Verdict::Fixed => found,
-        _ if relative => torque_ratio::told(found),
+        _ if relative => as_ratio(found),
         _ => found,
     };
     let found = balances
