@@ -134,7 +134,7 @@ pub(super) fn record(
 }
 
 /// The schemes that take part: all that read these records.
-pub(super) fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
+pub(super) fn taking_part() -> impl Iterator<Item = &'static Scheme> {
     // Inverse dynamics filters, which takes many samples per time constant; a step response takes one long step.
     CATALOGUE
         .iter()
@@ -143,7 +143,7 @@ pub(super) fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
 }
 
 /// What the paper lets a scheme know.
-fn known(scheme: &dyn Scheme, truth: &Motor) -> Model {
+fn known(scheme: &Scheme, truth: &Motor) -> Model {
     let mut motor = Motor::new("sought");
     let mut fixed = Vec::new();
     let mut give = |key: MotorKey, value: f64| {
@@ -161,7 +161,7 @@ fn known(scheme: &dyn Scheme, truth: &Motor) -> Model {
 }
 
 /// What `scheme` finds in `record`.
-pub(super) fn errors(scheme: &dyn Scheme, record: &Record) -> Errors {
+pub(super) fn errors(scheme: &Scheme, record: &Record) -> Errors {
     let model = known(scheme, &record.motor);
     let data = Data {
         run: &record.run,
