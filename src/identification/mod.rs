@@ -43,6 +43,7 @@ mod testing;
 pub(crate) mod verdict;
 pub mod voltage_departure;
 pub mod weak_form;
+mod window_sums;
 mod wrapped_angle;
 
 pub use balance as torque_rows;
