@@ -2,11 +2,10 @@
 //!
 //! The voltage is integrated exactly; what coarse sampling biases the rest by a starting value may be off.
 
-use nalgebra::{DMatrix, DVector};
-
 use super::output_error::FitError;
 use super::weak_form;
 use super::window_sums::{Sums, windows};
+use crate::numerics::least_squares::solve_rows;
 use crate::numerics::statistics::largest;
 use crate::plant::{Input, Model, ModelError, MotorKey, Scenario};
 use crate::signal;
@@ -28,7 +27,7 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         .iter()
         .map(|s| [s.current, s.current_step, s.angle, s.voltage])
         .collect();
-    let [resistance, inductance, back_emf] = positive(solve(&electrical), [1.0, 1e-3, 0.1]);
+    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), [1.0, 1e-3, 0.1]);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
     set(&mut model, MotorKey::BackEmf, back_emf);
@@ -38,7 +37,7 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         .filter(|s| s.direction != 0.0)
         .map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current])
         .collect();
-    let [inertia, load] = positive(solve(&mechanical), [1e-3, 1e-2]);
+    let [inertia, load] = positive(solve_rows(&mechanical), [1e-3, 1e-2]);
     set(&mut model, MotorKey::Inertia, inertia);
     set(&mut model, MotorKey::LoadTorque, load);
     for slot in model.slots() {
@@ -105,24 +104,6 @@ fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
         }
     };
     cells.map(filled).collect()
-}
-
-/// Least squares of rows `[regressors.., right-hand side]` with columns scaled to one.
-fn solve<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[f64; N]> {
-    if rows.len() < N {
-        return None;
-    }
-    let mut matrix = DMatrix::from_fn(rows.len(), N, |row, column| rows[row][column]);
-    let right = DVector::from_iterator(rows.len(), rows.iter().map(|row| row[N]));
-    let norms: Vec<f64> = matrix
-        .column_iter()
-        .map(|column| column.norm().max(f64::MIN_POSITIVE))
-        .collect();
-    for (mut column, norm) in matrix.column_iter_mut().zip(&norms) {
-        column /= *norm;
-    }
-    let solution = matrix.svd(true, true).solve(&right, 1e-9).ok()?;
-    Some(std::array::from_fn(|index| solution[index] / norms[index]))
 }
 
 #[cfg(test)]

@@ -178,7 +178,7 @@ mod tests {
         assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
         assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
         assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
-        assert_eq!([largest(&[1.0, f64::NAN, -3.0]), largest(&[])], [3.0, 0.0]);
+        assert!((largest(&[1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest(&[]) < 1e-15);
     }
 
     #[test]

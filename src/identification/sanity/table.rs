@@ -5,9 +5,8 @@
 
 use std::ops::Range;
 
-use nalgebra::{SMatrix, SVector};
-
 use crate::identification::window_sums::{Sums, trapezoid, windows};
+use crate::numerics::least_squares::{NormalFit, fit_normal};
 use crate::numerics::statistics::{finite, largest, median_step};
 use crate::plant::{Input, Scenario};
 use crate::signal;
@@ -228,19 +227,19 @@ impl Balances {
             .iter()
             .map(|s| ([s.current, s.current_step, s.angle], s.voltage))
             .collect();
-        let electrical = fit(&rows)?;
+        let electrical = fit_normal(&rows, LEAST_OWN)?;
         let rows: Vec<_> = sums
             .iter()
             .filter(|s| s.direction != 0.0)
             .map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current))
             .collect();
-        let mechanical = fit(&rows)?;
+        let mechanical = fit_normal(&rows, LEAST_OWN)?;
         Some(Self {
-            resistance: electrical.coefficient(0),
-            inductance: electrical.coefficient(1),
-            back_emf: electrical.coefficient(2),
+            resistance: coefficient(&electrical, 0),
+            inductance: coefficient(&electrical, 1),
+            back_emf: coefficient(&electrical, 2),
             voltage_error: electrical.error,
-            inertia: mechanical.coefficient(0),
+            inertia: coefficient(&mechanical, 0),
             torque_error: mechanical.error,
         })
     }
@@ -271,13 +270,20 @@ impl Balances {
     }
 }
 
+fn coefficient<const N: usize>(fit: &NormalFit<N>, index: usize) -> Coefficient {
+    Coefficient {
+        value: fit.x[index],
+        std: fit.std[index],
+    }
+}
+
 /// What resistance and inductance alone leave of the voltage: root mean square over that of the voltage.
 pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
     let rows: Vec<_> = sums(roles)
         .iter()
         .map(|s| ([s.current, s.current_step], s.voltage))
         .collect();
-    fit(&rows).map(|fit| fit.error)
+    fit_normal(&rows, LEAST_OWN).map(|fit| fit.error)
 }
 
 /// Back-EMF constant from voltage and speed alone: what a running motor without a current shows, roughly.
@@ -287,7 +293,7 @@ pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient>
         .filter(|s| s.direction != 0.0)
         .map(|s| ([s.angle, s.direction * s.length_s], s.voltage))
         .collect();
-    fit(&rows).map(|fit| fit.coefficient(0))
+    fit_normal(&rows, LEAST_OWN).map(|fit| coefficient(&fit, 0))
 }
 
 fn sums(roles: &Roles<'_>) -> Vec<Sums> {
@@ -307,69 +313,4 @@ fn sums(roles: &Roles<'_>) -> Vec<Sums> {
         }
     };
     roles.windows.iter().map(signed).collect()
-}
-
-struct Fit<const N: usize> {
-    x: [f64; N],
-    std: [f64; N],
-    error: f64,
-}
-
-impl<const N: usize> Fit<N> {
-    const fn coefficient(&self, index: usize) -> Coefficient {
-        Coefficient {
-            value: self.x[index],
-            std: self.std[index],
-        }
-    }
-}
-
-/// Least squares by normal equations of scaled columns: a few coefficients, no precision wanted. Rows with a missing
-/// value are left out; `None` where a coefficient is not determined.
-fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
-    let good = || {
-        rows.iter()
-            .filter(|(x, y)| y.is_finite() && x.iter().all(|x| x.is_finite()))
-    };
-    let count = good().count();
-    if count < 4 * N {
-        return None;
-    }
-    let mut scale = [0.0_f64; N];
-    let mut level = 0.0;
-    for (x, y) in good() {
-        for (scale, x) in scale.iter_mut().zip(x) {
-            *scale += x * x;
-        }
-        level += y * y;
-    }
-    let scale = scale.map(f64::sqrt);
-    if level <= 0.0 || scale.iter().any(|scale| *scale <= 0.0) {
-        return None;
-    }
-    let mut normal = SMatrix::<f64, N, N>::zeros();
-    let mut right = SVector::<f64, N>::zeros();
-    for (x, y) in good() {
-        let x = SVector::<f64, N>::from_fn(|index, _| x[index] / scale[index]);
-        normal += x * x.transpose();
-        right += x * *y;
-    }
-    let inverse = normal.try_inverse()?;
-    // The inverse's diagonal is one over the share of a column that the others do not explain.
-    if (0..N).any(|k| !(inverse[(k, k)] > 0.0 && inverse[(k, k)] < 1.0 / LEAST_OWN)) {
-        return None;
-    }
-    let solution = inverse * right;
-    let left: f64 = good()
-        .map(|(x, y)| {
-            let sum: f64 = (0..N).map(|k| solution[k] * x[k] / scale[k]).sum();
-            (y - sum).powi(2)
-        })
-        .sum();
-    let variance = left / (count - N) as f64;
-    Some(Fit {
-        x: std::array::from_fn(|k| solution[k] / scale[k]),
-        std: std::array::from_fn(|k| (variance * inverse[(k, k)]).sqrt() / scale[k]),
-        error: (left / level).sqrt(),
-    })
 }
