@@ -3,7 +3,7 @@
 //! The floors of the house, lowest first; a file uses only what stands on a lower floor:
 //!
 //! ```text
-//! units < text < sample < numerics < {plant, excitation, drive, recording} < identification < {diagnosis, control}
+//! units < text < sample < signal < numerics < {plant, excitation, drive, recording} < identification < {diagnosis, control}
 //!       < emulator < bench < report < workflow < tui < app < cli < main
 //! ```
 
@@ -22,6 +22,7 @@ pub mod plant;
 pub mod recording;
 pub mod report;
 pub mod sample;
+pub mod signal;
 pub mod text;
 pub mod tui;
 pub mod units;

@@ -1,13 +1,15 @@
 //! What may be claimed from a run, given where its signals come from.
 //!
-//! PHYSICS.md section 5: a commanded voltage is not the armature's, a supply current is not the armature's, and what a
+//! A commanded voltage is not the armature's, a supply current is not the armature's, and what a
 //! drive computes from its own settings only repeats them. A value keeps its figure; its verdict and reason say how far
 //! it may be believed.
 
 use super::sanity::Finding;
 use super::stamps;
+use crate::numerics::statistics::{largest, median};
 use crate::plant::{Input, MotorKey, Scenario};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
+use crate::signal;
 
 /// Share of the bus voltage at the terminals from which the duty cycle counts as one, of the rows that must have it,
 /// and of the largest voltage from which a row counts.
@@ -278,10 +280,7 @@ fn full_duty(run: &Run) -> bool {
     if run.side(Channel::Voltage) == Some(Side::Supply) {
         return false;
     }
-    let largest = voltage
-        .iter()
-        .filter(|u| u.is_finite())
-        .fold(0.0, |most, u| f64::max(most, u.abs()));
+    let largest = largest(voltage);
     let energised: Vec<bool> = bus
         .iter()
         .zip(voltage)
@@ -304,50 +303,41 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
     let differences: Vec<f64> = run
         .points(Channel::Voltage)
         .filter_map(|(time_s, measured)| {
-            let next = commands.partition_point(|command| command.0 <= time_s);
-            let held = commands[..next].last()?.1;
+            let held = signal::held(&commands, time_s)?;
             // In the direction of the voltage: a drop lessens its size.
             (held.abs() > ENERGISED * largest).then(|| (held - measured) * held.signum())
         })
         .collect();
-    let lost = crate::numerics::statistics::median(&differences);
+    let lost = median(&differences);
     differences.len() >= FEWEST_ROWS && lost.abs() < AGREES * largest
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::testing::*;
+    use crate::identification::verdict::judge;
+    use crate::plant::Slot;
 
     #[test]
     fn what_no_run_tells_without_a_current_is_not_called_not_excited() {
         let mut run = run(Origin::Measured);
         let said = |run: &Run, verdict: Verdict| {
-            let unknown = |key: MotorKey| {
-                ParameterEstimate::not_observable(
-                    key.key(),
-                    key.unit(),
-                    "the run does not excite it",
-                )
-            };
+            let keys = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
+            let reason = "the run does not excite it";
             let mut found =
-                [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia].map(unknown);
+                keys.map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason));
             found[0].verdict = verdict;
             limit(&mut found, run, &Scenario::from_run(run).unwrap());
             found.map(|parameter| parameter.reason.unwrap())
         };
         let open = Verdict::NotObservable;
-        assert!(
-            said(&run, open)
-                .iter()
-                .all(|reason| reason.contains("does not excite"))
-        );
-        run.set_column(Channel::Current, vec![f64::NAN; ROWS], Origin::Unknown)
-            .unwrap();
+        let all = said(&run, open);
+        assert!(all.iter().all(|reason| reason.contains("does not excite")));
+        put(&mut run, Channel::Current, vec![f64::NAN; ROWS]);
         let [resistance, back_emf, inertia] = said(&run, open);
-        assert!(
-            resistance.contains("R J and R Mc") && inertia == resistance,
-            "{resistance}"
-        );
+        assert!(resistance.contains("R J and R Mc"), "{resistance}");
+        assert_eq!(inertia, resistance);
         assert!(back_emf.contains("does not excite"));
         // One that is given tells the others, where they are excited.
         assert!(said(&run, Verdict::Fixed)[2].contains("does not excite"));
@@ -357,35 +347,24 @@ mod tests {
 
     /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
     fn run(origin: Origin) -> Run {
-        let mut run = Run::new("r", (0..ROWS).map(|k| 0.01 * k as f64).collect()).unwrap();
         let square = |size: f64| -> Vec<f64> {
             (0..ROWS)
                 .map(|k| if k / 25 % 2 == 0 { size } else { -size })
                 .collect()
         };
-        run.set_column(Channel::Voltage, square(24.0), origin)
-            .unwrap();
-        run.set_column(Channel::Current, square(2.0), Origin::Measured)
-            .unwrap();
-        run.set_column(Channel::Speed, square(50.0), Origin::Measured)
-            .unwrap();
+        let columns = [
+            (Channel::Voltage, square(24.0)),
+            (Channel::Current, square(2.0)),
+            (Channel::Speed, square(50.0)),
+        ];
+        let mut run = run_of(every(0.01, 1.0), columns);
+        run.set_origin(Channel::Voltage, origin);
         run
     }
 
     fn settled() -> Vec<ParameterEstimate> {
-        let settled = |key: MotorKey| ParameterEstimate {
-            key: key.key().to_owned(),
-            value: Some(1.0),
-            std: Some(0.001),
-            unit: key.unit(),
-            verdict: Verdict::Settled,
-            reason: None,
-        };
-        MotorKey::ALL
-            .into_iter()
-            .filter(|key| *key != MotorKey::TorqueConstant)
-            .map(settled)
-            .collect()
+        let settled = |key: MotorKey| judge(&Slot::Motor(key), 1.0, Some(0.001), 0.01);
+        KEYS.map(settled).to_vec()
     }
 
     /// Verdicts of R, L, Ke, J, Mc, and the notes.
@@ -439,13 +418,9 @@ mod tests {
         assert_eq!(verdicts(&parameters), [Verdict::Invalid; 5]);
         assert!(parameters.iter().all(|p| p.value == Some(1.0)));
         assert!(notes[0].contains("supply"), "{notes:?}");
-        supply
-            .set_column(Channel::Bus, vec![24.2; ROWS], Origin::Measured)
-            .unwrap();
+        put(&mut supply, Channel::Bus, vec![24.2; ROWS]);
         assert_eq!(verdicts(&limited(&supply).0), [Verdict::Settled; 5]);
-        supply
-            .set_column(Channel::Bus, vec![48.0; ROWS], Origin::Measured)
-            .unwrap();
+        put(&mut supply, Channel::Bus, vec![48.0; ROWS]);
         assert_eq!(verdicts(&limited(&supply).0), [Verdict::Invalid; 5]);
     }
 
@@ -468,13 +443,9 @@ mod tests {
         );
         assert!(notes[0].contains("not independent"), "{notes:?}");
 
-        let mut torque = Run::new("t", (0..ROWS).map(|k| 0.01 * k as f64).collect()).unwrap();
-        for (channel, origin) in [
-            (Channel::Torque, Origin::Estimated),
-            (Channel::Speed, Origin::Measured),
-        ] {
-            torque.set_column(channel, vec![1.0; ROWS], origin).unwrap();
-        }
+        let columns = [Channel::Torque, Channel::Speed].map(|channel| (channel, vec![1.0; ROWS]));
+        let mut torque = run_of(every(0.01, 1.0), columns);
+        torque.set_origin(Channel::Torque, Origin::Estimated);
         let (parameters, _) = limited(&torque);
         assert_eq!(
             verdicts(&parameters),
@@ -490,11 +461,8 @@ mod tests {
         parameters[0].verdict = Verdict::Fixed;
         parameters[1] = ParameterEstimate::not_observable("inductance_h", "H", "too slow");
         let before = parameters.clone();
-        limit(
-            &mut parameters,
-            &supply,
-            &Scenario::from_run(&supply).unwrap(),
-        );
+        let scenario = Scenario::from_run(&supply).unwrap();
+        limit(&mut parameters, &supply, &scenario);
         assert_eq!(parameters[..2], before[..2]);
         assert_eq!(parameters[2].verdict, Verdict::Invalid);
     }

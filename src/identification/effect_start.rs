@@ -2,13 +2,14 @@
 //!
 //! A fit moves a coefficient to where it belongs from anywhere, but it finds no way from one number of cogs to the next,
 //! nor from one end of a run to an event at the other. So each value of the grid is tried first, as the score screen
-//! does (DISCOVERY.md 2.6): the residual of the model without the effect is explained by the motor's own sensitivities
+//! does: the residual of the model without the effect is explained by the motor's own sensitivities
 //! and the effect's coefficients together, linearly; the values of the grid that explain most are where fits start.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::noise::NoiseFloor;
-use super::output_error::{self, FitError, FreeRun};
+use super::output_error::{self, FitError, FreeRun, cannot_simulate};
+use crate::numerics::least_squares;
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::plant::{ActiveEffect, Model, ParameterRole, ParameterSpec, Scenario, typical_size};
 
@@ -54,9 +55,7 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
     for active in searched {
         let tried = Trial::new(&known, scenario, noise)?.all(model, active)?;
         let Some(best) = tried.first() else {
-            return Err(FitError::CannotSimulate {
-                run: scenario.name.clone(),
-            });
+            return Err(cannot_simulate(scenario));
         };
         starts.chosen.extend(choices(active, &tried));
         known.effects.push(best.active.clone());
@@ -79,15 +78,17 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
 
 /// Whether the grid of this parameter has to be tried.
 fn is_sought(model: &Model, active: &ActiveEffect, index: usize) -> bool {
-    let spec = &active.effect.parameters()[index];
-    let fixed = model
-        .fixed
-        .contains(&format!("{}.{}", active.id(), spec.key));
-    match spec.role {
+    let is_open = active.values[index].is_none();
+    match active.effect.parameters()[index].role {
         ParameterRole::Coefficient => false,
-        ParameterRole::Shape | ParameterRole::Choice => active.values[index].is_none(),
-        ParameterRole::EventTime => active.values[index].is_none() || !fixed,
+        ParameterRole::Shape | ParameterRole::Choice => is_open,
+        ParameterRole::EventTime => is_open || !is_fixed(model, active, index),
     }
+}
+
+fn is_fixed(model: &Model, active: &ActiveEffect, index: usize) -> bool {
+    let key = active.effect.parameters()[index].key;
+    model.fixed.contains(&format!("{}.{key}", active.id()))
 }
 
 fn put(model: &mut Model, found: &ActiveEffect) {
@@ -241,7 +242,7 @@ impl<'a> Trial<'a> {
             let there = DVector::from_vec(with(&probe)?);
             columns.set_column(own + place, &((there - &before) / size));
         }
-        let (solution, explained) = least_squares(&mut columns, &before);
+        let (solution, explained) = least_squares::ridge(columns, &before);
         let mut found = active.clone();
         for (index, value) in values.iter().enumerate() {
             found.values[index] = Some(*value);
@@ -264,11 +265,7 @@ fn coefficients(active: &ActiveEffect) -> usize {
 }
 
 fn is_free_coefficient(model: &Model, active: &ActiveEffect, index: usize) -> bool {
-    let spec = &active.effect.parameters()[index];
-    let fixed = model
-        .fixed
-        .contains(&format!("{}.{}", active.id(), spec.key));
-    spec.is_coefficient() && !fixed
+    active.effect.parameters()[index].is_coefficient() && !is_fixed(model, active, index)
 }
 
 fn residual_of(
@@ -282,47 +279,14 @@ fn residual_of(
     if problem.residual(&x, &mut out) {
         Ok(out)
     } else {
-        Err(FitError::CannotSimulate {
-            run: scenario.name.clone(),
-        })
+        Err(cannot_simulate(scenario))
     }
-}
-
-/// Coefficients `x` of the columns nearest to `right`, and how much of its square they explain.
-fn least_squares(columns: &mut DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, f64) {
-    let scales: Vec<f64> = columns
-        .column_iter()
-        .map(|column| column.norm().max(f64::MIN_POSITIVE))
-        .collect();
-    for (mut column, scale) in columns.column_iter_mut().zip(&scales) {
-        column /= *scale;
-    }
-    let projected = columns.tr_mul(right);
-    // A hair of damping: a column that does nothing, or what another does, stays at zero.
-    let normal = columns.tr_mul(columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
-    let mut solution = normal.cholesky().map_or_else(
-        || DVector::zeros(scales.len()),
-        |factor| factor.solve(&projected),
-    );
-    let explained = projected.dot(&solution);
-    for (value, scale) in solution.iter_mut().zip(&scales) {
-        *value /= *scale;
-    }
-    (solution, explained)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identification::noise::FloorSource;
-    use crate::plant::{Motor, testing};
-
-    const NOISE: NoiseFloor = NoiseFloor {
-        current_a: testing::CURRENT_NOISE_A,
-        speed_rad_s: testing::SPEED_NOISE_RAD_S,
-        source: FloorSource::Standstill,
-        samples: 100,
-    };
+    use crate::identification::testing::{self, *};
 
     /// Slow turns both ways, so that effects of position show.
     fn record(truth: &Model) -> Scenario {
@@ -337,12 +301,6 @@ mod tests {
         testing::record(truth, steps.to_vec(), 0.002, 4.0, 3)
     }
 
-    fn truth(id: &str, values: &[f64]) -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
-        model.effects[0].values = values.iter().copied().map(Some).collect();
-        model
-    }
-
     #[test]
     fn order_shape_and_moment_are_found_that_the_model_does_not_give() {
         for (id, values, index, within) in [
@@ -350,9 +308,9 @@ mod tests {
             ("load_step", vec![0.12, 2.4], 1, 0.02),
             ("stribeck_friction", vec![0.15, 20.0], 1, 3.0),
         ] {
-            let truth = truth(id, &values);
+            let truth = paper_with(id, &values);
             let scenario = record(&truth);
-            let start = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
+            let start = paper().with_effect(id).unwrap();
             let starts = scan(&start, &scenario, &NOISE).unwrap();
             let fit = output_error::fit(&starts.models, &scenario, &NOISE).unwrap();
             let found = fit.model.effects[0].values[index].unwrap();
@@ -363,7 +321,7 @@ mod tests {
 
     #[test]
     fn what_is_given_stays_and_a_moment_of_another_run_does_not() {
-        let truth = truth("load_step", &[0.12, 2.4]);
+        let truth = paper_with("load_step", &[0.12, 2.4]);
         let scenario = record(&truth);
         let mut start = truth.clone();
         start.effects[0].values[1] = Some(0.3);

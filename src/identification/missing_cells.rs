@@ -87,9 +87,7 @@ fn interpolated(scenario: &Scenario) -> Scenario {
 }
 
 fn median_gap(times: impl Iterator<Item = f64>) -> f64 {
-    let times: Vec<f64> = times.collect();
-    let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    statistics::median(&gaps)
+    statistics::median_step(&times.collect::<Vec<f64>>())
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@
 //! ```
 
 pub mod added_inertia;
+pub mod balance;
 pub mod claims;
 pub mod effect_start;
 pub mod escalation;
@@ -28,7 +29,6 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
-mod regressor;
 pub mod repeat;
 pub mod sanity;
 pub mod scheme;
@@ -38,9 +38,12 @@ pub mod stamps;
 pub mod start;
 pub mod step_response;
 pub mod temperature;
-mod torque_ratio;
-pub mod torque_rows;
+#[cfg(test)]
+mod testing;
 pub(crate) mod verdict;
 pub mod voltage_departure;
 pub mod weak_form;
+mod window_sums;
 mod wrapped_angle;
+
+pub use balance as torque_rows;

@@ -5,6 +5,7 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::speed_from_angle;
+use crate::numerics::statistics::{finite, mean, variance};
 use crate::plant::{Input, Scenario};
 
 /// Where the noise floor comes from.
@@ -50,6 +51,13 @@ pub struct NoiseFloor {
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
 const RARELY_EXCEEDED: f64 = 2.6;
 
+/// Samples at rest below which a standard deviation says nothing.
+pub const FEWEST_SAMPLES: usize = 20;
+/// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
+/// of the two signals matters.
+const SCALE_OF_SPREAD: f64 = 0.01;
+/// Samples after switching on that may still carry a transient.
+const SKIPPED: usize = 2;
 /// Error in units of the floor below which a model explains a run to the noise.
 pub const AT_THE_FLOOR: f64 = 1.1;
 
@@ -68,29 +76,15 @@ impl NoiseFloor {
             least.max(1.0 + RARELY_EXCEEDED / (2.0 * self.samples as f64).sqrt())
         }
     }
-}
 
-/// Samples at rest below which a standard deviation says nothing.
-pub const FEWEST_SAMPLES: usize = 20;
-/// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
-/// of the two signals matters.
-const SCALE_OF_SPREAD: f64 = 0.01;
-/// Samples after switching on that may still carry a transient.
-const SKIPPED: usize = 2;
-
-impl NoiseFloor {
-    /// From the leading standstill with zero input (DISCOVERY.md 2.3); never below the quantum over sqrt(12).
+    /// From the leading standstill with zero input; never below the quantum over sqrt(12).
     ///
     /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rows = rest_rows(scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
         let floor = |values: &[f64]| -> Option<(f64, usize)> {
-            let at_rest: Vec<f64> = values[rows.clone()]
-                .iter()
-                .copied()
-                .filter(|v| v.is_finite())
-                .collect();
+            let at_rest = finite(&values[rows.clone()]);
             if at_rest.len() < FEWEST_SAMPLES {
                 return None;
             }
@@ -148,12 +142,7 @@ impl NoiseFloor {
     /// Scales that make both signals count alike where no noise is known: the same small share of their spread.
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {
-            let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
-            let deviation = if present.len() < 2 {
-                0.0
-            } else {
-                standard_deviation(&present)
-            };
+            let deviation = variance(&finite(values)).sqrt();
             if deviation > 0.0 {
                 SCALE_OF_SPREAD * deviation
             } else {
@@ -176,10 +165,7 @@ impl NoiseFloor {
 /// How many of these values, one of each sample, a floor from the standstill could rest on.
 pub fn samples_at_rest(scenario: &Scenario, values: &[f64]) -> usize {
     let rows = rest_rows(scenario).unwrap_or_default();
-    values[rows]
-        .iter()
-        .filter(|value| value.is_finite())
-        .count()
+    finite(&values[rows]).len()
 }
 
 /// The rows of the leading standstill that a floor is taken from.
@@ -213,12 +199,11 @@ const DRIFT: f64 = 8.0;
 /// A signal that is quieter than its resolution hardly ever steps: one step of one quantum is no drift then, only where
 /// its value happened to lie near the edge of two.
 fn drifts(values: &[f64], quantum: f64) -> bool {
-    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let present = finite(values);
     let third = present.len() / 3;
     if third == 0 {
         return false;
     }
-    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
     let (middle, last) = (
         &present[third..2 * third],
         &present[present.len() - third..],
@@ -271,11 +256,7 @@ const NEARLY_EVERY: f64 = 0.95;
 
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
 fn quantum(values: &[f64]) -> Option<f64> {
-    let mut sorted: Vec<f64> = values
-        .iter()
-        .copied()
-        .filter(|value| value.is_finite())
-        .collect();
+    let mut sorted = finite(values);
     sorted.sort_by(f64::total_cmp);
     let range = sorted.last()? - sorted.first()?;
     let steps: Vec<f64> = sorted
@@ -294,33 +275,23 @@ fn quantum(values: &[f64]) -> Option<f64> {
 }
 
 fn standard_deviation(values: &[f64]) -> f64 {
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let squares: f64 = values
-        .iter()
-        .map(|value| (value - mean) * (value - mean))
-        .sum();
-    (squares / (values.len() as f64 - 1.0)).sqrt()
+    variance(values).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::{Channel, Origin, Run};
+    use crate::identification::testing::{every, run_of};
+    use crate::sample::{Channel, Origin};
 
     fn scenario(standstill: usize, speed: impl Fn(usize) -> f64) -> Scenario {
-        let rows = 400;
-        let mut run = Run::new("r", (0..rows).map(|k| k as f64 * 0.01).collect()).unwrap();
-        let volts = (0..rows)
-            .map(|k| if k < standstill { 0.0 } else { 10.0 })
-            .collect();
-        run.set_column(Channel::Voltage, volts, Origin::Unknown)
-            .unwrap();
-        run.set_column(
-            Channel::Speed,
-            (0..rows).map(speed).collect(),
-            Origin::Measured,
-        )
-        .unwrap();
+        let volts = |k| if k < standstill { 0.0 } else { 10.0 };
+        let columns = [
+            (Channel::Voltage, (0..400).map(volts).collect()),
+            (Channel::Speed, (0..400).map(speed).collect()),
+        ];
+        let mut run = run_of(every(0.01, 4.0), columns);
+        run.set_origin(Channel::Voltage, Origin::Unknown);
         Scenario::from_run(&run).unwrap()
     }
 
@@ -359,7 +330,7 @@ mod tests {
         let floor = NoiseFloor::from_standstill(&scenario(100, edge)).unwrap();
         assert!(floor.samples > 90, "the whole rest counts: {floor:?}");
         assert!(
-            floor.speed_rad_s >= 0.1 / 12f64.sqrt() && floor.speed_rad_s < 0.1,
+            (0.1 / 12f64.sqrt()..0.1).contains(&floor.speed_rad_s),
             "{floor:?}"
         );
         // A run-out of many counts is one.
@@ -369,13 +340,7 @@ mod tests {
 
     #[test]
     fn a_noiseless_encoder_is_bounded_by_its_quantum() {
-        let counts = |k: usize| {
-            if k < 50 {
-                0.0
-            } else {
-                ((k - 50) / 3) as f64 * 0.5
-            }
-        };
+        let counts = |k: usize| (k.saturating_sub(50) / 3) as f64 * 0.5;
         let floor = NoiseFloor::from_standstill(&scenario(50, counts)).unwrap();
         assert!(
             (floor.speed_rad_s - 0.5 / 12f64.sqrt()).abs() < 1e-9,

@@ -5,7 +5,7 @@
 use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
 use super::stamps;
 use crate::plant::{Model, MotorKey};
-use crate::sample::{Channel, ParameterEstimate, Quality, Sample};
+use crate::sample::{Channel, ParameterEstimate, Sample};
 
 /// Least length of a row of scheme 2, s.
 const STRIDE_S: f64 = 0.01;
@@ -32,6 +32,26 @@ impl OnlineConfig {
     }
 }
 
+/// Which voltage of a sample counts as applied: the command, and where none ever came the measured one in its place.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct AppliedVoltage {
+    commanded: bool,
+}
+
+impl AppliedVoltage {
+    /// A command came beside the samples.
+    pub(super) const fn command(&mut self) {
+        self.commanded = true;
+    }
+
+    pub(super) fn of(&mut self, sample: &Sample) -> Option<f64> {
+        let command = sample.get(Channel::VoltageCmd);
+        self.commanded |= command.is_some();
+        let measured = || sample.get(Channel::Voltage).filter(|_| !self.commanded);
+        command.or_else(measured)
+    }
+}
+
 /// On-line identification by schemes 2 and 3.
 #[derive(Clone, Debug)]
 pub struct Online {
@@ -40,7 +60,7 @@ pub struct Online {
     /// The same with each voltage later by the half-width: how far apart the two come is what the stamps leave open.
     /// `None`: the drive stamps its samples itself.
     late: Option<Box<Scheme3>>,
-    commanded: bool,
+    applied: AppliedVoltage,
     /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
     half_width_s: f64,
 }
@@ -58,7 +78,7 @@ impl Online {
             ),
             scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
             late: None,
-            commanded: false,
+            applied: AppliedVoltage::default(),
             half_width_s: 0.0,
         }
     }
@@ -66,7 +86,7 @@ impl Online {
     /// The voltage that the drive has applied from `time_s` on (drive time, as the samples). The reply that tells it
     /// comes with a sample of a later stamp: call this first, then [`Self::push`].
     pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.commanded = true;
+        self.applied.command();
         self.hold(time_s, voltage_v);
     }
 
@@ -81,28 +101,18 @@ impl Online {
     /// is held in its place. Stale or missing current or speed: the row gives only its command.
     pub fn push(&mut self, sample: &Sample) {
         let time_s = sample.time_s;
-        if let Some(volts) = sample.get(Channel::VoltageCmd) {
-            self.command_applied(time_s, volts);
-        } else if !self.commanded
-            && let Some(volts) = sample.get(Channel::Voltage)
-        {
+        if let Some(volts) = self.applied.of(sample) {
             self.hold(time_s, volts);
         }
-        let good = |channel| {
-            sample
-                .get(channel)
-                .filter(|_| sample.quality(channel) == Quality::Good)
-        };
-        if let (Some(current), Some(speed)) = (good(Channel::Current), good(Channel::Speed)) {
+        let good = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
+        if let [Some(current), Some(speed)] = good {
             let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
             self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
             if half_width_s > 0.0 && self.late.is_none() {
                 self.late = Some(Box::new(self.scheme_3.clone()));
             }
-            for scheme_3 in [Some(&mut self.scheme_3), self.late.as_deref_mut()]
-                .into_iter()
-                .flatten()
-            {
+            let late = self.late.as_deref_mut();
+            for scheme_3 in std::iter::once(&mut self.scheme_3).chain(late) {
                 scheme_3.set_limited(sample.limited);
                 scheme_3.set_half_width(half_width_s);
                 scheme_3.push(time_s, current, speed);

@@ -5,6 +5,7 @@
 //! of the largest speed, so that a fine encoder is hardly smoothed and a coarse one is not differentiated count by count.
 
 use super::wrapped_angle;
+use crate::numerics::statistics::largest;
 use crate::plant::Scenario;
 use crate::sample::{Channel, Origin, Run, RunError};
 
@@ -48,7 +49,7 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     }
     let side = side(points);
     let slopes = slopes(points, side);
-    let fastest = slopes.iter().fold(0.0, |most, w| f64::max(most, w.abs()));
+    let fastest = largest(&slopes);
     let (mut compared, mut same) = (0_usize, true);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
         let at = points.partition_point(|point| point.0 < *time_s);
@@ -80,10 +81,7 @@ fn side(points: &[(f64, f64)]) -> usize {
     let most = LONGEST_SIDE.min((points.len() - 1) / 2);
     let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
     // Over the longest span resolution hardly counts: a fair view of the largest speed.
-    let largest = slopes(points, most)
-        .into_iter()
-        .map(f64::abs)
-        .fold(0.0, f64::max);
+    let largest = largest(&slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
         .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)
@@ -136,26 +134,22 @@ fn slope(points: &[(f64, f64)], at_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::testing::{changed, put, run_of};
 
     fn run(angle: impl Fn(f64) -> f64, jitter: f64) -> Run {
         let times: Vec<f64> = (0..500)
             .map(|k| f64::from(k) * 0.001 + jitter * f64::from(k % 3))
             .collect();
         let angles = times.iter().map(|t| angle(*t)).collect();
-        let mut run = Run::new("r", times).unwrap();
-        run.set_column(Channel::Angle, angles, Origin::Measured)
-            .unwrap();
-        run
+        run_of(times, [(Channel::Angle, angles)])
     }
 
     #[test]
     fn a_parabola_is_differentiated_exactly_on_irregular_stamps_and_at_the_ends() {
         let run = complete(&run(|t| 2.0 * t - 3.0 * t * t, 2e-4)).unwrap();
         for (time_s, speed) in run.points(Channel::Speed) {
-            assert!(
-                (speed - (2.0 - 6.0 * time_s)).abs() < 1e-9,
-                "{time_s} {speed}"
-            );
+            let exact = 2.0 - 6.0 * time_s;
+            assert!((speed - exact).abs() < 1e-9, "{time_s} {speed}");
         }
         assert_eq!(run.origin(Channel::Speed), Origin::Derived);
         assert!(run.notes[0].contains("derived from angle_rad"));
@@ -180,20 +174,12 @@ mod tests {
     #[test]
     fn what_is_measured_is_left_alone_and_missing_angles_stay_missing() {
         let mut with_speed = run(|t| t, 0.0);
-        with_speed
-            .set_column(Channel::Speed, vec![7.0; 500], Origin::Measured)
-            .unwrap();
+        put(&mut with_speed, Channel::Speed, vec![7.0; 500]);
         let same = complete(&with_speed).unwrap();
-        assert_eq!(
-            same.column(Channel::Speed).unwrap()[3].to_bits(),
-            7f64.to_bits()
-        );
-        let mut holes = run(|t| t, 0.0);
-        let mut angles = holes.column(Channel::Angle).unwrap().to_vec();
-        angles[10] = f64::NAN;
-        holes
-            .set_column(Channel::Angle, angles, Origin::Measured)
-            .unwrap();
+        let kept = same.column(Channel::Speed).unwrap()[3];
+        assert_eq!(kept.to_bits(), 7f64.to_bits());
+        let hole = |row, angle| if row == 10 { f64::NAN } else { angle };
+        let holes = changed(&run(|t| t, 0.0), Channel::Angle, hole);
         let speeds = complete(&holes).unwrap();
         let speeds = speeds.column(Channel::Speed).unwrap();
         assert!(speeds[10].is_nan() && (speeds[11] - 1.0).abs() < 1e-9);

@@ -1,5 +1,6 @@
 //! The resistance with the temperature that it holds at, and at 20 C.
 
+use super::balance::scored_s;
 use super::scheme::Identified;
 use crate::numerics::statistics;
 use crate::plant::{MotorKey, Scenario};
@@ -23,8 +24,8 @@ pub fn resistance_at_20_c(resistance_ohm: f64, temperature_c: f64) -> f64 {
 /// of no resistance.
 #[must_use]
 pub fn complete(mut found: Identified, run: &Run, scenario: &Scenario) -> Identified {
-    let of_resistance = |p: &&ParameterEstimate| p.key == MotorKey::Resistance.key();
-    if let Some(resistance) = found.parameters.iter().find(of_resistance) {
+    let key = MotorKey::Resistance.key();
+    if let Some(resistance) = ParameterEstimate::find(&found.parameters, key) {
         let (at_20, note) = at_20_c(resistance, run, scenario);
         found.parameters.push(at_20);
         found.notes.extend(note);
@@ -93,16 +94,11 @@ pub fn at_20_c(
 
 /// Temperatures over the scored rows.
 fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
-    let times = &scenario.sample_time_s;
-    let scored = scenario.scored.clone();
-    let (Some(first_s), Some(last_s)) = (
-        times.get(scored.start),
-        scored.end.checked_sub(1).and_then(|last| times.get(last)),
-    ) else {
+    let Some((first_s, last_s)) = scored_s(scenario) else {
         return Vec::new();
     };
     run.points(Channel::Temperature)
-        .filter(|point| point.0 >= *first_s && point.0 <= *last_s)
+        .filter(|point| point.0 >= first_s && point.0 <= last_s)
         .map(|point| point.1)
         .collect()
 }
@@ -110,19 +106,18 @@ fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::Origin;
+    use crate::identification::testing::{every, paper, put, run_of};
 
     fn run(temperature: Option<fn(f64) -> f64>) -> (Run, Scenario) {
-        let times: Vec<f64> = (0..100).map(|k| f64::from(k) * 0.1).collect();
-        let mut run = Run::new("warm", times.clone()).unwrap();
-        for channel in [Channel::Voltage, Channel::Current, Channel::Speed] {
-            run.set_column(channel, times.clone(), Origin::Measured)
-                .unwrap();
-        }
+        let times = every(0.1, 10.0);
+        let columns = [Channel::Voltage, Channel::Current, Channel::Speed];
+        let mut run = run_of(
+            times.clone(),
+            columns.map(|channel| (channel, times.clone())),
+        );
         if let Some(temperature) = temperature {
             let values = times.iter().map(|t| temperature(*t)).collect();
-            run.set_column(Channel::Temperature, values, Origin::Measured)
-                .unwrap();
+            put(&mut run, Channel::Temperature, values);
         }
         let scenario = Scenario::from_run(&run).unwrap();
         (run, scenario)
@@ -179,13 +174,11 @@ mod tests {
     #[test]
     fn it_stands_beside_the_resistance_and_nowhere_else() {
         let (warm, scenario) = run(Some(|_| 45.0));
-        let model = crate::plant::Model::baseline(crate::plant::Motor::zk_22fc());
+        let model = paper();
         let with = Identified::new("3", &model, vec![resistance(Verdict::Settled)]);
         let with = complete(with, &warm, &scenario);
-        assert_eq!(
-            (with.parameters[1].key.as_str(), with.notes.len()),
-            (KEY, 1)
-        );
+        assert_eq!(with.parameters[1].key, KEY);
+        assert_eq!(with.notes.len(), 1);
         let without = complete(Identified::new("2", &model, vec![]), &warm, &scenario);
         assert!(without.parameters.is_empty() && without.notes.is_empty());
     }

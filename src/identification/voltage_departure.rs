@@ -4,7 +4,7 @@
 //! told. A fit that takes the command for the voltage then bends every parameter to explain the difference.
 
 use crate::numerics::statistics::robust_deviation;
-use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run};
 
 /// A difference beyond this many deviations of the usual one is none of noise.
 const NOISE_DEVIATIONS: f64 = 8.0;
@@ -37,10 +37,7 @@ impl Departure {
     /// Nothing that rests on the commanded voltage is settled.
     pub fn limit(&self, parameters: &mut [ParameterEstimate]) {
         for parameter in parameters {
-            if parameter.verdict == Verdict::Settled {
-                parameter.verdict = Verdict::Searching;
-                parameter.reason = Some(self.sentence());
-            }
+            parameter.unsettle(self.sentence());
         }
     }
 }

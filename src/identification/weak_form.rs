@@ -1,6 +1,6 @@
 //! Weak form: both balances averaged over windows with a smooth test function, nothing differentiated.
 //!
-//! DISCOVERY.md 2.9. With `psi(s) = (1 - s^2)^4` on a window of half length `H`, integration by parts turns a derivative
+//! With `psi(s) = (1 - s^2)^4` on a window of half length `H`, integration by parts turns a derivative
 //! into one of the test function: `<f'> = -<psi_s f>/H`. Linear in the parameters, no starting values, and the only
 //! method for runs that carry torque and motion but no voltage. The price: the signals must be sampled several times
 //! per time constant (at 10 ms the armature circuit is not), and an effect's shape parameters stay as they are given.
@@ -12,24 +12,19 @@
 //!
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
-mod noise_share;
-mod torque_rows;
-mod window;
-
-pub use self::torque_rows::torque_rows;
-
 use nalgebra::{DMatrix, DVector};
 
-use self::noise_share::Noise;
-use self::window::{
-    Window, half_window, held_means, held_values, interpolated, mean_period_s, thinned,
+use super::balance::{
+    Column, Method, Signals, TorqueRows, Unknown, scored_s, unknowns, why_no_regressor,
 };
+use super::noise::NoiseFloor;
 use super::output_error::{BLOCK_S, FitError};
-use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;
-use crate::numerics::least_squares;
+use crate::numerics::count::whole;
+use crate::numerics::{least_squares, statistics};
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::ParameterEstimate;
+use crate::signal::{self, Window};
 
 /// Half length of the windows, s: the armature circuit is faster than the shaft.
 const VOLTAGE_HALF_S: f64 = 0.012;
@@ -45,6 +40,13 @@ const SAMPLING_ORDER: f64 = 1.5;
 /// A regressor whose own part is less than this many times its noise (in power) carries no information.
 const LEAST_SIGNAL: f64 = 4.0;
 
+/// Periods without a measured torque across which it is not interpolated.
+const LONGEST_GAP: f64 = 5.0;
+/// Share of the largest speed below which friction is not yet developed: a reversal runs through presliding first.
+const REVERSAL: f64 = 0.015;
+/// Multiple of its nominal length beyond which a window spans a hole in the data.
+const LONGEST_WINDOW: f64 = 2.0;
+
 /// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
 pub struct Balanced {
@@ -53,7 +55,7 @@ pub struct Balanced {
     /// What the balance misses in each window.
     pub residual: Vec<WindowResidual>,
     /// Root mean square that measurement noise alone would leave in the residual, V or N.m; `None` where the run has no
-    /// standstill to tell the noise (DISCOVERY.md 2.9).
+    /// standstill to tell the noise.
     pub noise_floor: Option<f64>,
     /// Root mean square of the left-hand side, V or N.m: what the residual is compared with.
     pub level: f64,
@@ -160,12 +162,6 @@ fn why_too_few(windows: usize, model: &Model, scenario: &Scenario, equation: Bal
     }
 }
 
-/// One unknown of a balance: how it is judged and what stands beside it in the sum.
-struct Unknown {
-    slot: Slot,
-    fixed: Option<f64>,
-}
-
 /// `doubt_of_left`: relative standard deviation of a factor of the left-hand side.
 fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left: f64) -> Balanced {
     let half = half_window(scenario, equation);
@@ -182,33 +178,29 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
         &noise,
     )
     .solve(begin_s);
-    let period_s = (scenario.sample_time_s[scenario.samples() - 1] - begin_s)
-        / (scenario.samples() - 1) as f64;
+    let period_s = mean_period_s(scenario);
     let doubts = solution
         .as_ref()
         .map(|solution| system.doubts(solution, coarse.as_ref(), &noise));
     let mut place = 0;
     let mut parameters = Vec::with_capacity(system.unknowns.len());
     for unknown in &system.unknowns {
-        if unknown.fixed.is_some() {
-            parameters.push(fixed(unknown));
-            continue;
-        }
         parameters.push(match (&solution, &doubts) {
-            (Some(solution), Some(doubts)) => {
+            (Some(solution), Some(doubts)) if unknown.fixed.is_none() => {
                 let value = solution.x[place] + doubts[place].pulled;
                 // Not a number where it is undetermined.
                 let variance =
                     solution.covariance[(place, place)] + (doubt_of_left * value).powi(2);
                 estimate(unknown, value, variance, &doubts[place], period_s)
             }
-            _ => ParameterEstimate::not_observable(
-                &unknown.slot.key(),
-                unknown.slot.unit(),
-                why_too_few(system.windows.len(), model, scenario, equation),
-            ),
+            _ => unknown.unsolved(&why_too_few(
+                system.windows.len(),
+                model,
+                scenario,
+                equation,
+            )),
         });
-        place += 1;
+        place += usize::from(unknown.fixed.is_none());
     }
     let noise_floor = noise.floor(&system, &parameters, model);
     let residual = solution.map_or_else(Vec::new, |solution| {
@@ -298,8 +290,35 @@ impl System {
         half: usize,
         noise: &Noise,
     ) -> Self {
-        let unknowns = unknowns(model, scenario, equation);
-        let signals = Signals::new(model, scenario, equation);
+        let electrical = scenario.input == Input::Voltage;
+        let unknowns = unknowns(model, scenario, equation, |active| {
+            why_no_regressor(active, &model.motor, electrical).is_none()
+        });
+        let (lefts, angle) = (left(model, scenario, equation), angles(scenario));
+        let held = match equation {
+            Balance::Voltage => lefts.clone(),
+            Balance::Torque => held_means(scenario),
+        };
+        let at = |sample: usize| Instant {
+            time_s: scenario.sample_time_s[sample] - scenario.begin_s(),
+            voltage_v: held[sample],
+            supply_v: scenario.supply_v(),
+            current_a: scenario.current_a[sample],
+            speed_rad_s: scenario.speed_rad_s[sample],
+            angle: ShaftAngle::at(angle[sample]),
+            ..Instant::of(&model.motor)
+        };
+        let signals = Signals {
+            model,
+            equation,
+            current_a: &scenario.current_a,
+            speed_rad_s: &scenario.speed_rad_s,
+            at: &at,
+        };
+        let columns: Vec<Column> = unknowns
+            .iter()
+            .map(|unknown| signals.column(&unknown.slot))
+            .collect();
         let free: Vec<usize> = (0..unknowns.len())
             .filter(|index| unknowns[*index].fixed.is_none())
             .collect();
@@ -315,16 +334,19 @@ impl System {
                 dropped += 1;
                 continue;
             }
-            let window = Window::new(scenario, begin, end);
+            let window = Window::new(&scenario.sample_time_s, begin, end);
             let resting = equation == Balance::Torque
                 && scenario.speed_rad_s[begin..=end]
                     .iter()
                     .any(|speed| speed.abs() <= noise.dead_zone_rad_s);
-            let cells: Vec<f64> = unknowns
+            let cells: Vec<f64> = columns
                 .iter()
-                .map(|unknown| signals.regressor(unknown, &window))
+                .map(|column| match column {
+                    Column::Values(values) => window.mean(values),
+                    Column::Rate(values) => window.mean_rate(values),
+                })
                 .collect();
-            let mut left = window.mean(&signals.left);
+            let mut left = window.mean(&lefts);
             if resting || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
                 dropped += 1;
                 continue;
@@ -334,14 +356,13 @@ impl System {
             }
             rows.push(free.iter().map(|index| cells[*index]).collect::<Vec<f64>>());
             right.push(left);
-            let norm = |weights: &[f64]| weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-            (gain, rate_gain) = (norm(&window.weights), norm(&window.rates));
+            (gain, rate_gain) = window.gains();
             windows.push(WindowResidual {
                 time_s: window.middle_s,
                 residual: f64::NAN,
                 speed_rad_s: window.mean(&scenario.speed_rad_s),
                 current_a: window.mean(&scenario.current_a),
-                angle_rad: window.mean(&signals.angle),
+                angle_rad: window.mean(&angle),
             });
             averages.push(window);
         }
@@ -358,13 +379,8 @@ impl System {
         }
     }
 
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "blocks are counted from the begin of the run"
-    )]
     fn blocks(&self, begin_s: f64) -> Vec<usize> {
-        let block = |window: &WindowResidual| ((window.time_s - begin_s) / BLOCK_S) as usize;
+        let block = |window: &WindowResidual| whole((window.time_s - begin_s) / BLOCK_S);
         self.windows.iter().map(block).collect()
     }
 
@@ -434,159 +450,294 @@ impl System {
     }
 }
 
-fn fixed(unknown: &Unknown) -> ParameterEstimate {
-    ParameterEstimate {
-        key: unknown.slot.key(),
-        value: unknown.fixed,
-        std: Some(0.0),
-        unit: unknown.slot.unit(),
-        verdict: Verdict::Fixed,
-        reason: None,
-    }
-}
-
-/// The parameters that enter a balance linearly: the motor's, and every effect's coefficients.
-fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknown> {
-    let keys: &[MotorKey] = match equation {
-        Balance::Voltage => &[
-            MotorKey::Resistance,
-            MotorKey::Inductance,
-            MotorKey::BackEmf,
-        ],
-        Balance::Torque => &[MotorKey::Inertia, MotorKey::LoadTorque],
-    };
-    let motor = keys.iter().map(|key| Slot::Motor(*key));
-    let electrical = scenario.input == Input::Voltage;
-    let effects = model.slots().into_iter().filter(|slot| match slot {
-        Slot::Effect { index, spec, .. } => {
-            let enters = model.effects[*index]
-                .effect
-                .card()
-                .enters
-                .includes(equation);
-            enters
-                && spec.is_coefficient()
-                && why_no_regressor(&model.effects[*index], &model.motor, electrical).is_none()
-                && (equation == Balance::Torque || electrical)
-        }
-        Slot::Motor(_) => false,
-    });
-    motor
-        .chain(effects)
-        .map(|slot| {
-            let fixed = model
-                .fixed
-                .contains(&slot.key())
-                .then(|| model.get(&slot))
-                .flatten();
-            Unknown { slot, fixed }
-        })
-        .collect()
-}
-
-/// Signals of one balance at the samples.
-struct Signals<'a> {
-    model: &'a Model,
-    scenario: &'a Scenario,
-    /// Left-hand side: voltage, or motor torque.
-    left: Vec<f64>,
-    /// Input at the samples: the voltage, where the run has one.
-    voltage: Vec<f64>,
-    sign: Vec<f64>,
-    equation: Balance,
-    /// Angle of the shaft at the samples, measured or the integral of the speed; NaN where there is none.
-    angle: Vec<f64>,
-    supply_v: f64,
-}
-
 /// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
 pub fn angles(scenario: &Scenario) -> Vec<f64> {
     let shaft = scenario.shaft_angle();
     let times = scenario.sample_time_s.iter();
-    times.map(|time_s| interpolated(&shaft, *time_s)).collect()
+    times.map(|time_s| signal::line(&shaft, *time_s)).collect()
 }
 
-impl<'a> Signals<'a> {
-    fn new(model: &'a Model, scenario: &'a Scenario, equation: Balance) -> Self {
-        let left = match equation {
-            Balance::Voltage => held_means(scenario),
-            Balance::Torque => match scenario.input {
-                Input::Torque => held_values(scenario),
-                Input::Voltage | Input::Current => {
-                    let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
-                    scenario
-                        .current_a
-                        .iter()
-                        .map(|current| kt * current)
-                        .collect()
-                }
-            },
+/// Left-hand side of a balance at the samples: voltage, or motor torque.
+fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
+    match (equation, scenario.input) {
+        (Balance::Voltage, _) => held_means(scenario),
+        (Balance::Torque, Input::Torque) => {
+            let times = scenario.sample_time_s.iter();
+            times.map(|time_s| scenario.input_at(*time_s)).collect()
+        }
+        (Balance::Torque, Input::Voltage | Input::Current) => {
+            let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
+            scenario
+                .current_a
+                .iter()
+                .map(|current| kt * current)
+                .collect()
+        }
+    }
+}
+
+fn half_window(scenario: &Scenario, equation: Balance) -> usize {
+    let period_s = mean_period_s(scenario);
+    let half_s = match equation {
+        Balance::Voltage => VOLTAGE_HALF_S,
+        Balance::Torque => TORQUE_HALF_S,
+    };
+    whole((half_s / period_s).round()).max(FEWEST_HALF)
+}
+
+fn mean_period_s(scenario: &Scenario) -> f64 {
+    let times = &scenario.sample_time_s;
+    (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
+}
+
+/// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a
+/// signal that steps, else the input seems half a sample late.
+fn held_means(scenario: &Scenario) -> Vec<f64> {
+    (0..scenario.sample_time_s.len())
+        .map(|sample| held_mean(scenario, sample))
+        .collect()
+}
+
+/// The same at one sample.
+fn held_mean(scenario: &Scenario, sample: usize) -> f64 {
+    let times = &scenario.sample_time_s;
+    let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
+    let to_s = 0.5 * (times[sample] + times[(sample + 1).min(times.len() - 1)]);
+    signal::mean(&scenario.events, from_s, to_s)
+}
+
+/// Every second sample; the input stays as it was.
+fn thinned(scenario: &Scenario) -> Scenario {
+    let every_second = |values: &[f64]| values.iter().copied().step_by(2).collect::<Vec<f64>>();
+    let mut thin = scenario.clone();
+    thin.sample_time_s = every_second(&scenario.sample_time_s);
+    thin.current_a = every_second(&scenario.current_a);
+    thin.speed_rad_s = every_second(&scenario.speed_rad_s);
+    thin.time_half_width_s = every_second(&scenario.time_half_width_s);
+    thin.scored = 0..thin.sample_time_s.len();
+    thin
+}
+
+/// Measurement noise: standard deviations over the leading standstill, else from the roughness of the signals.
+struct Noise {
+    current_a: f64,
+    speed_rad_s: f64,
+    dead_zone_rad_s: f64,
+    from_standstill: bool,
+    /// Relative standard deviation of the noise power.
+    uncertainty: f64,
+}
+
+impl Noise {
+    fn of(scenario: &Scenario) -> Self {
+        let floor = NoiseFloor::from_standstill(scenario);
+        let or_roughness = |still: Option<f64>, values: &[f64]| {
+            still
+                .filter(|sigma| sigma.is_finite())
+                .unwrap_or_else(|| roughness(values))
         };
-        let sign = scenario
-            .speed_rad_s
-            .iter()
-            .map(|speed| speed.signum())
-            .collect();
+        let speed_rad_s = or_roughness(floor.map(|f| f.speed_rad_s), &scenario.speed_rad_s);
+        let largest = largest_but_outliers(&scenario.speed_rad_s);
         Self {
-            model,
-            scenario,
-            equation,
-            voltage: match equation {
-                Balance::Voltage => left.clone(),
-                Balance::Torque => held_means(scenario),
-            },
-            left,
-            sign,
-            supply_v: scenario.supply_v(),
-            angle: angles(scenario),
+            current_a: or_roughness(floor.map(|f| f.current_a), &scenario.current_a),
+            speed_rad_s,
+            dead_zone_rad_s: (4.0 * speed_rad_s)
+                .min(WIDEST_DEAD_ZONE * largest)
+                .max(DEAD_ZONE * largest),
+            from_standstill: floor.is_some(),
+            // Of a variance from n samples; the roughness of a signal also holds some of the signal.
+            uncertainty: floor.map_or(1.0, |f| (2.0 / f.samples as f64).sqrt()),
         }
     }
 
-    /// Average of what one unit of the unknown contributes.
-    fn regressor(&self, unknown: &Unknown, window: &Window) -> f64 {
-        let scenario = self.scenario;
-        match unknown.slot {
-            Slot::Motor(MotorKey::Resistance) => window.mean(&scenario.current_a),
-            Slot::Motor(MotorKey::Inductance) => window.mean_rate(&scenario.current_a),
-            Slot::Motor(MotorKey::BackEmf) => window.mean(&scenario.speed_rad_s),
-            Slot::Motor(MotorKey::Inertia) => window.mean_rate(&scenario.speed_rad_s),
-            Slot::Motor(MotorKey::LoadTorque) => window.mean(&self.sign),
-            Slot::Motor(MotorKey::TorqueConstant) => f64::NAN,
-            Slot::Effect {
-                index, parameter, ..
-            } => window.mean_of(|sample| self.effect(index, parameter, sample)),
+    /// Standard deviation that noise gives the regressor of one parameter in one window; `gain` and `rate_gain` are the
+    /// norms of the window's weights.
+    fn spread(&self, slot: &Slot, gain: f64, rate_gain: f64) -> f64 {
+        match slot {
+            Slot::Motor(MotorKey::Resistance) => self.current_a * gain,
+            Slot::Motor(MotorKey::Inductance) => self.current_a * rate_gain,
+            Slot::Motor(MotorKey::BackEmf) => self.speed_rad_s * gain,
+            Slot::Motor(MotorKey::Inertia) => self.speed_rad_s * rate_gain,
+            Slot::Motor(_) | Slot::Effect { .. } => 0.0,
         }
     }
 
-    /// What the effect's coefficient adds per unit, of a size so small that the effect is proportional to it, at one sample.
-    fn effect(&self, index: usize, parameter: usize, sample: usize) -> f64 {
-        let active = &self.model.effects[index];
-        let mut values = active.values_or_guess();
-        let size = PROPORTIONAL * active.effect.parameters()[parameter].scale;
-        for (other, spec) in active.effect.parameters().iter().enumerate() {
-            if spec.is_coefficient() {
-                values[other] = if other == parameter { size } else { 0.0 };
-            }
-        }
-        let terms = active.effect.terms(&values);
-        let at = Instant {
-            time_s: self.scenario.sample_time_s[sample] - self.scenario.begin_s(),
-            voltage_v: self.voltage[sample],
-            supply_v: self.supply_v,
-            current_a: self.scenario.current_a[sample],
-            speed_rad_s: self.scenario.speed_rad_s[sample],
-            angle: ShaftAngle::at(self.angle[sample]),
-            ..Instant::of(&self.model.motor)
+    /// `sV^2 = (R si k0)^2 + (Ke sw k0)^2 + (L si k1)^2`, `sM^2 = (Kt si k0)^2 + (J sw k1)^2`.
+    fn floor(
+        &self,
+        system: &System,
+        parameters: &[ParameterEstimate],
+        model: &Model,
+    ) -> Option<f64> {
+        let value = |key: MotorKey| Some(ParameterEstimate::value_of(parameters, key.key())?.abs());
+        let (mean, rate) = (system.gain, system.rate_gain);
+        let shares = match system.equation {
+            Balance::Voltage => [
+                value(MotorKey::Resistance)? * self.current_a * mean,
+                value(MotorKey::BackEmf)? * self.speed_rad_s * mean,
+                value(MotorKey::Inductance)? * self.current_a * rate,
+            ],
+            Balance::Torque => [
+                model.motor.torque_constant().unwrap_or(0.0) * self.current_a * mean,
+                value(MotorKey::Inertia)? * self.speed_rad_s * rate,
+                0.0,
+            ],
         };
-        let own = vec![0.0; terms.states()];
-        let added = match self.equation {
-            Balance::Voltage => terms.voltage_v(&at, &own),
-            Balance::Torque => {
-                terms.torque_n_m(&at, &own) + self.sign[sample] * terms.friction_n_m(&at)
-            }
-        };
-        added / size
+        let power: f64 = shares.iter().map(|share| share * share).sum();
+        (self.from_standstill && power > 0.0).then(|| power.sqrt())
     }
+}
+
+/// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
+fn roughness(values: &[f64]) -> f64 {
+    let differences: Vec<f64> = values
+        .windows(3)
+        .map(|v| v[0] - 2.0 * v[1] + v[2])
+        .filter(|difference| difference.is_finite())
+        .collect();
+    if differences.is_empty() {
+        return 0.0;
+    }
+    statistics::robust_deviation(&differences) / 6f64.sqrt()
+}
+
+/// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
+fn largest_but_outliers(values: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = values
+        .iter()
+        .filter(|value| value.is_finite())
+        .map(|value| value.abs())
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let dropped = sizes.len() / 200;
+    sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)
+}
+
+/// The torque balance of the scored part of `scenario`, windows with room for any term. `None` where no
+/// window is left: the run has no torque (or no torque constant turns its current into one), or the shaft hardly moves.
+///
+/// Definition: windows of 60 ms that overlap by half, test function `(1 - s^2)^4`, quadrature by the trapezoid rule on the
+/// true stamps; windows that touch a speed within the dead zone are left out. A given torque is held from one stamp to the
+/// next, as the simulation holds it: each sample counts with its mean over half a period either side, else the trapezoid
+/// rule sees it half a sample late. On the EMPS axis, at 1 kHz, that half millisecond is the difference
+/// between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
+pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
+    let noise = Noise::of(scenario);
+    let (at, left) = samples(model, scenario);
+    let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
+    if times.len() < 2 * FEWEST_HALF {
+        return None;
+    }
+    let period_s = statistics::median_step(&times);
+    let half = whole((TORQUE_HALF_S / period_s).round()).max(FEWEST_HALF);
+    let nominal_s = 2.0 * half as f64 * period_s;
+    let (scored_from_s, scored_to_s) = scored_s(scenario)?;
+    // Windows are laid on the samples that have a speed; the quadrature runs in true time.
+    let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
+    let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
+    let dead_zone_rad_s = noise
+        .dead_zone_rad_s
+        .max(REVERSAL * largest_but_outliers(&speeds));
+    let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut gain, mut rate_gain) = (0.0, 0.0);
+    for begin in (0..times.len().saturating_sub(2 * half)).step_by(half) {
+        let end = begin + 2 * half;
+        let resting = speeds[begin..=end]
+            .iter()
+            .any(|speed| speed.abs() <= dead_zone_rad_s);
+        let whole_window = times[end] - times[begin] <= LONGEST_WINDOW * nominal_s;
+        let scored = times[begin] >= scored_from_s && times[end] <= scored_to_s;
+        if resting || !whole_window || !scored {
+            continue;
+        }
+        let window = Window::new(&times, begin, end);
+        let (rate, mean) = (window.mean_rate(&speeds), window.mean(&left));
+        if !(rate.is_finite() && mean.is_finite()) {
+            continue;
+        }
+        (gain, rate_gain) = window.gains();
+        inertia.push(rate);
+        lefts.push(mean);
+        windows.push(window);
+    }
+    if windows.is_empty() {
+        return None;
+    }
+    let time_s = windows.iter().map(|window| window.middle_s).collect();
+    let averaging = move |values: &[f64]| -> Vec<f64> {
+        windows.iter().map(|window| window.mean(values)).collect()
+    };
+    Some(TorqueRows {
+        method: Method::WeakForm,
+        sentence: format!(
+            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, nothing differentiated; windows that \
+             touch speeds below {dead_zone_rad_s:.3} rad/s left out",
+            1e3 * nominal_s,
+        ),
+        begin_s: scenario.begin_s(),
+        time_s,
+        speed_rad_s: averaging(&speeds),
+        current_a: averaging(&currents),
+        left: lefts,
+        inertia,
+        gain,
+        rate_gain,
+        span_s: nominal_s,
+        at,
+        averaging: Box::new(averaging),
+    })
+}
+
+/// Where the machine was at every sample that has a speed, and the motor's torque there.
+fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
+    let angles = scenario.shaft_angle();
+    let angle_at = |time_s: f64| match (angles.first(), angles.last()) {
+        (Some(first), Some(last)) => {
+            signal::line_across(&angles, time_s.clamp(first.0, last.0), f64::INFINITY)
+        }
+        _ => f64::NAN,
+    };
+    let commanded_s: Vec<f64> = scenario.events.iter().map(|event| event.0).collect();
+    let step_s = statistics::median_step(&commanded_s);
+    let longest_gap_s = if step_s.is_finite() {
+        LONGEST_GAP * step_s
+    } else {
+        0.0
+    };
+    let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
+    let constants = Instant::of(&model.motor);
+    let (mut at, mut left) = (Vec::new(), Vec::new());
+    for (sample, &time_s) in scenario.sample_time_s.iter().enumerate() {
+        let speed_rad_s = scenario.speed_rad_s[sample];
+        if !speed_rad_s.is_finite() {
+            continue;
+        }
+        let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
+            // Where the torque has a hole it is not known what was held.
+            let beside = signal::line_across(&scenario.events, time_s, longest_gap_s);
+            let torque = if beside.is_finite() {
+                held_mean(scenario, sample)
+            } else {
+                f64::NAN
+            };
+            (torque, torque, 1.0)
+        } else {
+            let current = scenario.current_a[sample];
+            (current, kt * current, kt)
+        };
+        at.push(Instant {
+            time_s: time_s - scenario.begin_s(),
+            voltage_v: f64::NAN,
+            current_a,
+            speed_rad_s,
+            // Where the angle is not known at the very ends, its nearest value.
+            angle: ShaftAngle::at(angle_at(time_s)),
+            torque_n_m_per_a,
+            ..constants
+        });
+        left.push(torque_n_m);
+    }
+    (at, left)
 }
 
 #[cfg(test)]

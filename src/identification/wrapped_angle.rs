@@ -137,15 +137,13 @@ fn looks_wrapped(points: &[(f64, f64)]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::testing::{changed, run_of};
     use crate::sample::Origin;
 
     fn run(angle: impl Fn(f64) -> f64, period_s: f64) -> Run {
         let times: Vec<f64> = (0..1000).map(|k| f64::from(k) * period_s).collect();
         let angles = times.iter().map(|t| angle(*t)).collect();
-        let mut run = Run::new("r", times).unwrap();
-        run.set_column(Channel::Angle, angles, Origin::Measured)
-            .unwrap();
-        run
+        run_of(times, [(Channel::Angle, angles)])
     }
 
     /// There and back, several turns each way.
@@ -179,14 +177,9 @@ mod tests {
 
     #[test]
     fn missing_cells_between_do_not_lose_a_turn() {
-        let mut holes = run(|t| motion(t).rem_euclid(TAU), 0.001);
-        let mut cells = holes.column(Channel::Angle).unwrap().to_vec();
-        for cell in cells.iter_mut().skip(7).step_by(9) {
-            *cell = f64::NAN;
-        }
-        holes
-            .set_column(Channel::Angle, cells, Origin::Measured)
-            .unwrap();
+        let hole = |row, angle| if row % 9 == 7 { f64::NAN } else { angle };
+        let turns = run(|t| motion(t).rem_euclid(TAU), 0.001);
+        let holes = changed(&turns, Channel::Angle, hole);
         let completed = complete(&holes).unwrap();
         assert!(largest_error(&completed, 0.0) < 1e-9);
         assert!(completed.column(Channel::Angle).unwrap()[7].is_nan());

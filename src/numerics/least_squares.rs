@@ -1,6 +1,6 @@
 //! Linear least squares with columns scaled to one and a covariance that is honest about correlated residuals.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 /// Smallest eigenvalue of the scaled normal matrix for a direction to count as determined. Forward differences leave
 /// about 1e-6 of a direction that is not (measured: 1.3e-6 without a speed, 0.06 and more where all is determined).
@@ -31,6 +31,107 @@ pub fn solve(matrix: &DMatrix<f64>, right: &DVector<f64>, block_of: &[usize]) ->
         x,
         covariance,
         residual,
+    })
+}
+
+/// Coefficients `x` of the columns nearest to `right`, and how much of its square they explain.
+pub fn ridge(mut columns: DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, f64) {
+    let scales: Vec<f64> = columns
+        .column_iter()
+        .map(|column| column.norm().max(f64::MIN_POSITIVE))
+        .collect();
+    for (mut column, scale) in columns.column_iter_mut().zip(&scales) {
+        column /= *scale;
+    }
+    let projected = columns.tr_mul(right);
+    // A hair of damping: a column that does nothing, or what another does, stays at zero.
+    let normal = columns.tr_mul(&columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
+    let mut solution = normal.cholesky().map_or_else(
+        || DVector::zeros(scales.len()),
+        |factor| factor.solve(&projected),
+    );
+    let explained = projected.dot(&solution);
+    for (value, scale) in solution.iter_mut().zip(&scales) {
+        *value /= *scale;
+    }
+    (solution, explained)
+}
+
+/// Least squares of rows `[regressors.., right-hand side]` with columns scaled to one.
+pub fn solve_rows<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[f64; N]> {
+    if rows.len() < N {
+        return None;
+    }
+    let mut matrix = DMatrix::from_fn(rows.len(), N, |row, column| rows[row][column]);
+    let right = DVector::from_iterator(rows.len(), rows.iter().map(|row| row[N]));
+    let norms: Vec<f64> = matrix
+        .column_iter()
+        .map(|column| column.norm().max(f64::MIN_POSITIVE))
+        .collect();
+    for (mut column, norm) in matrix.column_iter_mut().zip(&norms) {
+        column /= *norm;
+    }
+    let solution = matrix.svd(true, true).solve(&right, 1e-9).ok()?;
+    Some(std::array::from_fn(|index| solution[index] / norms[index]))
+}
+
+/// Coefficients with their standard deviations, and the root mean square of what is left over that of the right-hand side.
+pub struct NormalFit<const N: usize> {
+    pub x: [f64; N],
+    pub std: [f64; N],
+    pub error: f64,
+}
+
+/// Least squares by normal equations of scaled columns: a few coefficients, no precision wanted. Rows with a missing
+/// value are left out; `None` where a coefficient is not determined: the others leave less than `least_own` of its column.
+pub fn fit_normal<const N: usize>(
+    rows: &[([f64; N], f64)],
+    least_own: f64,
+) -> Option<NormalFit<N>> {
+    let good = || {
+        rows.iter()
+            .filter(|(x, y)| y.is_finite() && x.iter().all(|x| x.is_finite()))
+    };
+    let count = good().count();
+    if count < 4 * N {
+        return None;
+    }
+    let mut scale = [0.0_f64; N];
+    let mut level = 0.0;
+    for (x, y) in good() {
+        for (scale, x) in scale.iter_mut().zip(x) {
+            *scale += x * x;
+        }
+        level += y * y;
+    }
+    let scale = scale.map(f64::sqrt);
+    if level <= 0.0 || scale.iter().any(|scale| *scale <= 0.0) {
+        return None;
+    }
+    let mut normal = SMatrix::<f64, N, N>::zeros();
+    let mut right = SVector::<f64, N>::zeros();
+    for (x, y) in good() {
+        let x = SVector::<f64, N>::from_fn(|index, _| x[index] / scale[index]);
+        normal += x * x.transpose();
+        right += x * *y;
+    }
+    let inverse = normal.try_inverse()?;
+    // The inverse's diagonal is one over the share of a column that the others do not explain.
+    if (0..N).any(|k| !(inverse[(k, k)] > 0.0 && inverse[(k, k)] < 1.0 / least_own)) {
+        return None;
+    }
+    let solution = inverse * right;
+    let left: f64 = good()
+        .map(|(x, y)| {
+            let sum: f64 = (0..N).map(|k| solution[k] * x[k] / scale[k]).sum();
+            (y - sum).powi(2)
+        })
+        .sum();
+    let variance = left / (count - N) as f64;
+    Some(NormalFit {
+        x: std::array::from_fn(|k| solution[k] / scale[k]),
+        std: std::array::from_fn(|k| (variance * inverse[(k, k)]).sqrt() / scale[k]),
+        error: (left / level).sqrt(),
     })
 }
 

@@ -12,6 +12,7 @@ pub mod filter;
 pub mod least_squares;
 pub mod levenberg_marquardt;
 pub mod linear_map;
+pub(crate) mod propagator;
 pub mod recursive_least_squares;
 pub mod reference_recursive_least_squares;
 pub mod riccati;

@@ -26,7 +26,7 @@ pub fn variance(values: &[f64]) -> f64 {
 
 /// Median of the finite values; NaN where there are none.
 pub fn median(values: &[f64]) -> f64 {
-    let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let mut sorted = finite(values);
     if sorted.is_empty() {
         return f64::NAN;
     }
@@ -37,6 +37,25 @@ pub fn median(values: &[f64]) -> f64 {
     } else {
         sorted[middle]
     }
+}
+
+/// Median distance between instants; NaN for fewer than two.
+pub fn median_step(times: &[f64]) -> f64 {
+    let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    median(&steps)
+}
+
+/// Largest size of the values that are numbers; zero where there are none.
+pub fn largest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(0.0, |most, value| f64::max(most, value.abs()))
+}
+
+/// The values that are finite.
+pub fn finite(values: &[f64]) -> Vec<f64> {
+    let finite = values.iter().copied().filter(|value| value.is_finite());
+    finite.collect()
 }
 
 /// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.
@@ -164,6 +183,8 @@ mod tests {
         assert!((median(&values) - 2.5).abs() < 1e-15);
         assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
         assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
+        assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
+        assert!((largest(&[1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest(&[]) < 1e-15);
     }
 
     #[test]

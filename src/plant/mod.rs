@@ -16,7 +16,6 @@ mod model;
 mod model_file;
 mod motor;
 mod motor_range;
-pub(crate) mod propagator;
 mod scenario;
 mod shaft_angle;
 mod simulate;
@@ -25,6 +24,7 @@ pub(crate) mod testing;
 mod typical_size;
 mod unknown_input;
 
+pub(crate) use crate::numerics::propagator;
 pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path,
     ShaftAngle, Sums, Terms,

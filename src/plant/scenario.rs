@@ -101,6 +101,29 @@ const LONGEST_GAP_S: f64 = 60.0;
 const FEWEST_ROWS: usize = 20;
 
 impl Scenario {
+    /// An input and the instants to simulate at; nothing is measured.
+    pub fn planned(
+        name: impl Into<String>,
+        input: Input,
+        input_channel: Channel,
+        events: Vec<(f64, f64)>,
+        sample_time_s: Vec<f64>,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            input,
+            input_channel,
+            events,
+            scored: 0..sample_time_s.len(),
+            sample_time_s,
+            current_a: Vec::new(),
+            speed_rad_s: Vec::new(),
+            angle: Vec::new(),
+            time_half_width_s: Vec::new(),
+            unknown_input: Vec::new(),
+        }
+    }
+
     /// Prepares the voltage-driven simulation of `run`, or the mechanical one where there is no voltage.
     pub fn from_run(run: &Run) -> Result<Self, ScenarioError> {
         let (input, channel) = input_of(run).ok_or_else(|| ScenarioError::NoInput {

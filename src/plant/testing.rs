@@ -21,19 +21,14 @@ pub(crate) fn record(
     seed: u64,
 ) -> Scenario {
     let samples = whole(duration_s / period_s);
-    let mut scenario = Scenario {
-        name: format!("record {seed}"),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
+    let times = (0..samples).map(|k| k as f64 * period_s).collect();
+    let mut scenario = Scenario::planned(
+        format!("record {seed}"),
+        Input::Voltage,
+        Channel::VoltageCmd,
         events,
-        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        scored: 0..samples,
-    };
+        times,
+    );
     let out = Plant::new(model, Input::Voltage)
         .expect("tests give complete models")
         .simulate(&scenario, State::default());

@@ -101,6 +101,36 @@ impl ParameterEstimate {
         }
     }
 
+    /// The estimate of a key.
+    pub fn find<'a>(parameters: &'a [Self], key: &str) -> Option<&'a Self> {
+        parameters.iter().find(|parameter| parameter.key == key)
+    }
+
+    /// The value of a key, where it was found.
+    pub fn value_of(parameters: &[Self], key: &str) -> Option<f64> {
+        Self::find(parameters, key)?.value
+    }
+
+    /// A settled verdict is taken back to searching, for a reason; any other stays.
+    pub fn unsettle(&mut self, reason: impl Into<String>) {
+        if self.verdict == Verdict::Settled {
+            self.verdict = Verdict::Searching;
+            self.reason = Some(reason.into());
+        }
+    }
+
+    /// A value that was given and not fitted.
+    pub fn fixed(key: impl Into<String>, unit: &'static str, value: f64) -> Self {
+        Self {
+            key: key.into(),
+            value: Some(value),
+            std: Some(0.0),
+            unit,
+            verdict: Verdict::Fixed,
+            reason: None,
+        }
+    }
+
     /// A parameter that the data do not carry.
     pub fn not_observable(key: &str, unit: &'static str, reason: impl Into<String>) -> Self {
         Self {

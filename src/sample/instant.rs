@@ -112,6 +112,12 @@ impl Sample {
         }
     }
 
+    /// The value of a channel if it is good.
+    pub fn good(&self, channel: Channel) -> Option<f64> {
+        let is_good = self.quality(channel) == Quality::Good;
+        self.get(channel).filter(|_| is_good)
+    }
+
     pub fn quality(&self, channel: Channel) -> Quality {
         match (self.get(channel), self.stale[channel.index()]) {
             (None, _) => Quality::Missing,

@@ -12,6 +12,7 @@ const FLOORS: &[&[&str]] = &[
     &["units", "config_text"],
     &["text"],
     &["sample"],
+    &["signal"],
     &["numerics"],
     &["plant", "excitation", "drive", "recording"],
     &["identification"],

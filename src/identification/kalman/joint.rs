@@ -4,10 +4,10 @@
 //! that is certain, if there was no start or the two contradict each other by a fifth. A filter that starts from wild
 //! values may lose its way (Ljung, *IEEE Trans. Automatic Control* AC-24 (1979) 36); scheme 3's linear start cannot.
 
-use super::covariance::{I, J, KE, L, MC, N, R, TL};
-use super::filter::{Disturbance, Filter, Mode, Tally};
-use super::friction::KnownEffects;
-use super::load::{LoadPoint, good};
+use super::filter::{Disturbance, Filter, I, J, KE, L, MC, Mode, N, R, TL, Tally};
+use super::load::LoadPoint;
+use super::physics::KnownEffects;
+use crate::identification::online::AppliedVoltage;
 use crate::identification::recursive::{Memory, Scheme3};
 use crate::identification::verdict;
 use crate::plant::{Model, MotorKey, Slot, UnknownInput};
@@ -66,7 +66,7 @@ pub struct Kalman {
     starter: Option<Box<Scheme3>>,
     begun: bool,
     samples: u32,
-    commanded: bool,
+    applied: AppliedVoltage,
     restarts: u32,
 }
 
@@ -74,16 +74,9 @@ impl Kalman {
     pub fn new(config: &KalmanConfig) -> Self {
         let motor = &config.model.motor;
         let torque = motor.get(MotorKey::TorqueConstant);
-        let positive = |key: MotorKey| {
-            motor
-                .get(key)
-                .filter(|value| *value > 0.0 && value.is_finite())
-        };
-        let fixed = PARAMETERS.map(|(key, _)| {
-            motor
-                .get(key)
-                .filter(|_| config.model.fixed.iter().any(|fixed| fixed == key.key()))
-        });
+        let given = |key: MotorKey| config.model.fixed.iter().any(|fixed| fixed == key.key());
+        let fixed = PARAMETERS.map(|(key, _)| motor.get(key).filter(|_| given(key)));
+        let positive = |value: &f64| *value > 0.0 && value.is_finite();
         let mut filter = Filter::new([0.0; N], [0.0; N], torque);
         filter.asleep = true;
         filter.effects = KnownEffects::of(&config.model).0;
@@ -98,10 +91,10 @@ impl Kalman {
             starter: Some(Box::new(Scheme3::new(Memory::default(), torque, None))),
             begun: false,
             samples: 0,
-            commanded: false,
+            applied: AppliedVoltage::default(),
             restarts: 0,
         };
-        let [r, l, ke, j] = [0, 1, 2, 3].map(|k| positive(PARAMETERS[k].0));
+        let [r, l, ke, j] = [0, 1, 2, 3].map(|k| motor.get(PARAMETERS[k].0).filter(positive));
         if let (Some(r), Some(l), Some(ke), Some(j)) = (r, l, ke, j) {
             let load = motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
             kalman.start([r, l, ke, j, load], [GUESS_SPREAD; 5]);
@@ -163,7 +156,7 @@ impl Kalman {
 
     /// The voltage that the drive has applied from `time_s` on; see [`crate::identification::online::Online`].
     pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.commanded = true;
+        self.applied.command();
         self.voltage_applied(time_s, voltage_v);
     }
 
@@ -180,14 +173,10 @@ impl Kalman {
     /// is held in its place. Stale or missing: the other quantity is used alone.
     pub fn push(&mut self, sample: &Sample) {
         let time_s = sample.time_s;
-        if let Some(volts) = sample.get(Channel::VoltageCmd) {
-            self.command_applied(time_s, volts);
-        } else if !self.commanded
-            && let Some(volts) = sample.get(Channel::Voltage)
-        {
+        if let Some(volts) = self.applied.of(sample) {
             self.voltage_applied(time_s, volts);
         }
-        let measured = [Channel::Current, Channel::Speed].map(|channel| good(sample, channel));
+        let measured = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
         if measured == [None, None] {
             return;
         }
@@ -270,12 +259,8 @@ impl Kalman {
                 let (prior, left) = (self.filter.prior[state], self.filter.belief.p[state][state]);
                 if prior <= 0.0 {
                     return ParameterEstimate {
-                        key: key.key().to_owned(),
-                        value: Some(values[k]),
                         std: None,
-                        unit: key.unit(),
-                        verdict: Verdict::Fixed,
-                        reason: None,
+                        ..ParameterEstimate::fixed(key.key(), key.unit(), values[k])
                     };
                 }
                 if left > IGNORANT * prior {
@@ -308,18 +293,16 @@ impl Kalman {
             if ratio > HOPELESS {
                 judged.verdict = Verdict::Invalid;
                 judged.reason = Some(format!("{figure}: the model does not describe these data"));
-            } else if judged.verdict == Verdict::Settled {
-                judged.verdict = Verdict::Searching;
-                judged.reason = Some(format!(
+            } else {
+                judged.unsettle(format!(
                     "{figure}: an effect is missing, or the filter is not there yet"
                 ));
             }
-        } else if judged.verdict == Verdict::Settled {
+        } else {
             let rows = self.filter.tally.used.max(1) as f64;
             let share = self.filter.tally.outliers as f64 / rows;
             if share > MOST_OUTLIERS {
-                judged.verdict = Verdict::Searching;
-                judged.reason = Some(format!("{:.1} % of the rows are outliers", 100.0 * share));
+                judged.unsettle(format!("{:.1} % of the rows are outliers", 100.0 * share));
             }
         }
         judged

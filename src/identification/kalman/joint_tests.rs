@@ -2,21 +2,20 @@
 
 use rayon::prelude::*;
 
-use super::super::testbed::*;
 use super::*;
-use crate::plant::Motor;
+use crate::identification::testing::{self, *};
 
 fn errors(found: &Kalman, truth: &Truth) -> Vec<f64> {
-    found
-        .estimates()
-        .iter()
-        .zip(truth)
-        .map(|(estimate, truth)| estimate.value.map_or(f64::NAN, |value| value / truth - 1.0))
-        .collect()
+    testing::errors(&found.estimates(), truth)
 }
 
 fn unknown() -> KalmanConfig {
     KalmanConfig::default()
+}
+
+/// Steps after half a second of rest.
+fn steps(seconds: f64, scale: f64, hold_s: f64) -> Vec<(f64, f64)> {
+    testing::steps(0.5037, seconds, scale, hold_s)
 }
 
 /// Bias, spread, reported deviation (all relative) and share of covered truths, over seeds.
@@ -28,13 +27,11 @@ struct Statistics {
     missing: u32,
 }
 
-fn statistics(record: &Record, noise: [f64; 2], truth: &Truth, seeds: u64) -> Statistics {
+fn statistics(record: &Record, truth: &Truth, seeds: u64) -> Statistics {
     let rows: Vec<[[f64; 2]; 5]> = (0..seeds)
         .into_par_iter()
         .filter_map(|seed| {
-            let run = record.run(noise, seed);
-            let found = identify(&unknown(), &run, &[]);
-            let estimates = found.estimates();
+            let estimates = identify(&unknown(), &record.run(Some(seed)), &[]).estimates();
             let mut row = [[0.0; 2]; 5];
             for k in 0..5 {
                 row[k] = [
@@ -84,12 +81,9 @@ fn without_noise_every_parameter_is_found() {
     for (name, truth, scale, hold_s, period_s) in cases() {
         let seconds = 4.0;
         let model = Model::baseline(motor(&truth));
-        let record = Record::of(
-            &model,
-            steps(seconds, scale, hold_s),
-            every(period_s, seconds),
-        );
-        let found = identify(&unknown(), &record.run([0.0; 2], 0), &[]);
+        let events = steps(seconds, scale, hold_s);
+        let record = Record::of(&model, events, every(period_s, seconds));
+        let found = identify(&unknown(), &record.run(None), &[]);
         let found = errors(&found, &truth);
         println!("{name} {found:.6?}");
         assert!(found.iter().all(|e| e.abs() < 0.001), "{name} {found:?}");
@@ -102,10 +96,9 @@ fn intervals_cover_on_three_motors_at_regular_and_jittered_stamps() {
     for (name, truth, scale, hold_s, period_s) in [cases()[1], cases()[3], cases()[5]] {
         let seconds = 6.0;
         let model = Model::baseline(motor(&truth));
-        let noise = [CURRENT_NOISE_A, SPEED_NOISE_RAD_S];
         let stamps = jittered(period_s, seconds, 5);
         let record = Record::of(&model, steps(seconds, scale, hold_s), stamps);
-        let found = statistics(&record, noise, &truth, 60);
+        let found = statistics(&record, &truth, 60);
         print(name, &found);
         assert_eq!(found.missing, 0);
         assert!(found.covered.iter().all(|share| *share >= 0.83), "{name}");
@@ -119,7 +112,7 @@ fn intervals_cover_on_three_motors_at_regular_and_jittered_stamps() {
 fn paper_run(period_s: f64, seed: u64) -> Run {
     let model = Model::baseline(motor(&PAPER));
     let record = Record::of(&model, steps(4.0, 1.0, 0.0613), every(period_s, 4.0));
-    record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], seed)
+    record.run(Some(seed))
 }
 
 #[test]
@@ -132,9 +125,8 @@ fn on_line_from_a_guess_that_is_far_off_and_without_any() {
     for period_s in [0.001, 0.01] {
         for config in [far.clone(), unknown()] {
             let mut kalman = Kalman::new(&config);
-            paper_run(period_s, 1)
-                .samples()
-                .for_each(|sample| kalman.push(&sample));
+            let run = paper_run(period_s, 1);
+            run.samples().for_each(|sample| kalman.push(&sample));
             let found = errors(&kalman, &PAPER);
             println!("{period_s} {found:.5?} {}", kalman.summary());
             assert!(found.iter().all(|e| e.abs() < 0.01), "{found:?}");
@@ -146,7 +138,7 @@ fn on_line_from_a_guess_that_is_far_off_and_without_any() {
 fn standstill_claims_nothing_and_says_why_in_numbers() {
     let model = Model::baseline(motor(&PAPER));
     let record = Record::of(&model, vec![(0.0, 0.0)], every(0.001, 2.0));
-    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 1);
+    let run = record.run(Some(1));
     let known = KalmanConfig { model, ..unknown() };
     for config in [unknown(), known] {
         for estimate in identify(&config, &run, &[]).estimates() {
@@ -161,7 +153,7 @@ fn standstill_claims_nothing_and_says_why_in_numbers() {
 fn constant_voltage_settles_neither_inductance_nor_inertia() {
     let model = Model::baseline(motor(&PAPER));
     let record = Record::of(&model, vec![(0.0, 40.0)], every(0.001, 4.0));
-    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 3);
+    let run = record.run(Some(3));
     // The run without its start: nothing but steady state.
     let steady = run.slice(1500, run.rows(), "steady");
     let known = KalmanConfig { model, ..unknown() };
@@ -207,14 +199,10 @@ fn a_hotter_winding_and_twice_the_inertia_are_followed() {
     let changed = Model::baseline(motor(&truth));
     for period_s in [0.001, 0.01] {
         let mut kalman = Kalman::new(&unknown());
-        paper_run(period_s, 3)
-            .samples()
-            .for_each(|sample| kalman.push(&sample));
+        let run = paper_run(period_s, 3);
+        run.samples().for_each(|sample| kalman.push(&sample));
         let record = Record::of(&changed, steps(6.0, 1.0, 0.0613), every(period_s, 6.0));
-        for mut sample in record
-            .run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 4)
-            .samples()
-        {
+        for mut sample in record.run(Some(4)).samples() {
             sample.time_s += 5.0;
             kalman.push(&sample);
         }
@@ -227,20 +215,16 @@ fn a_hotter_winding_and_twice_the_inertia_are_followed() {
 
 #[test]
 fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
-    let mut truth = Model::baseline(motor(&PAPER));
-    let viscous = crate::plant::effect::find("quadratic_load").unwrap();
-    let mut active = crate::plant::ActiveEffect::new(viscous);
-    active.values[0] = Some(5e-5);
-    truth.effects.push(active);
+    let truth = paper_with("quadratic_load", &[5e-5]);
     let record = Record::of(&truth, steps(6.0, 1.0, 0.0613), every(0.001, 6.0));
-    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 5);
+    let run = record.run(Some(5));
     let blind = identify(&unknown(), &run, &[]);
     for estimate in blind.estimates() {
         println!("blind {estimate:?}");
         assert_ne!(estimate.verdict, Verdict::Settled);
     }
     // Told of the effect, it finds the motor.
-    let mut model = Model::baseline(Motor::new("?"));
+    let mut model = testing::unknown();
     model.effects = truth.effects;
     let told = identify(&KalmanConfig { model, ..unknown() }, &run, &[]);
     let found = errors(&told, &PAPER);

@@ -1,10 +1,8 @@
 //! Load tracking against an independent integrator: Runge-Kutta at 50 us with its own stick-slip.
 
-use super::super::testbed::*;
-use super::super::{LoadOptions, LoadTrace, load_torque_trace};
 use super::*;
-use crate::plant::{Motor, Scenario};
-use crate::sample::Run;
+use crate::identification::testing::{self, *};
+use crate::plant::Motor;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, StandardNormal};
 
@@ -61,7 +59,7 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
 }
 
 fn track(record: &Record, seed: u64, rate: Option<f64>) -> LoadTrace {
-    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], seed);
+    let run = record.run(Some(seed));
     let model = Model::baseline(motor(&PAPER));
     let options = LoadOptions {
         rate_n_m_per_sqrt_s: rate,
@@ -207,19 +205,16 @@ fn the_standard_deviation_is_honest_and_the_rate_is_found() {
 #[test]
 fn current_alone_drives_the_shaft_where_there_is_no_voltage() {
     let record = plant(&events(), &stepping, 0.001, 6.0);
-    let full = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 3);
+    let full = record.run(Some(3));
     let keep: Vec<usize> = (0..full.rows())
         .filter(|row| full.column(Channel::Speed).unwrap()[*row].is_finite())
         .collect();
-    let mut run = Run::new("current", keep.iter().map(|k| full.time_s()[*k]).collect()).unwrap();
-    for channel in [Channel::Current, Channel::Speed] {
-        let cells = keep
-            .iter()
-            .map(|k| full.column(channel).unwrap()[*k])
-            .collect();
-        run.set_column(channel, cells, crate::sample::Origin::Measured)
-            .unwrap();
-    }
+    let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect();
+    let column = |channel| (channel, pick(full.column(channel).unwrap()));
+    let run = run_of(
+        pick(full.time_s()),
+        [column(Channel::Current), column(Channel::Speed)],
+    );
     let mut model = Model::baseline(motor(&PAPER));
     for key in [
         MotorKey::Resistance,
@@ -241,7 +236,7 @@ fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
     // 0.3 V drive too little to move; a load of 0.2 N.m leans against the friction of 0.455 N.m.
     let record = plant(&[(0.0, 0.0), (0.5, 0.3)], &|_| 0.2, 0.001, 2.0);
     assert!(record.speed.iter().all(|w| *w == 0.0));
-    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 4);
+    let run = record.run(Some(4));
     let model = Model::baseline(motor(&PAPER));
     let mut tracker = LoadTracker::new(&model, Input::Voltage, 0.5).unwrap();
     let last = run
@@ -266,9 +261,9 @@ fn what_is_missing_or_impossible_is_named() {
     let motor = motor(&PAPER).with(MotorKey::Inertia, -1.0);
     let error = LoadTracker::new(&Model::baseline(motor), Input::Voltage, 0.5).unwrap_err();
     assert!(error.to_string().contains("inertia_kg_m2 = -1"), "{error}");
-    let good = Model::baseline(super::super::testbed::motor(&PAPER));
+    let good = Model::baseline(testing::motor(&PAPER));
     assert!(LoadTracker::new(&good, Input::Voltage, f64::NAN).is_err());
     let record = plant(&events(), &stepping, 0.01, 1.0);
-    let scenario = Scenario::from_run(&record.run([0.0; 2], 0)).unwrap();
+    let scenario = Scenario::from_run(&record.run(None)).unwrap();
     assert_eq!(scenario.input, Input::Voltage);
 }

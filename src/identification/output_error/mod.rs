@@ -5,24 +5,24 @@
 //!                                                                        block-clustered covariance
 //! ```
 //!
-//! DISCOVERY.md 2.4 and 2.12. Positive parameters are fitted as logarithms; the initial state is a nuisance where the
+//! Positive parameters are fitted as logarithms; the initial state is a nuisance where the
 //! run does not start at rest. The residual is `[(i - i^)/sigma_i ; (w - w^)/sigma_w]` over the scored samples.
 
-mod covariance;
-mod delayed;
 mod free_run;
 
+use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-use crate::numerics::levenberg_marquardt::{self, Minimum, Options};
+use crate::numerics::count::whole;
+use crate::numerics::least_squares::{clustered, inverse_where_determined};
+use crate::numerics::levenberg_marquardt::{self, Minimum, Options, Problem as _};
+use crate::numerics::statistics;
 use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::ParameterEstimate;
 
-pub use covariance::BLOCK_S;
-pub use delayed::fit_delayed;
 pub use free_run::{FreeRun, weighted_residual};
 
-use super::noise::NoiseFloor;
+use super::noise::{FloorSource, NoiseFloor};
 use super::verdict::judge;
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -66,6 +66,12 @@ impl FitError {
     }
 }
 
+pub(super) fn cannot_simulate(scenario: &Scenario) -> FitError {
+    FitError::CannotSimulate {
+        run: scenario.name.clone(),
+    }
+}
+
 /// A fitted model with what is known about its parameters.
 #[derive(Clone, Debug)]
 pub struct Fit {
@@ -98,9 +104,7 @@ pub fn fit_with(
     options: Options,
 ) -> Result<Fit, FitError> {
     let mut best: Option<Fit> = None;
-    let mut failure = FitError::CannotSimulate {
-        run: scenario.name.clone(),
-    };
+    let mut failure = cannot_simulate(scenario);
     for start in starts {
         match fit_from(start, scenario, noise, options) {
             Ok(found)
@@ -127,14 +131,10 @@ fn fit_from(
     if problem.free_slots().is_empty() {
         return Err(FitError::NothingFree);
     }
-    let x0 = problem.start();
-    let minimum = levenberg_marquardt::minimise(&problem, &x0, options).ok_or_else(|| {
-        FitError::CannotSimulate {
-            run: scenario.name.clone(),
-        }
-    })?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)
+        .ok_or_else(|| cannot_simulate(scenario))?;
     let model = problem.model_at(&minimum.x);
-    let interval_factor = covariance::interval_factor(&minimum, problem.rows(), noise);
+    let interval_factor = interval_factor(&minimum, problem.rows(), noise);
     let parameters = estimates(&problem, &minimum, scenario, interval_factor, &[]);
     Ok(Fit {
         nrms: nrms(&minimum, problem.rows()),
@@ -174,7 +174,7 @@ fn estimates(
     shared: &[f64],
 ) -> Vec<ParameterEstimate> {
     let model = &problem.model_at(&minimum.x);
-    let covariance = covariance::at_minimum(minimum, problem.rows(), scenario);
+    let covariance = covariance_at(minimum, problem.rows(), scenario);
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     let slopes = problem.slopes(&minimum.x);
@@ -190,15 +190,8 @@ fn estimates(
                 .iter()
                 .position(|free| free.key() == key)
             else {
-                let (std, reason) = (Some(0.0), None);
-                return ParameterEstimate {
-                    key,
-                    value,
-                    std,
-                    unit: slot.unit(),
-                    verdict: Verdict::Fixed,
-                    reason,
-                };
+                let fixed = ParameterEstimate::fixed(key, slot.unit(), f64::NAN);
+                return ParameterEstimate { value, ..fixed };
             };
             if let Some(reason) = &still {
                 return ParameterEstimate::not_observable(&key, slot.unit(), reason.clone());
@@ -209,13 +202,152 @@ fn estimates(
                 own.hypot(shared.get(index).copied().unwrap_or(0.0)) * slopes[index].abs()
             });
             let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
-            if !minimum.converged && judged.verdict == Verdict::Settled {
-                judged.verdict = Verdict::Searching;
-                judged.reason = Some("the fit had not converged".to_owned());
+            if !minimum.converged {
+                judged.unsettle("the fit had not converged");
             }
             judged
         })
         .collect()
+}
+
+/// Length of one block, s.
+pub const BLOCK_S: f64 = 0.25;
+
+/// Block-clustered covariance at a minimum; NaN on the diagonal where the data leave a parameter undetermined. A variance
+/// from some ten blocks is itself uncertain by a quarter: none counts that is below what white residuals of this size
+/// would make.
+fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario) -> DMatrix<f64> {
+    let (bread, determined) = inverse_where_determined(&minimum.jacobian);
+    let begin_s = rows
+        .first()
+        .map_or(0.0, |row| scenario.sample_time_s[row.0]);
+    let blocks: Vec<usize> = rows
+        .iter()
+        .map(|row| whole((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S))
+        .collect();
+    let residual = DVector::from_column_slice(&minimum.residual);
+    let spare = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
+    let white = bread.diagonal() * (residual.norm_squared() / spare);
+    let mut covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
+    for (index, least) in white.iter().enumerate() {
+        if covariance[(index, index)] < *least {
+            covariance[(index, index)] = *least;
+        }
+    }
+    covariance
+}
+
+/// What standard deviations are multiplied by where more than noise is left over.
+const WIDENED: f64 = 2.0;
+/// Error in units of the noise above which more than noise is left over.
+const ABOVE_THE_NOISE: f64 = 1.1;
+
+/// Factor on every standard deviation of a fit. Blocks cover what neighbouring samples share, but not what a missing effect
+/// puts into whole stretches of the run: where the error stands above the noise, or is coloured, the interval is doubled.
+/// It then holds if nothing else is missing.
+fn interval_factor(minimum: &Minimum, rows: &[(usize, bool)], noise: &NoiseFloor) -> f64 {
+    let residual = minimum.residual.as_slice();
+    let nrms = nrms(minimum, rows);
+    let above = noise.source != FloorSource::None && nrms > noise.tolerance(ABOVE_THE_NOISE);
+    let is_coloured = |speed: bool| {
+        let of_signal: Vec<f64> = rows
+            .iter()
+            .zip(residual)
+            .filter(|((_, is_speed), _)| *is_speed == speed)
+            .map(|(_, value)| *value)
+            .collect();
+        statistics::is_coloured(&of_signal)
+    };
+    if above || is_coloured(false) || is_coloured(true) {
+        WIDENED
+    } else {
+        1.0
+    }
+}
+
+/// Rounds at most, and the step in standard deviations at which they end.
+const MOST_ROUNDS: usize = 6;
+const SMALL_STEP: f64 = 0.1;
+/// Share of what is known beforehand that the derivative is taken over.
+const DIFFERENCE: f64 = 0.02;
+
+/// Output-error fit where the host stamped samples and commands: by how much the input came later than its stamps say is
+/// one more unknown of the record, with what is known of it beforehand.
+///
+/// Gauss-Newton by blocks: the parameters at a delay, then the delay along what they cannot follow, `g - J (J'J)^-1 J'g`.
+/// What is left unknown of it enters every parameter's interval along `(J'J)^-1 J'g`.
+///
+/// As [`fit`]; the same where the drive stamped everything itself.
+pub fn fit_delayed(
+    starts: &[Model],
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Fit, FitError> {
+    let Some((mean_s, prior_s)) = scenario.input_delay_s() else {
+        return fit(starts, scenario, noise);
+    };
+    let mut delay_s = mean_s;
+    let mut found = fit(starts, &scenario.with_input_delayed(delay_s), noise)?;
+    for round in 0..MOST_ROUNDS {
+        let here = scenario.with_input_delayed(delay_s);
+        let x = &found.minimum.x;
+        let residual_at = |delay_s: f64| -> Result<DVector<f64>, FitError> {
+            let there = scenario.with_input_delayed(delay_s);
+            let problem = FreeRun::new(&found.model, &there, *noise)?;
+            let mut out = vec![0.0; problem.residual_len()];
+            if problem.residual(x, &mut out) {
+                Ok(DVector::from_vec(out))
+            } else {
+                Err(cannot_simulate(scenario))
+            }
+        };
+        let half_s = DIFFERENCE * prior_s;
+        let gradient =
+            (residual_at(delay_s + half_s)? - residual_at(delay_s - half_s)?) / (2.0 * half_s);
+        let jacobian = &found.minimum.jacobian;
+        let (bread, _) = inverse_where_determined(jacobian);
+        let along = bread * jacobian.tr_mul(&gradient);
+        let own = &gradient - jacobian * &along;
+        let residual = DVector::from_column_slice(&found.minimum.residual);
+        let problem = FreeRun::new(&found.model, &here, *noise)?;
+        let left = (found.interval_factor * found.nrms.max(1.0)).powi(2);
+        let information = own.norm_squared() / left + prior_s.powi(-2);
+        let pull = own.dot(&residual) / left + (delay_s - mean_s) / prior_s.powi(2);
+        let white_s = information.sqrt().recip();
+        let step_s = -pull / information;
+        if step_s.abs() > SMALL_STEP * white_s && round + 1 < MOST_ROUNDS {
+            delay_s += step_s.clamp(-prior_s, prior_s);
+            let next = scenario.with_input_delayed(delay_s);
+            found = fit(std::slice::from_ref(&found.model), &next, noise)?;
+            continue;
+        }
+        // What neighbouring samples err by together, as the parameters' own intervals have it.
+        let mut blocks: Vec<f64> = Vec::new();
+        let mut last = None;
+        for (row, (sample, _)) in problem.rows().iter().enumerate() {
+            let block = (here.sample_time_s[*sample] / BLOCK_S).floor();
+            if last != Some(block) {
+                blocks.push(0.0);
+                last = Some(block);
+            }
+            if let Some(score) = blocks.last_mut() {
+                *score += own[row] * residual[row];
+            }
+        }
+        let scores: f64 = blocks.iter().map(|score| score * score).sum();
+        let clustered_s = found.interval_factor * scores.sqrt() / (left * information);
+        let std_s = white_s.max(clustered_s).min(prior_s);
+        let shared: Vec<f64> = along.iter().map(|share| share * std_s).collect();
+        found.parameters = estimates(
+            &problem,
+            &found.minimum,
+            &here,
+            found.interval_factor,
+            &shared,
+        );
+        break;
+    }
+    Ok(found)
 }
 
 /// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest, and the
@@ -263,9 +395,7 @@ pub fn predict(
         .filter_map(|(_, start)| predict_from(start, scenario, noise, Options::thrifty()).ok())
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(prediction, _)| prediction)
-        .ok_or_else(|| FitError::CannotSimulate {
-            run: scenario.name.clone(),
-        })
+        .ok_or_else(|| cannot_simulate(scenario))
 }
 
 /// Time behind a run's end at which what begins there does nothing in it, s.
@@ -281,12 +411,8 @@ fn predict_from(
     options: Options,
 ) -> Result<(Prediction, f64), FitError> {
     let problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
-    let x0 = problem.start();
-    let minimum = levenberg_marquardt::minimise(&problem, &x0, options).ok_or_else(|| {
-        FitError::CannotSimulate {
-            run: scenario.name.clone(),
-        }
-    })?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)
+        .ok_or_else(|| cannot_simulate(scenario))?;
     let prediction = Prediction {
         trajectory: problem.trajectory(&minimum.x)?,
         start: problem.initial_state(&minimum.x),

@@ -1,14 +1,7 @@
 use super::*;
-use crate::identification::noise::FloorSource;
-use crate::plant::{Input, Motor, MotorKey, Plant, testing};
+use crate::identification::testing::{self, *};
+use crate::plant::{Input, MotorKey};
 use crate::sample::Verdict;
-
-const NOISE: NoiseFloor = NoiseFloor {
-    current_a: testing::CURRENT_NOISE_A,
-    speed_rad_s: testing::SPEED_NOISE_RAD_S,
-    source: FloorSource::Standstill,
-    samples: 1000,
-};
 
 /// A run of steps both ways with a creep through zero, simulated with `model` and sampled with white noise.
 fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
@@ -39,23 +32,16 @@ fn off_by(model: &Model, factor: f64) -> Model {
 
 #[test]
 fn the_truth_is_found_from_thirty_per_cent_off_at_both_rates() {
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     for (period_s, tolerance) in [(0.001, 0.003), (0.01, 0.01)] {
         let fit = fit(&[off_by(&truth, 1.3)], &record(&truth, period_s, 1), &NOISE).unwrap();
         for slot in truth.slots() {
             let (found, true_value) = (fit.model.get(&slot).unwrap(), truth.get(&slot).unwrap());
-            assert!(
-                (found / true_value - 1.0).abs() < tolerance,
-                "{} {found} {true_value}",
-                slot.key()
-            );
+            assert_near(found, true_value, tolerance);
         }
         assert!((fit.nrms - 1.0).abs() < 0.05, "{}", fit.nrms);
-        assert!(
-            fit.parameters
-                .iter()
-                .all(|estimate| estimate.verdict == Verdict::Settled)
-        );
+        let settled = |estimate: &ParameterEstimate| estimate.verdict == Verdict::Settled;
+        assert!(fit.parameters.iter().all(settled), "{:?}", fit.parameters);
     }
 }
 
@@ -64,7 +50,7 @@ const HALF: f64 = 0.674;
 
 #[test]
 fn intervals_cover_the_truth_and_are_no_wider_than_that_takes() {
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     let (mut inside, mut within_half, mut all) = (0_u32, 0_u32, 0_u32);
     for seed in 0..30 {
         let fit = fit(
@@ -90,28 +76,17 @@ fn intervals_cover_the_truth_and_are_no_wider_than_that_takes() {
 
 #[test]
 fn effect_parameters_are_fitted_with_the_motor() {
-    let mut truth = Model::baseline(Motor::zk_22fc())
-        .with_effect("stribeck_friction")
-        .unwrap();
-    truth.effects[0].values = vec![Some(0.15), Some(9.0)];
-    let start = Model::baseline(Motor::zk_22fc())
-        .with_effect("stribeck_friction")
-        .unwrap();
+    let truth = paper_with("stribeck_friction", &[0.15, 9.0]);
+    let start = paper().with_effect("stribeck_friction").unwrap();
     let fit = fit(&[start], &record(&truth, 0.002, 3), &NOISE).unwrap();
-    let size = fit
-        .parameters
-        .iter()
-        .find(|p| p.key == "stribeck_friction.stribeck_n_m")
-        .unwrap();
-    assert!(
-        (size.value.unwrap() - 0.15).abs() < 4.0 * size.std.unwrap() + 0.003,
-        "{size:?}"
-    );
+    let size = of(&fit.parameters, "stribeck_friction.stribeck_n_m");
+    let off = (size.value.unwrap() - 0.15).abs();
+    assert!(off < 4.0 * size.std.unwrap() + 0.003, "{size:?}");
 }
 
 #[test]
 fn a_run_that_starts_in_motion_has_its_initial_state_fitted() {
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     let mut scenario = record(&truth, 0.002, 5);
     let cut = 700;
     scenario.events.retain(|(time, _)| *time >= 0.9);
@@ -129,12 +104,11 @@ fn a_run_that_starts_in_motion_has_its_initial_state_fitted() {
 
 #[test]
 fn a_run_without_motion_claims_neither_inertia_nor_back_emf() {
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     let mut scenario = record(&truth, 0.002, 7);
     scenario.events = vec![(0.0, 0.0), (0.4, 1.0), (2.0, -1.0), (4.0, 0.5)];
-    let out = Plant::new(&truth, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario, State::default());
+    let (events, times) = (scenario.events.clone(), scenario.sample_time_s.clone());
+    let out = testing::simulated(&truth, Input::Voltage, events, times);
     for (k, current) in out.current_a.iter().enumerate() {
         scenario.current_a[k] = current + if k.is_multiple_of(2) { 0.03 } else { -0.03 };
         scenario.speed_rad_s[k] = if k.is_multiple_of(2) { 0.1 } else { -0.1 };
@@ -143,17 +117,14 @@ fn a_run_without_motion_claims_neither_inertia_nor_back_emf() {
     for estimate in &fit.parameters {
         let electrical = ["resistance_ohm", "inductance_h"].contains(&estimate.key.as_str());
         assert_eq!(estimate.value.is_some(), electrical, "{estimate:?}");
-        assert_eq!(
-            estimate.verdict == Verdict::NotObservable,
-            !electrical,
-            "{estimate:?}"
-        );
+        let is_open = estimate.verdict == Verdict::NotObservable;
+        assert_eq!(is_open, !electrical, "{estimate:?}");
     }
 }
 
 #[test]
 fn nothing_free_and_nothing_measured_are_errors() {
-    let mut truth = Model::baseline(Motor::zk_22fc());
+    let mut truth = paper();
     let mut scenario = record(&truth, 0.01, 9);
     truth.fixed = truth.slots().iter().map(Slot::key).collect();
     assert_eq!(
@@ -171,7 +142,7 @@ fn nothing_free_and_nothing_measured_are_errors() {
 #[test]
 fn without_a_speed_only_ratios_are_determined_and_nothing_is_invented() {
     // Current alone fixes Ke^2/J and Ke Mc/J, not Ke, J and Mc.
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     let mut scenario = record(&truth, 0.002, 11);
     scenario.speed_rad_s.fill(f64::NAN);
     let noise = NoiseFloor {
@@ -198,20 +169,11 @@ fn ringing(model: &Model, seed: u64) -> Scenario {
 
 #[test]
 fn a_second_inertia_is_found_from_the_neighbour_on_the_grid() {
-    let with = |motor: &Model, id: &str, values: &[f64]| {
-        let mut model = motor.with_effect(id).unwrap();
-        model.effects[0].values = values.iter().copied().map(Some).collect();
-        model
-    };
-    let motor = Model::baseline(Motor::zk_22fc());
     let truth = [25.3, 0.47, 0.02, 0.35];
-    let record = ringing(&with(&motor, "elastic_coupling", &truth), 4);
+    let record = ringing(&paper_with("elastic_coupling", &truth), 4);
     // The motor as a fit without the effect leaves it.
-    let start = with(
-        &off_by(&motor, 1.1),
-        "elastic_coupling",
-        &[22.0, 0.55, 0.03, 0.5],
-    );
+    let neighbour = paper_with("elastic_coupling", &[22.0, 0.55, 0.03, 0.5]);
+    let start = off_by(&neighbour, 1.1);
     let fit = fit(&[start], &record, &NOISE).unwrap();
     let found = fit.model.effects[0].values_or_guess();
     for ((value, truth), tolerance) in found.iter().zip(truth).zip([0.005, 0.02, 0.1, 0.1]) {
@@ -230,8 +192,7 @@ fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
     let events = (0..600)
         .map(|k| (0.01 * f64::from(k), 2.0 + 2.0 * (0.37 * f64::from(k)).sin()))
         .collect();
-    let mut run =
-        crate::plant::testing::record(&Model::baseline(Motor::zk_22fc()), events, 0.01, 6.0, 3);
+    let mut run = testing::record(&paper(), events, 0.01, 6.0, 3);
     for (k, speed) in run.speed_rad_s.iter_mut().enumerate() {
         let noise = 3.0 * (k as f64 * 7919.0).sin();
         *speed = 1633.0 * (1.0 - (0.02 * k as f64).cos()) + noise;
@@ -240,16 +201,9 @@ fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
         *current = 0.2 + 0.3 * (k as f64 * 104_729.0).sin();
     }
     let noise = NoiseFloor::from_spread(&run);
-    let fit = fit(&[Model::baseline(Motor::zk_22fc())], &run, &noise).unwrap();
+    let fit = fit(&[paper()], &run, &noise).unwrap();
     let reasons = fit.parameters.iter().filter_map(|p| p.reason.as_deref());
     let said: Vec<&str> = reasons.collect();
-    assert!(
-        said.iter().all(|reason| !reason.contains("steady state")),
-        "{said:?}"
-    );
-    assert!(
-        said.iter()
-            .any(|reason| reason.contains("does not follow them")),
-        "{said:?}"
-    );
+    assert!(!said.concat().contains("steady state"), "{said:?}");
+    assert!(said.concat().contains("does not follow them"), "{said:?}");
 }

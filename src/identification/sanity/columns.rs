@@ -1,7 +1,6 @@
 //! Columns in each other's place, or with the wrong sign: both balances under every other assignment.
 
-use super::balance::{Balances, Roles};
-use super::table::{Activity, Table};
+use super::table::{Activity, Balances, Roles, Table};
 use super::{Finding, Kind};
 use crate::plant::MotorKey;
 

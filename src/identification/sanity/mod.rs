@@ -1,10 +1,9 @@
 //! What is wrong with the data themselves, asked before anything is identified from them.
 //!
 //! ```text
-//! Run, Scenario, Model -> Table -+-> outlier   single rows that no machine can have shown
-//!                                +-> still     nothing changes, or the shaft does not turn
-//!                                +-> channel   one signal is frozen, clipped or has lost its sign
-//!                                +-> columns   two columns swapped, a sign reversed  <- balance (both equations, quickly)
+//! Run, Scenario, Model -> Table -+-> record    single wild rows; nothing changes, or the shaft does not turn; one signal is
+//!                                |             frozen, clipped or has lost its sign
+//!                                +-> columns   two columns swapped, a sign reversed  <- both equations, quickly
 //!                                +-> scale     r/min for rad/s, mA for A, ms for s: by name and factor
 //! Vec<Finding>: `refuses` -> nothing may be identified; else a caution that stands beside the result
 //! ```
@@ -12,18 +11,14 @@
 //! A record is refused only on evidence in numbers. Both balances are homogeneous in each unit, so a wrong unit shows
 //! only against something else: the angle, a torque, a nameplate, or a size that no motor has.
 
-mod balance;
-mod channel;
 mod columns;
-mod header;
-mod outlier;
+mod record;
 mod scale;
-mod still;
 mod table;
 #[cfg(test)]
 mod tests;
 
-pub use header::of_header;
+pub use scale::of_header;
 
 use serde::Serialize;
 
@@ -108,10 +103,10 @@ impl Finding {
 pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
     let table = Table::new(scenario);
     // One wild value bends every range and balance below.
-    if let Some(outlier) = outlier::check(&table) {
+    if let Some(outlier) = record::outlier(&table) {
         return vec![outlier];
     }
-    let mut findings = still::check(&table);
+    let mut findings = record::still(&table);
     // A record in which nothing moves has no balance to check.
     if findings.iter().any(|finding| finding.refuses) {
         return findings;
@@ -121,7 +116,7 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
     if let Some(exchanged) = columns.as_ref().and_then(|found| found.exchanged.clone()) {
         findings.push(exchanged);
     } else {
-        findings.extend(channel::check(&table));
+        findings.extend(record::contradicted(&table));
         findings.extend(scale::against_angle(run));
         if !findings.iter().any(|finding| finding.refuses) {
             findings.extend(columns.and_then(|found| found.impossible));

@@ -1,8 +1,15 @@
 //! The signals side by side at the sample times, and what can be said of one of them alone.
+//!
+//! Both balances over short windows are quick: good enough to tell which column is which, not to identify. Each integral is
+//! by the trapezoid, so that every column is treated alike whatever it is taken for.
 
 use std::ops::Range;
 
+use crate::identification::window_sums::{Sums, trapezoid, windows};
+use crate::numerics::least_squares::{NormalFit, fit_normal};
+use crate::numerics::statistics::{finite, largest, median_step};
 use crate::plant::{Input, Scenario};
+use crate::signal;
 
 /// Voltage (as held), current and speed at each sample; NaN where missing. Without a voltage the first is all NaN.
 pub(super) struct Table {
@@ -18,17 +25,15 @@ pub(super) struct Table {
 
 impl Table {
     pub(super) fn new(scenario: &Scenario) -> Self {
-        let mut held = Held::new(&scenario.events);
-        let voltage_v = scenario
-            .sample_time_s
-            .iter()
-            .map(|time_s| match scenario.input {
-                Input::Voltage => held.at(*time_s),
-                Input::Current | Input::Torque => f64::NAN,
-            })
-            .collect();
+        let voltage = |time_s: &f64| match scenario.input {
+            Input::Voltage => signal::held(&scenario.events, *time_s).unwrap_or(f64::NAN),
+            Input::Current | Input::Torque => f64::NAN,
+        };
+        let voltage_v = scenario.sample_time_s.iter().map(voltage).collect();
+        let windows = windows(&scenario.sample_time_s);
+        let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
         Self {
-            windows: windows(&scenario.sample_time_s),
+            windows: windows.into_iter().step_by(stride).collect(),
             time_s: scenario.sample_time_s.clone(),
             voltage_v,
             current_a: scenario.current_a.clone(),
@@ -46,70 +51,12 @@ impl Table {
 
     /// Median distance of the samples, s.
     pub(super) fn period_s(&self) -> f64 {
-        period_s(&self.time_s)
+        median_step(&self.time_s)
     }
 }
 
-fn period_s(times: &[f64]) -> f64 {
-    let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    crate::numerics::statistics::median(&gaps)
-}
-
-/// Length of a window, s, samples it has at least, and windows that are looked at.
-const WINDOW_S: f64 = 0.03;
-const FEWEST_SAMPLES: usize = 3;
+/// Windows that are looked at: a long record is looked at in places, evenly.
 const MOST_WINDOWS: usize = 3000;
-
-/// Periods of a record, and at least a window's length, that may pass between two rows of a window: nothing is integrated
-/// over a pause, where nobody knows what the signals did, and whose one window would outweigh all others.
-const LONGEST_STEP: f64 = 3.0;
-
-/// First and last row of each window; a long record is looked at in places, evenly.
-fn windows(times: &[f64]) -> Vec<Range<usize>> {
-    let mut windows = Vec::new();
-    let longest_s = WINDOW_S.max(LONGEST_STEP * period_s(times));
-    let mut begin = 0;
-    while begin + FEWEST_SAMPLES <= times.len() {
-        let mut end = begin + FEWEST_SAMPLES - 1;
-        while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
-            end += 1;
-        }
-        let pause = (begin..end).rfind(|row| times[row + 1] - times[*row] > longest_s);
-        if let Some(row) = pause {
-            begin = row + 1;
-            continue;
-        }
-        windows.push(begin..end);
-        begin = end;
-    }
-    let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
-    windows.into_iter().step_by(stride).collect()
-}
-
-/// A held signal read at times that only grow.
-struct Held<'a> {
-    events: &'a [(f64, f64)],
-    next: usize,
-}
-
-impl<'a> Held<'a> {
-    const fn new(events: &'a [(f64, f64)]) -> Self {
-        Self { events, next: 0 }
-    }
-
-    fn at(&mut self, time_s: f64) -> f64 {
-        while self
-            .events
-            .get(self.next)
-            .is_some_and(|event| event.0 <= time_s)
-        {
-            self.next += 1;
-        }
-        self.next
-            .checked_sub(1)
-            .map_or(f64::NAN, |held| self.events[held].1)
-    }
-}
 
 /// One signal by itself.
 #[derive(Clone, Copy, Debug)]
@@ -133,7 +80,7 @@ const WHITE: f64 = 1.5;
 
 impl Activity {
     pub(super) fn of(values: &[f64]) -> Self {
-        let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+        let present = finite(values);
         let count = present.len();
         let n = count.max(1) as f64;
         let mean = present.iter().sum::<f64>() / n;
@@ -207,20 +154,163 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// Speeds below this share of the largest have no direction.
+const DEAD_ZONE: f64 = 0.05;
+/// Share of a regressor that the others must leave to it: below, its coefficient is not determined.
+const LEAST_OWN: f64 = 1e-4;
 
-    #[test]
-    fn no_window_spans_a_pause_and_slow_rows_are_none() {
-        let times: Vec<f64> = (0..1000)
-            .filter(|row| !(400..800).contains(row))
-            .map(|row| 1e-3 * f64::from(row))
-            .collect();
-        let found = windows(&times);
-        let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
-        assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));
-        let slow: Vec<f64> = (0..100).map(|row| 0.1 * f64::from(row)).collect();
-        assert!(windows(&slow).len() > 40);
+/// Which columns serve as voltage, current and speed.
+#[derive(Clone, Copy)]
+pub(super) struct Roles<'a> {
+    pub(super) time_s: &'a [f64],
+    pub(super) windows: &'a [Range<usize>],
+    pub(super) voltage: &'a [f64],
+    pub(super) current: &'a [f64],
+    pub(super) speed: &'a [f64],
+    /// Factors of current and speed: one, or minus one where a sign is tried.
+    pub(super) current_sign: f64,
+    pub(super) speed_sign: f64,
+}
+
+impl<'a> Roles<'a> {
+    pub(super) fn of(table: &'a Table) -> Self {
+        Self {
+            time_s: &table.time_s,
+            windows: &table.windows,
+            voltage: &table.voltage_v,
+            current: &table.current_a,
+            speed: &table.speed_rad_s,
+            current_sign: 1.0,
+            speed_sign: 1.0,
+        }
     }
+}
+
+/// A coefficient and its standard deviation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coefficient {
+    pub(super) value: f64,
+    pub(super) std: f64,
+}
+
+/// Standard deviations that make a sign certain.
+const CERTAIN: f64 = 5.0;
+
+impl Coefficient {
+    pub(super) fn is_negative(&self) -> bool {
+        self.value < -CERTAIN * self.std
+    }
+
+    pub(super) fn is_positive(&self) -> bool {
+        self.value > CERTAIN * self.std
+    }
+}
+
+/// What both balances say under one assignment of the columns.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Balances {
+    pub(super) resistance: Coefficient,
+    pub(super) inductance: Coefficient,
+    pub(super) back_emf: Coefficient,
+    /// Root mean square of what is left over that of the voltage.
+    pub(super) voltage_error: f64,
+    /// Inertia over the torque constant.
+    pub(super) inertia: Coefficient,
+    /// Root mean square of what is left over that of the current.
+    pub(super) torque_error: f64,
+}
+
+impl Balances {
+    pub(super) fn of(roles: &Roles<'_>) -> Option<Self> {
+        let sums = sums(roles);
+        let rows: Vec<_> = sums
+            .iter()
+            .map(|s| ([s.current, s.current_step, s.angle], s.voltage))
+            .collect();
+        let electrical = fit_normal(&rows, LEAST_OWN)?;
+        let rows: Vec<_> = sums
+            .iter()
+            .filter(|s| s.direction != 0.0)
+            .map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current))
+            .collect();
+        let mechanical = fit_normal(&rows, LEAST_OWN)?;
+        Some(Self {
+            resistance: coefficient(&electrical, 0),
+            inductance: coefficient(&electrical, 1),
+            back_emf: coefficient(&electrical, 2),
+            voltage_error: electrical.error,
+            inertia: coefficient(&mechanical, 0),
+            torque_error: mechanical.error,
+        })
+    }
+
+    /// Both errors as one number.
+    pub(super) fn error(&self) -> f64 {
+        self.voltage_error.hypot(self.torque_error)
+    }
+
+    /// Every coefficient has the sign that physics wants, for certain.
+    pub(super) fn is_physical(&self) -> bool {
+        self.resistance.is_positive()
+            && self.back_emf.is_positive()
+            && self.inertia.is_positive()
+            && !self.inductance.is_negative()
+    }
+
+    /// The first coefficient that has the wrong sign for certain.
+    pub(super) fn impossible(&self) -> Option<(&'static str, f64)> {
+        [
+            ("a resistance", self.resistance),
+            ("a back-EMF constant", self.back_emf),
+            ("an inertia", self.inertia),
+        ]
+        .into_iter()
+        .find(|(_, coefficient)| coefficient.is_negative())
+        .map(|(name, coefficient)| (name, coefficient.value))
+    }
+}
+
+fn coefficient<const N: usize>(fit: &NormalFit<N>, index: usize) -> Coefficient {
+    Coefficient {
+        value: fit.x[index],
+        std: fit.std[index],
+    }
+}
+
+/// What resistance and inductance alone leave of the voltage: root mean square over that of the voltage.
+pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
+    let rows: Vec<_> = sums(roles)
+        .iter()
+        .map(|s| ([s.current, s.current_step], s.voltage))
+        .collect();
+    fit_normal(&rows, LEAST_OWN).map(|fit| fit.error)
+}
+
+/// Back-EMF constant from voltage and speed alone: what a running motor without a current shows, roughly.
+pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient> {
+    let rows: Vec<_> = sums(roles)
+        .iter()
+        .filter(|s| s.direction != 0.0)
+        .map(|s| ([s.angle, s.direction * s.length_s], s.voltage))
+        .collect();
+    fit_normal(&rows, LEAST_OWN).map(|fit| coefficient(&fit, 0))
+}
+
+fn sums(roles: &Roles<'_>) -> Vec<Sums> {
+    let zone = DEAD_ZONE * largest(roles.speed);
+    let (current, speed) = (roles.current_sign, roles.speed_sign);
+    let signed = |window: &Range<usize>| {
+        let voltage = trapezoid(roles.time_s, roles.voltage, window);
+        let signals = [roles.current, roles.speed];
+        let sums = Sums::over(window, roles.time_s, voltage, signals, zone);
+        Sums {
+            current: current * sums.current,
+            current_step: current * sums.current_step,
+            angle: speed * sums.angle,
+            speed_step: speed * sums.speed_step,
+            direction: speed * sums.direction,
+            ..sums
+        }
+    };
+    roles.windows.iter().map(signed).collect()
 }

@@ -2,30 +2,9 @@
 #![cfg(test)]
 
 use super::*;
-use crate::plant::testing::record;
-use crate::plant::{Motor, MotorKey, effect};
-use crate::sample::{Channel, Origin, Verdict};
-
-/// The run that a scenario was recorded as: voltage as applied, current and speed as measured.
-fn run_of(scenario: &Scenario) -> Run {
-    let mut run = Run::new(scenario.name.clone(), scenario.sample_time_s.clone()).unwrap();
-    let held: Vec<f64> = scenario
-        .sample_time_s
-        .iter()
-        .map(|time_s| {
-            let next = scenario.events.partition_point(|event| event.0 <= *time_s);
-            scenario.events[next.max(1) - 1].1
-        })
-        .collect();
-    for (channel, values) in [
-        (Channel::Voltage, held),
-        (Channel::Current, scenario.current_a.clone()),
-        (Channel::Speed, scenario.speed_rad_s.clone()),
-    ] {
-        run.set_column(channel, values, Origin::Measured).unwrap();
-    }
-    run
-}
+use crate::identification::testing::{self, *};
+use crate::plant::effect;
+use crate::sample::Verdict;
 
 fn steps() -> Vec<(f64, f64)> {
     let levels = [30.0, 60.0, 20.0, -30.0, -60.0, -10.0, 40.0, 0.0];
@@ -36,9 +15,9 @@ fn steps() -> Vec<(f64, f64)> {
     events
 }
 
-fn identify(scheme: &dyn Scheme, run: &Run) -> Option<Identified> {
+fn identify(scheme: &Scheme, run: &Run) -> Option<Identified> {
     let scenario = Scenario::from_run(run).ok()?;
-    let mut model = Model::baseline(Motor::zk_22fc());
+    let mut model = paper();
     model.fixed.push(MotorKey::Resistance.key().to_owned());
     let data = Data {
         run,
@@ -54,7 +33,7 @@ fn identify(scheme: &dyn Scheme, run: &Run) -> Option<Identified> {
     }
 }
 
-fn holds_the_contract(found: &Identified, scheme: &dyn Scheme) {
+fn holds_the_contract(found: &Identified, scheme: &Scheme) {
     assert_eq!(found.scheme, scheme.id());
     for parameter in &found.parameters {
         let told = parameter.value.is_some();
@@ -77,16 +56,12 @@ const BIASED: [&str; 5] = ["1", "1-exact", "2", "2-rectangle", "step-response"];
 
 #[test]
 fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
-    let scenario = record(&Model::baseline(Motor::zk_22fc()), steps(), 0.002, 6.5, 11);
-    let run = run_of(&scenario);
+    let scenario = record(&paper(), steps(), 0.002, 6.5, 11);
+    let run = recorded(&scenario);
     for scheme in CATALOGUE {
-        let found = identify(*scheme, &run).expect("a rich run serves every scheme");
-        holds_the_contract(&found, *scheme);
-        let inertia = found
-            .parameters
-            .iter()
-            .find(|parameter| parameter.key == MotorKey::Inertia.key())
-            .unwrap_or_else(|| panic!("{} reports the inertia", scheme.id()));
+        let found = identify(scheme, &run).expect("a rich run serves every scheme");
+        holds_the_contract(&found, scheme);
+        let inertia = of(&found.parameters, "inertia_kg_m2");
         let (verdict, most) = if BIASED.contains(&scheme.id()) {
             (Verdict::Searching, 0.15)
         } else {
@@ -100,27 +75,24 @@ fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
 
 #[test]
 fn poor_data_settle_nothing() {
-    let model = Model::baseline(Motor::zk_22fc());
-    let standstill = run_of(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 1));
-    let two_rows = run_of(&record(&model, steps(), 0.002, 0.004, 2));
-    let mut constant = run_of(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 3));
+    let model = paper();
+    let standstill = recorded(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 1));
+    let two_rows = recorded(&record(&model, steps(), 0.002, 0.004, 2));
+    let mut constant = recorded(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 3));
     for (channel, level) in [
         (Channel::Voltage, 40.0),
         (Channel::Current, 1.3),
         (Channel::Speed, 109.0),
     ] {
         let noise = standstill.column(channel).unwrap();
-        let cells = noise.iter().map(|noise| level + noise).collect();
-        constant
-            .set_column(channel, cells, Origin::Measured)
-            .unwrap();
+        constant = changed(&constant, channel, |row, _| level + noise[row]);
     }
     for run in [&standstill, &two_rows, &constant] {
         for scheme in CATALOGUE {
-            let Some(found) = identify(*scheme, run) else {
+            let Some(found) = identify(scheme, run) else {
                 continue;
             };
-            holds_the_contract(&found, *scheme);
+            holds_the_contract(&found, scheme);
             // A steady state with a known resistance does carry the back-EMF constant and the torque.
             let steady = run.name == constant.name;
             let dynamic = [MotorKey::Inductance, MotorKey::Inertia].map(MotorKey::key);
@@ -156,15 +128,9 @@ fn names_are_unique_and_an_unknown_one_is_told_what_is_allowed() {
 
 #[test]
 fn no_scheme_leaves_an_effect_out_in_silence() {
-    let run = run_of(&record(
-        &Model::baseline(Motor::zk_22fc()),
-        steps(),
-        0.002,
-        6.5,
-        17,
-    ));
+    let run = recorded(&record(&paper(), steps(), 0.002, 6.5, 17));
     let scenario = Scenario::from_run(&run).unwrap();
-    let mut model = Model::baseline(Motor::zk_22fc());
+    let mut model = paper();
     for effect in effect::CATALOGUE {
         if let Ok(more) = model.with_effect(effect.card().id) {
             model = more;
@@ -196,7 +162,6 @@ fn no_scheme_leaves_an_effect_out_in_silence() {
 
 #[test]
 fn balances_find_the_effects_that_are_terms_of_them() {
-    let baseline = Model::baseline(Motor::zk_22fc());
     for (id, values) in [
         ("asymmetric_viscous", vec![8e-4]),
         ("cogging", vec![0.1, 0.0, 2.0]),
@@ -208,9 +173,8 @@ fn balances_find_the_effects_that_are_terms_of_them() {
         ("discontinuous_conduction", vec![2.0, 1.5]),
         ("voltage_offset", vec![1.5]),
     ] {
-        let mut truth = baseline.with_effect(id).unwrap();
-        truth.effects[0].values = values.iter().copied().map(Some).collect();
-        let run = run_of(&record(&truth, steps(), 0.001, 6.5, 19));
+        let truth = testing::paper_with(id, &values);
+        let run = recorded(&record(&truth, steps(), 0.001, 6.5, 19));
         let scenario = Scenario::from_run(&run).unwrap();
         let mut model = truth.clone();
         for (value, spec) in model.effects[0]
@@ -230,7 +194,7 @@ fn balances_find_the_effects_that_are_terms_of_them() {
         for scheme in ["weak-form", "inverse-dynamics"] {
             let found = super::find(scheme).unwrap().identify(&data).unwrap();
             let key = format!("{id}.{}", truth.effects[0].effect.parameters()[0].key);
-            let size = found.parameters.iter().find(|p| p.key == key).unwrap();
+            let size = of(&found.parameters, &key);
             let ratio = size.value.unwrap_or(f64::NAN) / values[0];
             assert!((ratio - 1.0).abs() < 0.15, "{scheme} {ratio} {size:?}");
         }

@@ -6,25 +6,20 @@
 //!
 //! A new method is one file here and one line in [`CATALOGUE`]; its arithmetic lives in a room of its own.
 
+mod balances;
 mod contract_tests;
-mod ekf;
-mod error;
-mod inverse_dynamics;
-mod left_out;
-mod lost_rows;
 mod online;
 mod output_error;
 mod scheme_1;
 mod scheme_1_tests;
-mod scheme_2_rectangle;
-mod step_response;
-mod weak_form;
-
-pub use error::IdentifyError;
 
 use std::borrow::Cow;
 
-use crate::plant::{Input, Model, MotorKey, Scenario};
+use thiserror::Error;
+
+use super::output_error::FitError;
+use super::step_response;
+use crate::plant::{ActiveEffect, Input, Model, ModelError, MotorKey, Scenario};
 use crate::sample::{Channel, ParameterEstimate, Run};
 
 /// What a scheme works on.
@@ -51,7 +46,22 @@ impl Data<'_> {
         if self.scenario.unknown_input.is_empty() {
             return run;
         }
-        lost_rows::estimated(&run, self.scenario).map_or(run, Cow::Owned)
+        online::with_lost_voltages(&run, self.scenario).map_or(run, Cow::Owned)
+    }
+
+    /// That `scheme` cannot use this run.
+    fn refused(
+        &self,
+        scheme: &'static str,
+        reason: impl Into<String>,
+        help: &'static str,
+    ) -> IdentifyError {
+        IdentifyError::Unusable {
+            scheme,
+            run: self.run.name.clone(),
+            reason: reason.into(),
+            help,
+        }
     }
 }
 
@@ -71,20 +81,13 @@ impl Identified {
     pub fn new(scheme: &'static str, model: &Model, parameters: Vec<ParameterEstimate>) -> Self {
         let mut model = model.clone();
         for slot in model.slots() {
-            let found = parameters
-                .iter()
-                .find(|parameter| parameter.key == slot.key());
-            if let Some(value) = found.and_then(|parameter| parameter.value) {
+            if let Some(value) = ParameterEstimate::value_of(&parameters, &slot.key()) {
                 model.set(&slot, value);
             }
         }
         // A torque constant that was found on its own ends the rule that it equals the back-EMF constant.
         let torque = MotorKey::TorqueConstant;
-        if let Some(value) = parameters
-            .iter()
-            .find(|parameter| parameter.key == torque.key())
-            .and_then(|parameter| parameter.value)
-        {
+        if let Some(value) = ParameterEstimate::value_of(&parameters, torque.key()) {
             model.motor.set(torque, value);
         }
         Self {
@@ -103,31 +106,58 @@ impl Identified {
 }
 
 /// One method of identification.
-pub trait Scheme: Sync {
+#[derive(Debug)]
+pub struct Scheme {
+    id: &'static str,
+    summary: &'static str,
+    identify: fn(&'static str, &Data<'_>) -> Result<Identified, IdentifyError>,
+}
+
+impl Scheme {
     /// The name on the command line and in results.
-    fn id(&self) -> &'static str;
+    pub const fn id(&self) -> &'static str {
+        self.id
+    }
+
     /// One line for `--help`.
-    fn summary(&self) -> &'static str;
-    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError>;
+    pub const fn summary(&self) -> &'static str {
+        self.summary
+    }
+
+    pub fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
+        (self.identify)(self.id, data)
+    }
 }
 
 /// Every scheme, in the order in which help shows them.
-pub static CATALOGUE: &[&dyn Scheme] = &[
-    &output_error::OutputError,
-    &weak_form::WeakForm,
-    &scheme_1::Printed,
-    &scheme_1::Exact,
-    &scheme_1::WithInstruments,
-    &inverse_dynamics::InverseDynamics,
-    &online::Scheme2,
-    &scheme_2_rectangle::Rectangle,
-    &online::Scheme3,
-    &step_response::StepResponse,
-    &ekf::Ekf,
+pub static CATALOGUE: &[&Scheme] = &[
+    &output_error::OUTPUT_ERROR,
+    &balances::WEAK_FORM,
+    &scheme_1::PRINTED,
+    &scheme_1::EXACT,
+    &scheme_1::WITH_INSTRUMENTS,
+    &balances::INVERSE_DYNAMICS,
+    &online::SCHEME_2,
+    &online::RECTANGLE,
+    &online::SCHEME_3,
+    &STEP_RESPONSE,
+    &online::EKF,
 ];
 
+/// Readings from one step of voltage: the plain baseline.
+const STEP_RESPONSE: Scheme = Scheme {
+    id: "step-response",
+    summary: "graphical readings from one step of voltage out of rest: a plain baseline, crude",
+    identify: |id, data| {
+        let (parameters, notes) = step_response::estimates(data.model, data.scenario);
+        let mut identified = Identified::new(id, data.model, parameters);
+        identified.notes = notes;
+        Ok(identified.leaving_out(data.model, motor_alone))
+    },
+};
+
 /// The scheme of that name.
-pub fn find(id: &str) -> Result<&'static dyn Scheme, IdentifyError> {
+pub fn find(id: &str) -> Result<&'static Scheme, IdentifyError> {
     CATALOGUE
         .iter()
         .copied()
@@ -143,10 +173,112 @@ pub fn find(id: &str) -> Result<&'static dyn Scheme, IdentifyError> {
 }
 
 /// The scheme for a run when none is named: the free run where there is a voltage, else the torque balance.
-pub fn default_for(scenario: &Scenario) -> &'static dyn Scheme {
+pub fn default_for(scenario: &Scenario) -> &'static Scheme {
     if scenario.input == Input::Voltage {
-        &output_error::OutputError
+        &output_error::OUTPUT_ERROR
     } else {
-        &weak_form::WeakForm
+        &balances::WEAK_FORM
+    }
+}
+
+/// Why a scheme that knows the motor alone carries no effect.
+#[expect(
+    clippy::unnecessary_wraps,
+    reason = "one of the answers that a scheme may give"
+)]
+fn motor_alone(_: &ActiveEffect) -> Option<&'static str> {
+    Some("this scheme knows the motor's own parameters only")
+}
+
+impl Identified {
+    /// Says which effects of `model` were left out and why; `why` gives the reason, `None` for one that was carried.
+    #[must_use]
+    fn leaving_out(
+        mut self,
+        model: &Model,
+        why: impl Fn(&ActiveEffect) -> Option<&'static str>,
+    ) -> Self {
+        for active in &model.effects {
+            let id = active.id();
+            let Some(reason) = why(active) else {
+                self.notes.extend(guessed(active));
+                continue;
+            };
+            self.notes.push(format!(
+                "{id} is left out: {reason}; what it does goes into the other parameters. \
+                 The output-error fit carries it"
+            ));
+            for (spec, value) in active.effect.parameters().iter().zip(&active.values) {
+                let key = format!("{id}.{}", spec.key);
+                self.parameters.retain(|parameter| parameter.key != key);
+                if value.is_none() {
+                    self.parameters
+                        .push(ParameterEstimate::not_observable(&key, spec.unit, reason));
+                }
+            }
+        }
+        self
+    }
+}
+
+/// A value that gives an effect its form, which a linear scheme takes as it is, and which the model does not give.
+fn guessed(active: &ActiveEffect) -> Vec<String> {
+    let specs = active.effect.parameters().iter();
+    specs
+        .zip(&active.values)
+        .filter(|(spec, value)| !spec.is_coefficient() && value.is_none())
+        .map(|(spec, _)| {
+            format!(
+                "{}.{} is not given and this scheme cannot find it: {} {} is taken; the output-error fit finds it",
+                active.id(),
+                spec.key,
+                spec.guess(),
+                spec.unit
+            )
+        })
+        .collect()
+}
+
+/// Why a scheme gives no answer at all.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum IdentifyError {
+    #[error("scheme {id:?} is not known (allowed: {allowed})")]
+    UnknownScheme { id: String, allowed: String },
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error(transparent)]
+    Fit(FitError),
+    /// The data cannot serve this scheme; another one may do.
+    #[error("scheme {scheme} cannot use run {run:?}: {reason}")]
+    Unusable {
+        scheme: &'static str,
+        run: String,
+        reason: String,
+        help: &'static str,
+    },
+}
+
+impl IdentifyError {
+    pub fn help(&self) -> &'static str {
+        match self {
+            Self::UnknownScheme { .. } => "see drivebench identify --help",
+            Self::Model(error) => error.help(),
+            Self::Fit(error) => error.help(),
+            Self::Unusable { help, .. } => help,
+        }
+    }
+
+    /// Whether the request is wrong, rather than the data too poor for it.
+    pub const fn is_usage(&self) -> bool {
+        matches!(self, Self::UnknownScheme { .. } | Self::Model(_))
+    }
+}
+
+impl From<FitError> for IdentifyError {
+    fn from(error: FitError) -> Self {
+        match error {
+            FitError::Model(error) => Self::Model(error),
+            error => Self::Fit(error),
+        }
     }
 }

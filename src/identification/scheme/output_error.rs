@@ -7,40 +7,30 @@ use crate::identification::{effect_start, start};
 use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
 
-pub(super) struct OutputError;
+pub(super) const OUTPUT_ERROR: Scheme = Scheme {
+    id: "output-error",
+    summary: "batch fit of the free run (default with a voltage)",
+    identify: free_run,
+};
 
-impl Scheme for OutputError {
-    fn id(&self) -> &'static str {
-        "output-error"
+fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
+    if data.scenario.input != Input::Voltage {
+        let help = "use --scheme weak-form, or map a voltage with --map voltage_v=HEADER";
+        return Err(data.refused(id, "it has no voltage to simulate from", help));
     }
-
-    fn summary(&self) -> &'static str {
-        "batch fit of the free run (default with a voltage)"
+    let noise = NoiseFloor::from_standstill(data.scenario)
+        .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
+    let (fit, chosen) = better_of_two_starts(data, &noise)?;
+    let mut parameters = fit.parameters;
+    for (key, doubt) in chosen {
+        tell_choice(&mut parameters, &key, doubt);
     }
-
-    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        if data.scenario.input != Input::Voltage {
-            return Err(IdentifyError::Unusable {
-                scheme: self.id(),
-                run: data.run.name.clone(),
-                reason: "it has no voltage to simulate from".to_owned(),
-                help: "use --scheme weak-form, or map a voltage with --map voltage_v=HEADER",
-            });
-        }
-        let noise = NoiseFloor::from_standstill(data.scenario)
-            .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
-        let (fit, chosen) = better_of_two_starts(data, &noise)?;
-        let mut parameters = fit.parameters;
-        for (key, doubt) in chosen {
-            tell_choice(&mut parameters, &key, doubt);
-        }
-        Ok(Identified {
-            scheme: self.id(),
-            model: fit.model,
-            parameters,
-            notes: Vec::new(),
-        })
-    }
+    Ok(Identified {
+        scheme: id,
+        model: fit.model,
+        parameters,
+        notes: Vec::new(),
+    })
 }
 
 /// A fit, and what was chosen from grids for it, with a doubt where there is one.
@@ -105,23 +95,21 @@ fn forget(model: &Model) -> Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
-    use crate::plant::testing::record;
-    use crate::sample::{Channel, Origin, Run};
+    use crate::identification::testing::{self, *};
+    use crate::sample::{Channel, Run};
 
-    fn identified(start: &Model, scenario: &Scenario) -> Model {
-        let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
+    fn identified(start: &Model, run: &Run, scenario: &Scenario) -> Identified {
         let data = Data {
-            run: &run,
+            run,
             scenario,
             model: start,
         };
-        OutputError.identify(&data).unwrap().model
+        OUTPUT_ERROR.identify(&data).unwrap()
     }
 
     #[test]
     fn a_nameplate_wrong_in_every_value_does_not_decide_the_fit() {
-        let truth = Model::baseline(Motor::zk_22fc());
+        let truth = paper();
         let levels = [40.0, 80.0, 20.0, -40.0, -80.0, 0.0];
         let mut events = vec![(0.0, 0.0)];
         for (k, volts) in levels.iter().cycle().take(18).enumerate() {
@@ -134,19 +122,13 @@ mod tests {
             [5.0, 5.0, 0.2, 20.0, 5.0],
         ] {
             let mut start = truth.clone();
-            let keys = [
-                MotorKey::Resistance,
-                MotorKey::Inductance,
-                MotorKey::BackEmf,
-                MotorKey::Inertia,
-                MotorKey::LoadTorque,
-            ];
-            for (key, factor) in keys.into_iter().zip(factors) {
+            for (key, factor) in KEYS.into_iter().zip(factors) {
                 let value = truth.motor.get(key).unwrap();
                 start.motor.set(key, factor * value);
             }
-            let found = identified(&start, &scenario);
-            for key in keys {
+            let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
+            let found = identified(&start, &run, &scenario).model;
+            for key in KEYS {
                 let ratio = found.motor.get(key).unwrap() / truth.motor.get(key).unwrap();
                 assert!((ratio - 1.0).abs() < 0.03, "{factors:?} {key:?} {ratio}");
             }
@@ -155,11 +137,8 @@ mod tests {
 
     #[test]
     fn the_order_of_cogging_is_found_from_an_angle_that_starts_again_each_turn() {
-        let start = Model::baseline(Motor::zk_22fc())
-            .with_effect("cogging")
-            .unwrap();
-        let mut truth = start.clone();
-        truth.effects[0].values = vec![Some(0.06), Some(-0.05), Some(9.0)];
+        let start = paper().with_effect("cogging").unwrap();
+        let truth = paper_with("cogging", &[0.06, -0.05, 9.0]);
         let events = vec![
             (0.0, 0.0),
             (0.2, 7.0),
@@ -169,36 +148,18 @@ mod tests {
             (3.5, 0.0),
         ];
         let recorded = record(&truth, events, 0.002, 4.0, 5);
-        let mut run = Run::new("r", recorded.sample_time_s.clone()).unwrap();
+        let mut run = testing::recorded(&recorded);
         let (mut angle, mut last) = (0.0, 0.0);
         let wrapped = recorded.speed_rad_s.iter().map(|speed| {
             angle += 0.5 * (speed + last) * 0.002;
             last = *speed;
             f64::rem_euclid(angle, std::f64::consts::TAU)
         });
-        for (channel, cells) in [
-            (Channel::Angle, wrapped.collect()),
-            (
-                Channel::Voltage,
-                (recorded.sample_time_s.iter())
-                    .map(|time_s| recorded.input_at(*time_s))
-                    .collect(),
-            ),
-            (Channel::Current, recorded.current_a.clone()),
-            (Channel::Speed, recorded.speed_rad_s.clone()),
-        ] {
-            run.set_column(channel, cells, Origin::Measured).unwrap();
-        }
-        let data = Data {
-            run: &run,
-            scenario: &Scenario::from_run(&run).unwrap(),
-            model: &start,
-        };
-        let found = OutputError.identify(&data).unwrap();
-        let of = |key: &str| found.parameters.iter().find(|p| p.key == key).unwrap();
-        let order = of("cogging.order");
+        put(&mut run, Channel::Angle, wrapped.collect());
+        let found = identified(&start, &run, &Scenario::from_run(&run).unwrap()).parameters;
+        let order = of(&found, "cogging.order");
         assert_eq!((order.value, order.verdict), (Some(9.0), Verdict::Settled));
-        let sin = of("cogging.sin_n_m").value.unwrap();
+        let sin = of(&found, "cogging.sin_n_m").value.unwrap();
         assert!((sin - 0.06).abs() < 0.01, "{sin}");
     }
 }

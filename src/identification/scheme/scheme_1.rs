@@ -1,95 +1,66 @@
 //! Scheme 1 over a recorded run, in its three forms.
 
-use super::left_out::motor_alone;
-use super::{Data, Identified, IdentifyError, Scheme};
+use super::{Data, Identified, IdentifyError, Scheme, motor_alone};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::recursive::Direction;
 use crate::identification::scheme_1::{
     Claim, Coefficients, Doubt, Dynamics, Form, Instrumental, InstrumentalError, Noise, Scheme1,
     Series, all_unknown, estimates, instrumental_variables, noise_free,
 };
-use crate::numerics::statistics::{median, robust_deviation};
+use crate::numerics::statistics::{largest, median, robust_deviation};
 use crate::plant::{Input, Model, MotorKey, Scenario};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::ParameterEstimate;
+use crate::signal;
 
 /// Paper A's scheme 1 as printed, eq. (17).
-pub(super) struct Printed;
+pub(super) const PRINTED: Scheme = Scheme {
+    id: "1",
+    summary: "voltage and speed as paper A prints it: time constants, Ke, J, Mc (resistance known; T far below L/R)",
+    identify: |id, data| least_squares(id, Form::Printed, data),
+};
 
 /// Scheme 1 with both voltage coefficients free and the poles taken exactly, eq. (13).
-pub(super) struct Exact;
+pub(super) const EXACT: Scheme = Scheme {
+    id: "1-exact",
+    summary: "as 1 without its assumption on the period: exact poles, needs a clean speed",
+    identify: |id, data| least_squares(id, Form::Exact, data),
+};
 
 /// Scheme 1 by instrumental variables: free of the bias of sensor noise.
-pub(super) struct WithInstruments;
+pub(super) const WITH_INSTRUMENTS: Scheme = Scheme {
+    id: "1-iv",
+    summary: "as 1-exact by instrumental variables: no bias from sensor noise, over a whole run",
+    identify: instruments,
+};
 
-impl Scheme for Printed {
-    fn id(&self) -> &'static str {
-        "1"
-    }
-
-    fn summary(&self) -> &'static str {
-        "voltage and speed as paper A prints it: time constants, Ke, J, Mc (resistance known; T far below L/R)"
-    }
-
-    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        least_squares(self.id(), Form::Printed, data)
-    }
-}
-
-impl Scheme for Exact {
-    fn id(&self) -> &'static str {
-        "1-exact"
-    }
-
-    fn summary(&self) -> &'static str {
-        "as 1 without its assumption on the period: exact poles, needs a clean speed"
-    }
-
-    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        least_squares(self.id(), Form::Exact, data)
-    }
-}
-
-impl Scheme for WithInstruments {
-    fn id(&self) -> &'static str {
-        "1-iv"
-    }
-
-    fn summary(&self) -> &'static str {
-        "as 1-exact by instrumental variables: no bias from sensor noise, over a whole run"
-    }
-
-    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        let grid = Grid::of(self.id(), data)?;
-        let note = format!(
-            "instrumental variables over {} samples at {:.3} ms: free of the bias of sensor noise over a whole run in batch; over a memory of some tens of samples they scatter by tens of per cent",
-            grid.speed_rad_s.len(),
-            1e3 * grid.period_s
-        );
-        let parameters = match grid.instruments(data.model) {
-            Ok(found) => {
-                let mut parameters = estimates(&grid.claim(
-                    data.model,
-                    found.dynamics,
-                    Some(found.covariance),
-                    Vec::new(),
-                ));
-                if !found.converged {
-                    for parameter in &mut parameters {
-                        if parameter.verdict == Verdict::Settled {
-                            parameter.verdict = Verdict::Searching;
-                            parameter.reason = Some(format!(
-                                "not converged after {} rounds, or the model lacks an effect: its free run misses the speed by {:.3} rad/s, its equations by {:.3}",
-                                found.rounds, found.free_run_rad_s, found.residual_rad_s
-                            ));
-                        }
-                    }
+fn instruments(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
+    let grid = Grid::of(id, data)?;
+    let note = format!(
+        "instrumental variables over {} samples at {:.3} ms: free of the bias of sensor noise over a whole run in batch; over a memory of some tens of samples they scatter by tens of per cent",
+        grid.speed_rad_s.len(),
+        1e3 * grid.period_s
+    );
+    let parameters = match grid.instruments(data.model) {
+        Ok(found) => {
+            let mut parameters = estimates(&grid.claim(
+                data.model,
+                found.dynamics,
+                Some(found.covariance),
+                Vec::new(),
+            ));
+            if !found.converged {
+                for parameter in &mut parameters {
+                    parameter.unsettle(format!(
+                            "not converged after {} rounds, or the model lacks an effect: its free run misses the speed by {:.3} rad/s, its equations by {:.3}",
+                            found.rounds, found.free_run_rad_s, found.residual_rad_s
+                        ));
                 }
-                parameters
             }
-            Err(error) => all_unknown(&error.to_string()),
-        };
-        Ok(finish(self.id(), data.model, parameters).with_note(note))
-    }
+            parameters
+        }
+        Err(error) => all_unknown(&error.to_string()),
+    };
+    Ok(finish(id, data.model, parameters).with_note(note))
 }
 
 fn least_squares(
@@ -109,7 +80,9 @@ fn least_squares(
             let claim = grid.claim(data.model, dynamics, scheme.dynamics_covariance(), doubts);
             let mut parameters = estimates(&claim);
             if has_none {
-                parameters.iter_mut().for_each(unproven);
+                for parameter in &mut parameters {
+                    parameter.unsettle(UNPROVEN);
+                }
             }
             parameters
         }
@@ -128,26 +101,11 @@ fn least_squares(
 }
 
 /// Where nothing on the run says how far noise of the speed biases least squares.
-fn unproven(parameter: &mut ParameterEstimate) {
-    if parameter.verdict == Verdict::Settled {
-        parameter.verdict = Verdict::Searching;
-        parameter.reason = Some(
-            "noise of the speed biases least squares, and how far this run does not tell: 1-iv finds no motor in it"
-                .to_owned(),
-        );
-    }
-}
+const UNPROVEN: &str = "noise of the speed biases least squares, and how far this run does not tell: 1-iv finds no motor in it";
 
 /// Adds what was given, and takes the model's fixed values over.
 fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate>) -> Identified {
-    let fixed = |key: MotorKey, value: f64| ParameterEstimate {
-        key: key.key().to_owned(),
-        value: Some(value),
-        std: Some(0.0),
-        unit: key.unit(),
-        verdict: Verdict::Fixed,
-        reason: None,
-    };
+    let fixed = |key: MotorKey, value: f64| ParameterEstimate::fixed(key.key(), key.unit(), value);
     let resistance = MotorKey::Resistance;
     parameters.push(model.motor.get(resistance).map_or_else(
         || {
@@ -193,12 +151,7 @@ struct Grid {
 
 impl Grid {
     fn of(scheme: &'static str, data: &Data<'_>) -> Result<Self, IdentifyError> {
-        let refuse = |reason: String, help: &'static str| IdentifyError::Unusable {
-            scheme,
-            run: data.run.name.clone(),
-            reason,
-            help,
-        };
+        let refuse = |reason: String, help| data.refused(scheme, reason, help);
         let scenario = data.scenario;
         if scenario.input != Input::Voltage {
             return Err(refuse(
@@ -259,7 +212,6 @@ impl Grid {
 
     fn fill(scenario: &Scenario, period_s: f64, counts: &[f64]) -> Self {
         let (mut voltage_v, mut speed_rad_s) = (vec![f64::NAN], vec![scenario.speed_rad_s[0]]);
-        let mut held = Held::new(&scenario.events);
         let times = &scenario.sample_time_s;
         for (index, count) in counts.iter().enumerate() {
             let (from_s, to_s) = (times[index], times[index + 1]);
@@ -267,7 +219,7 @@ impl Grid {
             let mut part = 1.0;
             while part <= *count {
                 let end_s = from_s + part * length_s;
-                voltage_v.push(held.mean(end_s - length_s, end_s));
+                voltage_v.push(signal::mean(&scenario.events, end_s - length_s, end_s));
                 speed_rad_s.push(if part < *count {
                     f64::NAN
                 } else {
@@ -280,13 +232,9 @@ impl Grid {
         let noise_rad_s = NoiseFloor::from_standstill(scenario)
             .map(|floor| floor.speed_rad_s)
             .filter(|noise| noise.is_finite());
-        let largest = speed_rad_s
-            .iter()
-            .fold(0.0, |most, w| f64::max(most, w.abs()));
-        let mut zone = Direction::with_noise(
-            noise_rad_s
-                .unwrap_or_else(|| roughness(&speed_rad_s).min(MOST_GUESSED_NOISE * largest)),
-        );
+        let most_rad_s = MOST_GUESSED_NOISE * largest(&speed_rad_s);
+        let guess = || roughness(&speed_rad_s).min(most_rad_s);
+        let mut zone = Direction::with_noise(noise_rad_s.unwrap_or_else(guess));
         let direction = speed_rad_s.iter().map(|speed| zone.of(*speed)).collect();
         Self {
             period_s,
@@ -395,36 +343,4 @@ fn roughness(speed_rad_s: &[f64]) -> f64 {
         .collect();
     let noise = robust_deviation(&third) / 20f64.sqrt();
     if noise.is_finite() { noise } else { 0.0 }
-}
-
-/// Events that hold until the next, walked forward.
-struct Held<'a> {
-    events: &'a [(f64, f64)],
-    now: usize,
-}
-
-impl<'a> Held<'a> {
-    const fn new(events: &'a [(f64, f64)]) -> Self {
-        Self { events, now: 0 }
-    }
-
-    /// Mean over `from_s..to_s`; intervals come in the order of time.
-    fn mean(&mut self, from_s: f64, to_s: f64) -> f64 {
-        let next = |at: usize| {
-            self.events
-                .get(at + 1)
-                .map_or(f64::INFINITY, |event| event.0)
-        };
-        while next(self.now) <= from_s {
-            self.now += 1;
-        }
-        let (mut at, mut begin_s, mut sum) = (self.now, from_s, 0.0);
-        while begin_s < to_s {
-            let end_s = next(at).min(to_s);
-            sum += self.events[at].1 * (end_s - begin_s);
-            begin_s = end_s;
-            at += 1;
-        }
-        sum / (to_s - from_s)
-    }
 }

@@ -2,9 +2,9 @@
 #![cfg(test)]
 
 use super::*;
-use crate::plant::testing::record;
+use crate::identification::testing::*;
 use crate::plant::{Motor, MotorKey};
-use crate::sample::{Channel, Origin, Verdict};
+use crate::sample::Verdict;
 
 fn levels() -> Vec<(f64, f64)> {
     let levels = [30.0, 60.0, 20.0, -30.0, -60.0, -20.0, 40.0, 10.0, 50.0];
@@ -16,25 +16,6 @@ fn levels() -> Vec<(f64, f64)> {
             )
         }))
         .collect()
-}
-
-fn run_of(scenario: &Scenario) -> Run {
-    let mut run = Run::new(scenario.name.clone(), scenario.sample_time_s.clone()).unwrap();
-    let held = scenario.sample_time_s.iter().map(|time_s| {
-        let next = scenario
-            .events
-            .partition_point(|event| event.0 <= *time_s + 1e-9);
-        scenario.events[next.max(1) - 1].1
-    });
-    run.set_column(Channel::Voltage, held.collect(), Origin::Unknown)
-        .unwrap();
-    run.set_column(
-        Channel::Speed,
-        scenario.speed_rad_s.clone(),
-        Origin::Measured,
-    )
-    .unwrap();
-    run
 }
 
 fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified, IdentifyError> {
@@ -54,18 +35,7 @@ fn only_resistance() -> Model {
 const FORMS: [&str; 3] = ["1", "1-exact", "1-iv"];
 
 fn bench(period_s: f64) -> Run {
-    run_of(&record(
-        &Model::baseline(Motor::zk_22fc()),
-        levels(),
-        period_s,
-        6.2,
-        3,
-    ))
-}
-
-fn of<'a>(found: &'a Identified, key: &str) -> &'a crate::sample::ParameterEstimate {
-    let named = |parameter: &&crate::sample::ParameterEstimate| parameter.key == key;
-    found.parameters.iter().find(named).unwrap()
+    recorded(&record(&paper(), levels(), period_s, 6.2, 3)).without(Channel::Current)
 }
 
 #[test]
@@ -79,7 +49,7 @@ fn the_instruments_settle_the_whole_motor_on_a_noisy_run_at_ten_milliseconds() {
         ("inertia_kg_m2", 0.0045),
         ("load_torque_n_m", 0.455),
     ] {
-        let parameter = of(&found, key);
+        let parameter = of(&found.parameters, key);
         assert_eq!(parameter.verdict, Verdict::Settled, "{parameter:?}");
         let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
         assert!((value / truth - 1.0).abs() < 0.01, "{parameter:?}");
@@ -88,7 +58,10 @@ fn the_instruments_settle_the_whole_motor_on_a_noisy_run_at_ten_milliseconds() {
             "{parameter:?}"
         );
     }
-    assert_eq!(of(&found, "resistance_ohm").verdict, Verdict::Fixed);
+    assert_eq!(
+        of(&found.parameters, "resistance_ohm").verdict,
+        Verdict::Fixed
+    );
     assert!(found.notes.iter().any(|note| note.contains("batch")));
 }
 
@@ -96,7 +69,7 @@ fn the_instruments_settle_the_whole_motor_on_a_noisy_run_at_ten_milliseconds() {
 fn the_printed_form_at_ten_milliseconds_says_that_the_period_is_too_long() {
     let found = identify("1", &bench(0.01), &only_resistance()).unwrap();
     for key in ["electrical_time_constant_s", "inertia_kg_m2"] {
-        let parameter = of(&found, key);
+        let parameter = of(&found.parameters, key);
         assert_eq!(parameter.verdict, Verdict::Invalid, "{parameter:?}");
         let reason = parameter.reason.as_deref().unwrap();
         assert!(
@@ -114,7 +87,7 @@ fn the_printed_form_at_ten_milliseconds_says_that_the_period_is_too_long() {
 #[test]
 fn noise_that_biases_least_squares_is_named_and_settles_nothing() {
     let found = identify("1-exact", &bench(0.002), &only_resistance()).unwrap();
-    let parameter = of(&found, "electrical_time_constant_s");
+    let parameter = of(&found.parameters, "electrical_time_constant_s");
     assert_eq!(parameter.verdict, Verdict::Searching, "{parameter:?}");
     assert!(
         parameter
@@ -148,7 +121,7 @@ fn noise_that_biases_least_squares_is_named_and_settles_nothing() {
 fn without_a_resistance_the_time_constants_are_told_and_the_rest_says_why_not() {
     let found = identify("1-iv", &bench(0.005), &Model::baseline(Motor::new("m"))).unwrap();
     assert_eq!(
-        of(&found, "mechanical_time_constant_s").verdict,
+        of(&found.parameters, "mechanical_time_constant_s").verdict,
         Verdict::Settled
     );
     for key in [
@@ -157,7 +130,7 @@ fn without_a_resistance_the_time_constants_are_told_and_the_rest_says_why_not() 
         "inductance_h",
         "resistance_ohm",
     ] {
-        let parameter = of(&found, key);
+        let parameter = of(&found.parameters, key);
         assert_eq!(parameter.verdict, Verdict::NotObservable);
         assert!(
             parameter.reason.as_deref().unwrap().contains("give"),
@@ -173,12 +146,15 @@ fn a_torque_constant_is_taken_from_the_model_and_fixed_values_stay() {
     model.motor.set(MotorKey::LoadTorque, 0.7);
     model.fixed.push(MotorKey::LoadTorque.key().to_owned());
     let found = identify("1-iv", &bench(0.005), &model).unwrap();
-    let inertia = of(&found, "inertia_kg_m2").value.unwrap();
+    let inertia = of(&found.parameters, "inertia_kg_m2").value.unwrap();
     assert!(
         (inertia / (0.0045 * 0.5 / 0.3538) - 1.0).abs() < 0.01,
         "{inertia}"
     );
-    assert_eq!(of(&found, "load_torque_n_m").verdict, Verdict::Fixed);
+    assert_eq!(
+        of(&found.parameters, "load_torque_n_m").verdict,
+        Verdict::Fixed
+    );
     assert_eq!(found.model.motor.get(MotorKey::LoadTorque), Some(0.7));
 }
 
@@ -194,14 +170,6 @@ fn refused(run: &Run, words: &str) {
     }
 }
 
-fn changed(run: &Run, channel: Channel, cells: impl Fn(usize, f64) -> f64) -> Run {
-    let mut other = run.clone();
-    let values = run.column(channel).unwrap().iter().enumerate();
-    let values = values.map(|(row, value)| cells(row, *value)).collect();
-    other.set_column(channel, values, Origin::Measured).unwrap();
-    other
-}
-
 #[test]
 fn irregular_stamps_a_constant_voltage_and_missing_signals_are_refused_with_the_reason() {
     let run = bench(0.01);
@@ -210,27 +178,16 @@ fn irregular_stamps_a_constant_voltage_and_missing_signals_are_refused_with_the_
         late = (late * 7.31 + 0.17) % 1.0;
         time_s + 0.003 * late
     });
-    let mut jittered = Run::new("jittered", times.collect()).unwrap();
-    for channel in [Channel::Voltage, Channel::Speed] {
-        let cells = run.column(channel).unwrap().to_vec();
-        jittered
-            .set_column(channel, cells, Origin::Measured)
-            .unwrap();
-    }
-    refused(&jittered, "equidistant");
-    refused(
-        &changed(&run, Channel::Voltage, |_, _| 24.0),
-        "24 V throughout",
-    );
-    let mut current_only = Run::new("i", run.time_s().to_vec()).unwrap();
-    current_only
-        .set_column(Channel::Current, vec![1.0; run.rows()], Origin::Measured)
-        .unwrap();
+    let columns = [Channel::Voltage, Channel::Speed];
+    let columns = columns.map(|channel| (channel, run.column(channel).unwrap().to_vec()));
+    refused(&run_of(times.collect(), columns), "equidistant");
+    let constant = changed(&run, Channel::Voltage, |_, _| 24.0);
+    refused(&constant, "24 V throughout");
+    let one = vec![1.0; run.rows()];
+    let mut current_only = run_of(run.time_s().to_vec(), [(Channel::Current, one)]);
     refused(&current_only, "no voltage");
     let volts = run.column(Channel::Voltage).unwrap().to_vec();
-    current_only
-        .set_column(Channel::Voltage, volts, Origin::Measured)
-        .unwrap();
+    put(&mut current_only, Channel::Voltage, volts);
     refused(&current_only, "no speed");
 }
 
@@ -240,7 +197,7 @@ fn missing_cells_and_dropped_rows_cost_rows_and_nothing_else() {
         if row % 13 == 5 { f64::NAN } else { speed }
     });
     let found = identify("1-iv", &holes, &only_resistance()).unwrap();
-    let inertia = of(&found, "inertia_kg_m2");
+    let inertia = of(&found.parameters, "inertia_kg_m2");
     assert_eq!(inertia.verdict, Verdict::Settled, "{inertia:?}");
     assert!(
         (inertia.value.unwrap() / 0.0045 - 1.0).abs() < 0.01,
@@ -272,14 +229,11 @@ fn a_motor_that_never_turns_is_told_nothing_about() {
 
 #[test]
 fn the_rectangle_as_printed_is_high_at_ten_milliseconds_and_says_so() {
-    let mut run = bench(0.01);
-    let scenario = record(&Model::baseline(Motor::zk_22fc()), levels(), 0.01, 6.2, 3);
-    run.set_column(Channel::Current, scenario.current_a, Origin::Measured)
-        .unwrap();
+    let run = recorded(&record(&paper(), levels(), 0.01, 6.2, 3));
     let mut model = only_resistance();
     model.motor.set(MotorKey::TorqueConstant, 0.3538);
     let found = identify("2-rectangle", &run, &model).unwrap();
-    let inertia = of(&found, "inertia_kg_m2");
+    let inertia = of(&found.parameters, "inertia_kg_m2");
     assert!(inertia.value.unwrap() > 1.03 * 0.0045, "{inertia:?}");
     assert_eq!(inertia.verdict, Verdict::Searching, "{inertia:?}");
     assert!(inertia.reason.as_deref().unwrap().contains("trapezoid"));

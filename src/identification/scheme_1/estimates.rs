@@ -1,6 +1,6 @@
 //! Dynamics with their covariance as parameters with deviation and verdict.
 
-use super::inverse::Dynamics;
+use super::Dynamics;
 use crate::identification::verdict::{SETTLED, judge};
 use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};

@@ -1,49 +1,19 @@
 use super::*;
-use crate::numerics::count::whole;
-use crate::plant::{Motor, Plant, State};
-use crate::sample::Channel;
+use crate::identification::testing::{self, *};
+use crate::plant::Motor;
+use crate::sample::Verdict;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
-
-fn scenario(input: Input, events: Vec<(f64, f64)>, period_s: f64, until_s: f64) -> Scenario {
-    let samples = whole(until_s / period_s);
-    Scenario {
-        name: "r".into(),
-        input,
-        input_channel: if input == Input::Voltage {
-            Channel::Voltage
-        } else {
-            Channel::Torque
-        },
-        events,
-        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-        current_a: vec![f64::NAN; samples],
-        speed_rad_s: vec![f64::NAN; samples],
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        scored: 0..samples,
-    }
-}
 
 fn value(balances: &[Balanced], key: &str) -> f64 {
-    balances
-        .iter()
-        .flat_map(|b| &b.parameters)
-        .find(|p| p.key == key)
-        .unwrap()
-        .value
-        .unwrap()
+    let mut all = balances.iter().flat_map(|b| &b.parameters);
+    all.find(|p| p.key == key).unwrap().value.unwrap()
 }
 
 #[test]
 fn a_voltage_run_gives_every_parameter() {
-    let truth = Model::baseline(Motor::zk_22fc())
-        .with_effect("quadratic_load")
-        .unwrap();
-    let mut true_values = truth.clone();
-    true_values.effects[0].values = vec![Some(2e-6)];
+    let true_values = testing::paper_with("quadratic_load", &[2e-6]);
+    let truth = paper().with_effect("quadratic_load").unwrap();
     let events = vec![
         (0.0, 0.0),
         (0.3, 50.0),
@@ -53,11 +23,7 @@ fn a_voltage_run_gives_every_parameter() {
         (3.0, -90.0),
         (4.0, 40.0),
     ];
-    let mut run = scenario(Input::Voltage, events, 0.001, 5.0);
-    let out = Plant::new(&true_values, Input::Voltage)
-        .unwrap()
-        .simulate(&run, State::default());
-    (run.current_a, run.speed_rad_s) = (out.current_a, out.speed_rad_s);
+    let run = testing::simulated(&true_values, Input::Voltage, events, every(0.001, 5.0));
     let found = fit(&truth, &run).unwrap();
     for (key, expected) in [
         ("resistance_ohm", 1.1),
@@ -67,8 +33,7 @@ fn a_voltage_run_gives_every_parameter() {
         ("load_torque_n_m", 0.455),
         ("quadratic_load.quadratic_n_m_s2_per_rad2", 2e-6),
     ] {
-        let ratio = value(&found, key) / expected;
-        assert!((ratio - 1.0).abs() < 0.01, "{key} {ratio}");
+        assert_near(value(&found, key), expected, 0.01);
     }
 }
 
@@ -92,11 +57,8 @@ fn a_linear_axis_under_force_gives_mass_and_friction() {
             (t, 60.0 * (1.1 * t).sin() + 25.0 * (4.3 * t).sin())
         })
         .collect();
-    let mut run = scenario(Input::Torque, events, 0.001, 12.0);
-    run.speed_rad_s = Plant::new(&truth, Input::Torque)
-        .unwrap()
-        .simulate(&run, State::default())
-        .speed_rad_s;
+    let mut run = testing::simulated(&truth, Input::Torque, events, every(0.001, 12.0));
+    run.current_a.fill(f64::NAN);
     let found = fit(&model, &run).unwrap();
     for (key, expected) in [
         ("inertia_kg_m2", 95.0),
@@ -104,35 +66,33 @@ fn a_linear_axis_under_force_gives_mass_and_friction() {
         ("viscous_friction.viscous_n_m_s_per_rad", 200.0),
         ("constant_load.constant_n_m", -3.0),
     ] {
-        let ratio = value(&found, key) / expected;
-        assert!((ratio - 1.0).abs() < 0.02, "{key} {ratio}");
+        assert_near(value(&found, key), expected, 0.02);
     }
     assert_eq!(found.len(), 1);
 }
 
 #[test]
 fn a_shaft_at_rest_gives_no_inertia() {
-    let mut run = scenario(Input::Voltage, vec![(0.0, 0.5)], 0.001, 2.0);
+    let mut run = testing::simulated(
+        &paper(),
+        Input::Voltage,
+        vec![(0.0, 0.5)],
+        every(0.001, 2.0),
+    );
     run.current_a = (0..2000)
         .map(|k| 0.45 * (1.0 - (-f64::from(k) / 9.0).exp()))
         .collect();
     run.speed_rad_s = vec![0.0; 2000];
-    let found = fit(&Model::baseline(Motor::zk_22fc()), &run).unwrap();
-    let inertia = found[1]
-        .parameters
-        .iter()
-        .find(|p| p.key == "inertia_kg_m2")
-        .unwrap();
-    assert_eq!(
-        (inertia.value, inertia.verdict),
-        (None, Verdict::NotObservable)
-    );
+    let found = fit(&paper(), &run).unwrap();
+    let inertia = of(&found[1].parameters, "inertia_kg_m2");
+    let told = (inertia.value, inertia.verdict);
+    assert_eq!(told, (None, Verdict::NotObservable));
 }
 
 /// A run of a motor that differs from seed to seed, with bench noise; truth first.
 fn noisy(seed: u64, period_s: f64, constant: bool) -> (Model, Scenario) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut truth = Model::baseline(Motor::zk_22fc());
+    let mut truth = paper();
     for slot in truth.slots() {
         let value = truth.get(&slot).unwrap() * rng.random_range(0.85..1.15);
         truth.set(&slot, value);
@@ -148,35 +108,23 @@ fn noisy(seed: u64, period_s: f64, constant: bool) -> (Model, Scenario) {
         events.push((at_s, volts));
         at_s += rng.random_range(0.05..0.4);
     }
-    let mut run = scenario(Input::Voltage, events, period_s, 12.0);
-    let out = Plant::new(&truth, Input::Voltage)
-        .unwrap()
-        .simulate(&run, State::default());
-    let mut add = |values: &[f64], sigma: f64| -> Vec<f64> {
-        values
-            .iter()
-            .map(|value| value + sigma * rng.sample::<f64, _>(StandardNormal))
-            .collect()
-    };
-    run.current_a = add(&out.current_a, 0.03);
-    run.speed_rad_s = add(&out.speed_rad_s, 0.15);
+    let mut run = testing::simulated(&truth, Input::Voltage, events, every(period_s, 12.0));
+    run.current_a = testing::noisy(&run.current_a, CURRENT_NOISE_A, &mut rng);
+    run.speed_rad_s = testing::noisy(&run.speed_rad_s, SPEED_NOISE_RAD_S, &mut rng);
     (truth, run)
 }
 
 #[test]
 fn the_interval_covers_and_coarse_sampling_widens_it() {
-    let unknown = Model::baseline(Motor::new("?"));
+    let unknown = testing::unknown();
     for (period_s, covered_at_least) in [(0.001, 0.88), (0.01, 0.88)] {
         let (mut inside, mut all, mut wrong) = (0, 0, Vec::new());
         for seed in 0..40 {
             let (truth, run) = noisy(seed, period_s, false);
             let found = fit(&unknown, &run).unwrap();
             for p in found.iter().flat_map(|b| &b.parameters) {
-                let slot = truth
-                    .slots()
-                    .into_iter()
-                    .find(|s| s.key() == p.key)
-                    .unwrap();
+                let mut slots = truth.slots().into_iter();
+                let slot = slots.find(|s| s.key() == p.key).unwrap();
                 let expected = truth.get(&slot).unwrap();
                 let (Some(value), Some(std)) = (p.value, p.std) else {
                     continue;
@@ -206,14 +154,11 @@ fn a_constant_voltage_settles_nothing_electrical_by_its_noise() {
             run.speed_rad_s[k] = f64::NAN;
         }
     }
-    let found = fit(&Model::baseline(Motor::new("?")), &run).unwrap();
+    let found = fit(&testing::unknown(), &run).unwrap();
     for p in found.iter().flat_map(|b| &b.parameters) {
         if ["inductance_h", "inertia_kg_m2"].contains(&p.key.as_str()) {
-            assert_eq!(
-                (p.value, p.verdict),
-                (None, Verdict::NotObservable),
-                "{p:?}"
-            );
+            let told = (p.value, p.verdict);
+            assert_eq!(told, (None, Verdict::NotObservable), "{p:?}");
         }
     }
 }
@@ -221,12 +166,12 @@ fn a_constant_voltage_settles_nothing_electrical_by_its_noise() {
 #[test]
 fn the_residual_of_a_true_model_is_at_the_noise_floor() {
     let (_, run) = noisy(5, 0.001, false);
-    let found = fit(&Model::baseline(Motor::zk_22fc()), &run).unwrap();
+    let found = fit(&paper(), &run).unwrap();
     for balance in &found {
         let squares: f64 = balance.residual.iter().map(|w| w.residual.powi(2)).sum();
         let ratio = (squares / balance.residual.len() as f64).sqrt() / balance.noise_floor.unwrap();
+        // A step between two samples leaves a corner in the current that a quadrature does not resolve.
         assert!(
-            // A step between two samples leaves a corner in the current that a quadrature does not resolve.
             (0.8..1.5).contains(&ratio),
             "{:?} {ratio}",
             balance.equation

@@ -112,7 +112,7 @@ fn record(
 }
 
 /// The schemes that take part: all that read these records.
-fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
+fn taking_part() -> impl Iterator<Item = &'static Scheme> {
     // Inverse dynamics filters, which takes many samples per time constant; a step response takes one long step.
     let apart = ["inverse-dynamics", "step-response"];
     let all = CATALOGUE.iter().copied();
@@ -120,7 +120,7 @@ fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
 }
 
 /// What the paper lets a scheme know.
-fn known(scheme: &dyn Scheme, truth: &Motor) -> Model {
+fn known(scheme: &Scheme, truth: &Motor) -> Model {
     let mut motor = Motor::new("sought");
     let mut fixed = Vec::new();
     let mut give = |key: MotorKey, value: f64| {
@@ -138,7 +138,7 @@ fn known(scheme: &dyn Scheme, truth: &Motor) -> Model {
 }
 
 /// What `scheme` finds in `record`.
-fn errors(scheme: &dyn Scheme, record: &Record) -> Errors {
+fn errors(scheme: &Scheme, record: &Record) -> Errors {
     let model = known(scheme, &record.motor);
     let data = Data {
         run: &record.run,

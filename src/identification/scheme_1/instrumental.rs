@@ -1,8 +1,8 @@
 //! Scheme 1 without the bias of sensor noise: refined instrumental variables over a whole run.
 //!
 //! ```text
-//! first models (auxiliary) --best free run--> auxiliary model --> filtered rows and instruments (solution) --> estimate
-//!                                                  ^------------------ rounds, then Newton steps ----------------'
+//! first models --best free run--> auxiliary model --> filtered rows and instruments --> estimate
+//! ^------------------ rounds, then Newton steps ----------------'
 //! ```
 //!
 //! The instruments are the rows of an auxiliary model that is simulated from the voltage alone (true stick-slip), so no
@@ -14,16 +14,19 @@
 //! Ta +0.2 %, TM -0.1 %, where least squares is -87 % and +62 % off; 2000 samples at 2, 5, 20 or 100 ms, Ta within 1 % in
 //! the median and 1 to 3 % in spread. Over 40 samples Ta scatters by tens of per cent: no form for a short memory.
 
-mod auxiliary;
-mod solution;
-
 use nalgebra::{SMatrix, SVector};
 use thiserror::Error;
 
-use self::auxiliary::{Auxiliary, first_models};
-use self::solution::{Pair, Solution, pairs};
-use super::inverse::{Coefficients, Dynamics, Form, Scheme1Rejection, propagate};
+use super::{
+    Coefficients, Dynamics, Form, Reading, Row, Scheme1, Scheme1Rejection, propagate, signed_row,
+    whatever_direction,
+};
+use crate::numerics::count::whole;
+use crate::numerics::statistics::{finite, largest, mean, variance};
+use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
+use crate::sample::Channel;
 
+/// Over p, q, voltage, load: the fourth motor parameter of five coefficients is tied to the others.
 type M4 = SMatrix<f64, 4, 4>;
 type V4 = SVector<f64, 4>;
 
@@ -265,9 +268,9 @@ fn descend(
 }
 
 fn root_mean_square(values: &[f64]) -> f64 {
-    let finite = values.iter().filter(|value| value.is_finite());
-    let count = finite.clone().count().max(1) as f64;
-    (finite.map(|value| value * value).sum::<f64>() / count).sqrt()
+    let values = finite(values);
+    let squares = values.iter().map(|value| value * value).sum::<f64>();
+    (squares / values.len().max(1) as f64).sqrt()
 }
 
 /// The rounds end where `x = F(x) + e`; an error `e` of one round then moves the end by `(I - F')^-1 e`, which is returned.
@@ -302,4 +305,261 @@ fn gain(
     (M4::identity() - slope)
         .try_inverse()
         .ok_or(InstrumentalError::NotExcited { least: 0.0 })
+}
+
+/// Share of the auxiliary model's largest speed below which it counts as standing.
+const DEAD_ZONE: f64 = 0.02;
+/// Samples at the begin whose mean gives the speed there.
+const FIRST_SAMPLES: usize = 4;
+/// Strides of the rows of the first models, in samples: over a longer stride noise counts less.
+const STRIDES: [usize; 6] = [1, 2, 4, 8, 16, 32];
+
+/// A model's free run under the voltage of a series.
+struct Auxiliary {
+    readings: Vec<Reading>,
+    /// Root mean square of measured less simulated speed, rad/s.
+    error_rad_s: f64,
+}
+
+impl Auxiliary {
+    fn of(series: &Series<'_>, model: &Dynamics) -> Self {
+        let samples = series.voltage_v.len();
+        let time = |k: usize| k as f64 * series.period_s;
+        // The resistance cancels in the speed: one ohm serves.
+        let motor = Motor::new("auxiliary")
+            .with(MotorKey::Resistance, 1.0)
+            .with(MotorKey::Inductance, model.ta_s)
+            .with(MotorKey::BackEmf, model.ke)
+            .with(MotorKey::Inertia, model.tm_s * model.ke * model.ke)
+            .with(MotorKey::LoadTorque, (model.load_v * model.ke).max(0.0));
+        let events = (1..samples).map(|k| (time(k - 1), series.voltage_v[k]));
+        let times = (0..samples).map(time).collect();
+        let (input, channel) = (Input::Voltage, Channel::Voltage);
+        let scenario = Scenario::planned("", input, channel, events.collect(), times);
+        let speed = Plant::new(&Model::baseline(motor), Input::Voltage)
+            .map(|mut plant| plant.simulate(&scenario, start(series, model)).speed_rad_s)
+            .unwrap_or_default();
+        let zone = DEAD_ZONE * largest(&speed);
+        let misses: Vec<f64> = speed
+            .iter()
+            .zip(series.speed_rad_s)
+            .map(|(simulated, measured)| measured - simulated)
+            .collect();
+        Self {
+            readings: speed
+                .iter()
+                .zip(series.voltage_v)
+                .map(|(&speed_rad_s, &voltage_v)| Reading {
+                    voltage_v,
+                    speed_rad_s,
+                    direction: i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone),
+                })
+                .collect(),
+            error_rad_s: root_mean_square(&misses),
+        }
+    }
+}
+
+/// State at the first sample: the mean speed of the first few, and the current that carries the load; at rest where the
+/// noise leaves that open.
+fn start(series: &Series<'_>, model: &Dynamics) -> State {
+    let mut first = finite(series.speed_rad_s);
+    first.truncate(FIRST_SAMPLES);
+    let speed = mean(&first);
+    let noise = (variance(&first) / first.len() as f64).sqrt();
+    if speed.abs() > (3.0 * noise).max(DEAD_ZONE * largest(series.speed_rad_s)) {
+        State::at(model.load_v.max(0.0) * speed.signum(), speed)
+    } else {
+        State::default()
+    }
+}
+
+/// First models from the data, the one with the smallest error of its free run first: least squares in both forms over
+/// several strides, then a rough one with the static gain.
+fn first_models(series: &Series<'_>, direction: &[i8], given: Option<Dynamics>) -> Vec<Dynamics> {
+    let mut models: Vec<Dynamics> = given.into_iter().collect();
+    for stride in STRIDES {
+        for form in [Form::Exact, Form::Printed] {
+            models.extend(over_stride(series, direction, form, stride));
+        }
+    }
+    let ke = root_mean_square(series.voltage_v) / root_mean_square(series.speed_rad_s);
+    if ke.is_finite() && ke > 0.0 {
+        models.push(Dynamics {
+            ta_s: 2.0 * series.period_s,
+            tm_s: 10.0 * series.period_s,
+            ke,
+            load_v: 0.0,
+        });
+    }
+    let mut ranked: Vec<(f64, Dynamics)> = models
+        .into_iter()
+        .map(|model| (Auxiliary::of(series, &model).error_rad_s, model))
+        .collect();
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    ranked.into_iter().map(|(_, model)| model).collect()
+}
+
+/// Least squares on every `stride`-th sample with the mean voltage between them, all phases together.
+fn over_stride(
+    series: &Series<'_>,
+    direction: &[i8],
+    form: Form,
+    stride: usize,
+) -> Option<Dynamics> {
+    let mut scheme = Scheme1::new(form, series.period_s * stride as f64, 1.0);
+    let samples = series.voltage_v.len();
+    for phase in 0..stride {
+        scheme.push(f64::NAN, f64::NAN, 0);
+        for k in (phase..samples).step_by(stride) {
+            let voltages = &series.voltage_v[(k + 1).saturating_sub(stride)..=k];
+            let sign = direction.get(k).copied().unwrap_or(0);
+            scheme.push(mean(voltages), series.speed_rad_s[k], sign);
+        }
+    }
+    scheme.dynamics().ok()
+}
+
+/// A filtered row of the measurement and its instrument.
+struct Pair {
+    sample: usize,
+    instrument: V4,
+    regressor: V4,
+    value: f64,
+}
+
+/// The regressors with the two voltage coefficients in the proportion that the model's poles give them: left free, their
+/// difference costs most of the accuracy when the sampling is fast.
+fn tied(row: &Row, ratio: f64) -> [f64; 4] {
+    let [p, q, voltage, load, step] = row.regressor;
+    [p, q, voltage + ratio * step, load]
+}
+
+/// Rows and instruments, both filtered by `1/A(z)` of the model.
+///
+/// A row over a reversal or a standstill is no equation, but the filter must not start afresh behind it: such a row is
+/// corrected by what the auxiliary model lacks there, `A x - B u - b3 s`, and only passes through the filter. Where a
+/// speed is missing, and at the two samples before the first row, the auxiliary speed stands in: a start on noisy samples
+/// would send a free response as long as the time constants through every row.
+fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pair> {
+    let coefficients = Coefficients::of_motor(model, series.period_s);
+    let theta = coefficients.to_array();
+    let ratio = coefficients.voltage_step / coefficients.voltage;
+    let known = |k: usize| k >= 2 && series.speed_rad_s[k].is_finite();
+    let measured = |k: usize| Reading {
+        speed_rad_s: if known(k) {
+            series.speed_rad_s[k]
+        } else {
+            auxiliary[k].speed_rad_s
+        },
+        ..auxiliary[k]
+    };
+    let mut out = Vec::with_capacity(auxiliary.len());
+    let mut memory = [[0.0; 9]; 2];
+    for k in 2..auxiliary.len() {
+        let last = [&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]];
+        let instrument = whatever_direction(last[0], last[1], last[2]);
+        let row = whatever_direction(&measured(k - 2), &measured(k - 1), &measured(k));
+        let Some((instrument, mut row)) = instrument.zip(row) else {
+            memory = [[0.0; 9]; 2];
+            continue;
+        };
+        let valid = signed_row(last[0], last[1], last[2]).is_some();
+        if !valid {
+            let explained: f64 = instrument
+                .regressor
+                .iter()
+                .zip(theta)
+                .map(|(x, t)| x * t)
+                .sum();
+            row.value -= instrument.value - explained;
+        }
+        let [instrument, regressor] = [&instrument, &row].map(|row| tied(row, ratio));
+        let now: [f64; 9] = std::array::from_fn(|j| {
+            let raw = match j {
+                0..4 => instrument[j],
+                4..8 => regressor[j - 4],
+                _ => row.value,
+            };
+            raw + coefficients.a1() * memory[0][j] + coefficients.a2() * memory[1][j]
+        });
+        memory = [now, memory[0]];
+        if valid && known(k) {
+            out.push(Pair {
+                sample: k,
+                instrument: V4::from_fn(|j, _| now[j]),
+                regressor: V4::from_fn(|j, _| now[j + 4]),
+                value: now[8],
+            });
+        }
+    }
+    out
+}
+
+struct Solution {
+    theta: V4,
+    /// Inverse of the sum of instrument times regressor.
+    inverse: M4,
+    residual_rad_s: f64,
+}
+
+impl Solution {
+    fn of(pairs: &[Pair]) -> Result<Self, InstrumentalError> {
+        let rows = pairs.len();
+        if rows < FEWEST_ROWS {
+            return Err(InstrumentalError::TooFewRows { rows });
+        }
+        let length = |of: &dyn Fn(&Pair, usize) -> f64| {
+            V4::from_fn(|j, _| {
+                let squares: f64 = pairs.iter().map(|pair| of(pair, j).powi(2)).sum();
+                squares.sqrt().max(f64::MIN_POSITIVE)
+            })
+        };
+        let norms = length(&|pair, j| pair.regressor[j]);
+        let sizes = length(&|pair, j| pair.instrument[j]);
+        let (mut normal, mut right) = (M4::zeros(), V4::zeros());
+        for pair in pairs {
+            let z = pair.instrument.component_div(&sizes);
+            let x = pair.regressor.component_div(&norms);
+            normal += z * x.transpose();
+            right += z * pair.value;
+        }
+        let least = normal.singular_values().min();
+        let inverse = normal
+            .try_inverse()
+            .filter(|_| least > LEAST_EXCITATION)
+            .ok_or(InstrumentalError::NotExcited { least })?;
+        let theta = (inverse * right).component_div(&norms);
+        let inverse = M4::from_fn(|i, j| inverse[(i, j)] / (norms[i] * sizes[j]));
+        let squares: f64 = pairs.iter().map(|pair| pair.error(&theta).powi(2)).sum();
+        Ok(Self {
+            theta,
+            inverse,
+            residual_rad_s: (squares / (rows - 4) as f64).sqrt(),
+        })
+    }
+
+    /// Sandwich covariance of the coefficients; the scores are summed over stretches of several time constants, because
+    /// the filtered errors of a chain share the error of its first samples.
+    fn covariance(&self, pairs: &[Pair], model: &Dynamics, period_s: f64) -> M4 {
+        let stretch = whole((4.0 * (model.ta_s + model.tm_s) / period_s).clamp(20.0, 1e6))
+            .min((pairs.len() / CLUSTERS).max(1));
+        let mut meat = M4::zeros();
+        let mut clusters = 0usize;
+        for cluster in pairs.chunk_by(|a, b| a.sample / stretch == b.sample / stretch) {
+            let score = cluster.iter().fold(V4::zeros(), |sum, pair| {
+                sum + pair.instrument * pair.error(&self.theta)
+            });
+            meat += score * score.transpose();
+            clusters += 1;
+        }
+        let correction = clusters as f64 / (clusters as f64 - 4.0).max(1.0);
+        self.inverse * meat * self.inverse.transpose() * correction
+    }
+}
+
+impl Pair {
+    fn error(&self, theta: &V4) -> f64 {
+        self.value - self.regressor.dot(theta)
+    }
 }

@@ -1,12 +1,246 @@
-//! One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
+//! What a record says against itself, signal by signal: nothing moves, single wild values, a signal that froze, was cut off or
+//! lost its sign.
 
 use std::ops::Range;
 
-use super::balance::{Roles, voltage_at_rest};
-use super::still::AT_REST;
-use super::table::{Activity, Table};
+use super::table::{Activity, Roles, Table, correlation, voltage_at_rest};
 use super::{Finding, Kind};
+use crate::numerics::count::whole;
+use crate::numerics::statistics::{finite, median};
 use crate::plant::MotorKey;
+
+/// Correlation of voltage and current above which the current answers the voltage.
+const ANSWERS: f64 = 0.3;
+/// Share of the voltage that resistance and inductance may leave unexplained in a winding at rest.
+const AT_REST: f64 = 0.3;
+
+/// Records in which nothing moves, or not what has to.
+pub(super) fn still(table: &Table) -> Vec<Finding> {
+    let [voltage, current, speed] =
+        [&table.voltage_v, &table.current_a, &table.speed_rad_s].map(|values| Activity::of(values));
+    let duration_s = table.duration_s();
+    let current_moves = current.moves
+        || current.is_there() && correlation(&table.voltage_v, &table.current_a).abs() > ANSWERS;
+    if !speed.moves && !current_moves {
+        return vec![nothing_moves(&voltage, &current, &speed, duration_s)];
+    }
+    let mut findings = Vec::new();
+    let voltage_changes = voltage.is_there() && voltage.range() > 0.01 * voltage.largest();
+    if current.is_constant() && voltage_changes && speed.moves {
+        findings.push(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "current_a is {} A in all {} rows while {} changes between {:.4} and {:.4} V and the speed follows: \
+                 the current is not measured",
+                current.mean, current.count, table.voltage_key, voltage.least, voltage.most
+            ),
+            "leave the column out of --map (voltage and speed alone still give the back-EMF constant), or repair the sensor",
+        ));
+    } else if current.is_there() && current.is_zero() && voltage.is_there() && !voltage_changes {
+        findings.push(Finding::refusal(
+            Kind::OpenCircuit,
+            format!(
+                "the current stays 0 A while the speed goes from {:.4} to {:.4} rad/s at a stated voltage of {:.4} V: \
+                 the terminals are open, so the stated voltage is not the motor's",
+                speed.least, speed.most, voltage.mean
+            ),
+            "leave the voltage out of --map, and give torque_n_m_per_a with --model: the coast-down then gives the torque balance",
+        ));
+    }
+    if current_moves && speed.is_there() && !speed.moves {
+        findings.extend(shaft_at_rest(table, &speed));
+    }
+    if current.moves && speed.moves && voltage.is_there() {
+        findings.extend(open_for_a_while(table, &voltage, &current, &speed));
+    }
+    findings
+}
+
+/// Share of the largest voltage that is none, of the largest speed that is a clear one, and of the largest current that
+/// is none.
+const NO_VOLTAGE: f64 = 0.002;
+const CLEAR_SPEED: f64 = 0.2;
+const NO_CURRENT: f64 = 0.02;
+/// Rows from which such a stretch counts, and the share of the record that forbids an identification.
+const OPEN_ROWS: usize = 20;
+const OPEN_SHARE: f64 = 0.02;
+
+/// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
+fn open_for_a_while(
+    table: &Table,
+    voltage: &Activity,
+    current: &Activity,
+    speed: &Activity,
+) -> Option<Finding> {
+    let coasts = |row: &usize| {
+        table.voltage_v[*row].abs() <= NO_VOLTAGE * voltage.largest()
+            && table.speed_rad_s[*row].abs() > CLEAR_SPEED * speed.largest()
+            && table.current_a[*row].is_finite()
+    };
+    let rows: Vec<usize> = (0..table.time_s.len()).filter(coasts).collect();
+    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze.
+    let speeds: Vec<f64> = rows.iter().map(|row| table.speed_rad_s[*row]).collect();
+    if Activity::of(&speeds).is_constant() {
+        return None;
+    }
+    let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
+    let level = median(&currents);
+    if rows.len() < OPEN_ROWS || level > NO_CURRENT * current.largest() {
+        return None;
+    }
+    let sentence = format!(
+        "in {} rows from {:.3} s on the voltage is stated as 0 V and the shaft turns, but the current is {level:.3} A: the \
+         terminals are open there, so no voltage is known and no balance of voltages holds",
+        rows.len(),
+        table.time_s[rows[0]]
+    );
+    let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
+    let share = rows.len() as f64 / table.time_s.len() as f64;
+    Some(if share > OPEN_SHARE {
+        Finding::refusal(Kind::OpenCircuit, sentence, help)
+    } else {
+        Finding::caution(Kind::OpenCircuit, &MotorKey::ALL, sentence, help)
+    })
+}
+
+/// One operating point, moving or not.
+fn nothing_moves(
+    voltage: &Activity,
+    current: &Activity,
+    speed: &Activity,
+    duration_s: f64,
+) -> Finding {
+    let mut levels = Vec::new();
+    for (name, activity, unit) in [
+        ("voltage", voltage, "V"),
+        ("current", current, "A"),
+        ("speed", speed, "rad/s"),
+    ] {
+        if activity.is_there() {
+            let noise = if activity.is_constant() {
+                String::new()
+            } else {
+                format!(" +- {:.2}", activity.noise)
+            };
+            levels.push(format!("{name} {:.4}{noise} {unit}", activity.mean));
+        }
+    }
+    let levels = levels.join(", ");
+    if speed.is_there() && speed.is_zero() {
+        Finding::refusal(
+            Kind::Standstill,
+            format!(
+                "the motor stands still and nothing changes for {duration_s:.3} s ({levels}): there is nothing to identify"
+            ),
+            "excite the motor: steps of voltage in both directions, with some time at rest first",
+        )
+    } else {
+        Finding::refusal(
+            Kind::Steady,
+            format!(
+                "nothing changes for {duration_s:.3} s ({levels}): one operating point is one equation for all unknowns"
+            ),
+            "excite the motor: steps of voltage in both directions; record the transients too",
+        )
+    }
+}
+
+/// The current moves, the speed does not: a locked rotor, or a speed that is not measured.
+fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
+    if speed.is_constant() && speed.mean.abs() > 0.0 {
+        return Some(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "speed_rad_s is {} rad/s in all {} rows while the current changes: the speed is not measured",
+                speed.mean, speed.count
+            ),
+            "leave the column out of --map, or repair the sensor",
+        ));
+    }
+    if !speed.is_zero() {
+        return None;
+    }
+    let roles = Roles::of(table);
+    let unexplained = voltage_at_rest(&roles)?;
+    if unexplained > AT_REST {
+        return Some(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "the speed reads 0 rad/s throughout, but resistance and inductance leave {:.0} % of the voltage \
+                 unexplained: the shaft turns and the speed is not measured",
+                100.0 * unexplained
+            ),
+            "check the speed sensor, or leave the column out of --map",
+        ));
+    }
+    Some(Finding::caution(
+        Kind::Standstill,
+        &[MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque],
+        format!(
+            "the shaft does not turn in {:.3} s (speed 0 +- {:.2} rad/s): only resistance and inductance can be found",
+            table.duration_s(),
+            speed.noise
+        ),
+        "for the other parameters the shaft must be free to turn and the voltage high enough to break it away",
+    ))
+}
+
+/// A current may jump; one that comes back within a row by this many times the usual range did not.
+const CURRENT_RANGES: f64 = 3.0;
+/// The inertia forbids a speed this share of its range for one row, where rows are close enough to see it.
+const SPEED_RANGES: f64 = 0.5;
+const CLOSE_S: f64 = 0.02;
+/// Share of the range by which the two neighbours may differ.
+const NEIGHBOURS: f64 = 0.1;
+/// Share of the rows left out at each end of what counts as the usual range, and up to which values are single.
+const TAIL: f64 = 0.01;
+
+/// Single values that no machine can have shown: one row far off between two that agree.
+pub(super) fn outlier(table: &Table) -> Option<Finding> {
+    let pairs = table.time_s.windows(2);
+    let close = pairs.clone().filter(|pair| pair[1] - pair[0] <= CLOSE_S);
+    let close = 2 * close.count() > pairs.count();
+    let speed = if close { SPEED_RANGES } else { CURRENT_RANGES };
+    wild("speed_rad_s", &table.time_s, &table.speed_rad_s, speed)
+        .or_else(|| wild("current_a", &table.time_s, &table.current_a, CURRENT_RANGES))
+}
+
+fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
+    let mut sorted = finite(values);
+    if sorted.len() < 100 {
+        return None;
+    }
+    sorted.sort_by(f64::total_cmp);
+    let tail = (TAIL * sorted.len() as f64).ceil();
+    let tail = whole(tail);
+    let range = sorted[sorted.len() - 1 - tail] - sorted[tail];
+    let spikes: Vec<usize> = (1..values.len().saturating_sub(1))
+        .filter(|&row| {
+            let (before, at, after) = (values[row - 1], values[row], values[row + 1]);
+            let nearest = (at - before).abs().min((at - after).abs());
+            range > 0.0 && (before - after).abs() <= NEIGHBOURS * range && nearest > ranges * range
+        })
+        .collect();
+    let first = *spikes.first()?;
+    // Many of them are no accident but what the signal is.
+    if spikes.len() > tail {
+        return None;
+    }
+    Some(Finding::refusal(
+        Kind::Outlier,
+        format!(
+            "{key} reads {:.4} at {:.4} s between {:.4} and {:.4} ({} such {} of {}): no machine moves like that",
+            values[first],
+            time_s[first],
+            values[first - 1],
+            values[first + 1],
+            spikes.len(),
+            if spikes.len() == 1 { "row" } else { "rows" },
+            values.len()
+        ),
+        "leave the cell empty: an empty cell is a missing value; look for noise on the line or a torn transmission",
+    ))
+}
 
 /// Rows of one and the same value from which a live signal counts as frozen.
 const FROZEN_ROWS: usize = 20;
@@ -29,7 +263,8 @@ const THROUGH_ZERO: f64 = 0.1;
 /// Share of the largest value that a signal may be negative by, through noise or offset.
 const NEARLY_NONE: f64 = 0.05;
 
-pub(super) fn check(table: &Table) -> Vec<Finding> {
+/// One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
+pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
     let speed_moves = Activity::of(&table.speed_rad_s).moves;
     for (key, values, others) in [
@@ -149,7 +384,7 @@ struct Stretches {
     begin: usize,
     last: Option<f64>,
     equal: usize,
-    longest: std::ops::Range<usize>,
+    longest: Range<usize>,
 }
 
 impl Stretches {
@@ -178,7 +413,7 @@ const JUMP: f64 = 0.1;
 
 /// A measured signal that stands still between jumps is a command: no shaft and no winding does that.
 fn held(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
-    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let present = finite(values);
     let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
     // At rest any signal stands still.
     let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());

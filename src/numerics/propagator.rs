@@ -6,8 +6,8 @@ pub(crate) type M2 = [[f64; 2]; 2];
 /// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form from the eigenvalues of `A`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Propagator {
-    phi: M2,
-    gamma: M2,
+    pub(crate) phi: M2,
+    pub(crate) gamma: M2,
 }
 
 /// `A` with what its exponential over any interval needs: most of the work is done once.
@@ -155,6 +155,22 @@ impl Propagator {
             p[0][0] * x[0] + p[0][1] * x[1] + q[0][0] * g[0] + q[0][1] * g[1],
             p[1][0] * x[0] + p[1][1] * x[1] + q[1][0] * g[0] + q[1][1] * g[1],
         ]
+    }
+}
+
+impl Propagator {
+    /// This interval and another one after it, the forcing constant over both.
+    pub(crate) fn then(&self, next: &Self) -> Self {
+        let mut gamma = multiply(&next.phi, &self.gamma);
+        for (line, added) in gamma.iter_mut().zip(&next.gamma) {
+            for (cell, added) in line.iter_mut().zip(added) {
+                *cell += added;
+            }
+        }
+        Self {
+            phi: multiply(&next.phi, &self.phi),
+            gamma,
+        }
     }
 }
 
