@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::Size;
 use super::record::Excitation;
-use super::sizes::{BACKGROUND, KNOWN, PAIRS, UNKNOWN, WRONG_FORM, right_names};
+use super::sizes::{BACKGROUND, PAIRS, known, right_names, unknown, wrong_form};
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -156,7 +156,7 @@ pub(super) fn all(size: Size) -> Vec<Case> {
         cases.extend((0..sets).map(|set| Case::new(group, excitation, hidden, set, size)));
     };
     for excitation in Excitation::ALL {
-        for (id, _) in KNOWN {
+        for id in known() {
             add(Group::Single, excitation, &[id], size.sets);
         }
     }
@@ -164,12 +164,12 @@ pub(super) fn all(size: Size) -> Vec<Case> {
         add(Group::Null, excitation, &[], NULLS_PER_SET * size.sets);
     }
     for excitation in Excitation::ALL {
-        for (id, _) in UNKNOWN {
+        for id in unknown() {
             add(Group::Unknown, excitation, &[id], size.sets);
         }
     }
     for excitation in Excitation::ALL {
-        for (id, ..) in WRONG_FORM {
+        for id in wrong_form() {
             add(Group::WrongForm, excitation, &[id], size.sets);
         }
     }
@@ -179,7 +179,7 @@ pub(super) fn all(size: Size) -> Vec<Case> {
         }
     }
     for level in BACKGROUND_LEVELS {
-        for (id, _) in KNOWN {
+        for id in known() {
             add(
                 Group::Background { level },
                 Excitation::Rich,
@@ -190,7 +190,7 @@ pub(super) fn all(size: Size) -> Vec<Case> {
     }
     for excitation in HARD {
         for group in [Group::Harsh, Group::Noisy, Group::Lossy] {
-            for (id, _) in KNOWN {
+            for id in known() {
                 add(group, excitation, &[id], size.sets);
             }
         }

@@ -240,7 +240,7 @@ pub(super) fn are_twins(a: &str, b: &str) -> bool {
 
 /// Classes in the order of the tables.
 pub(super) fn known() -> impl Iterator<Item = &'static str> {
-    sizes::KNOWN.iter().map(|(id, _)| *id)
+    sizes::known().into_iter()
 }
 
 #[cfg(test)]

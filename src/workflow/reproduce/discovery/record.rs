@@ -5,11 +5,12 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use thiserror::Error;
 
-use super::sizes::{self};
+use super::sizes;
 use super::truth::{Truth, truths};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
 use crate::emulator::truth::MotorTruth;
+use crate::emulator::truth::effect::HiddenEffect;
 use crate::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
@@ -232,13 +233,12 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
         1.0
     };
     for id in &case.hidden {
-        config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
+        config.hidden.extend(sizes::drawn(id, share, rng));
     }
     if let Some(level) = case.group.background() {
-        let mut messy = toml::Table::new();
-        messy.insert("id".to_owned(), "messy".into());
-        messy.insert("scale".to_owned(), level.into());
-        config.hidden.push(messy.try_into()?);
+        config
+            .hidden
+            .extend(HiddenEffect::new("messy", &[("scale", level)]));
     }
     Ok(config)
 }
