@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::truth::effect::{FluxSaturation, HiddenEffect};
+use super::truth::effect::{HiddenEffect, flux_saturation};
 use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
 
@@ -382,21 +382,14 @@ impl EmulatorConfig {
         {
             return refuse(key, value, allowed);
         }
-        let most = FluxSaturation::largest_stable(
-            &self.motor,
-            self.limits.current_limit_a,
-            self.tolerance,
-        );
-        for effect in &self.hidden {
-            if let HiddenEffect::FluxSaturation(flux) = effect
-                && flux.saturation_per_a2 > most
-            {
-                return Err(EmulatorConfigError::RunsAway {
-                    file: file.to_owned(),
-                    value: flux.saturation_per_a2,
-                    most,
-                });
-            }
+        let current_limit_a = self.limits.current_limit_a;
+        let most = flux_saturation::largest_stable(&self.motor, current_limit_a, self.tolerance);
+        let mut saturating = self.hidden.iter().filter(|e| e.id() == "flux_saturation");
+        if let Some(value) =
+            saturating.find_map(|e| e.value("saturation_per_a2").filter(|v| *v > most))
+        {
+            let file = file.to_owned();
+            return Err(EmulatorConfigError::RunsAway { file, value, most });
         }
         if self
             .hidden

@@ -49,13 +49,11 @@ const DOSES: [Dose; 6] = [
 impl Dose {
     /// As it is put into the truth.
     fn hidden(&self, size: f64) -> HiddenEffect {
-        let mut keys = toml::Table::new();
-        keys.insert("id".to_owned(), self.0.into());
-        keys.insert(self.2.to_owned(), size.into());
+        let mut values = vec![(self.2, size)];
         if self.0 == "stribeck_friction" {
-            keys.insert("stribeck_speed_rad_s".to_owned(), 10.0.into());
+            values.push(("stribeck_speed_rad_s", 10.0));
         }
-        keys.try_into().expect("an effect of the emulator")
+        HiddenEffect::new(self.0, &values).expect("an effect of the emulator")
     }
 }
 

@@ -5,7 +5,6 @@ use firmware_protocol::{Control, DriveCommand};
 use super::SoftDrive;
 use crate::emulator::EmulatorConfig;
 use crate::emulator::truth::effect::HiddenEffect;
-use crate::emulator::truth::effect::test_samples::one_of_each;
 use crate::emulator::truth::{NoiseConfig, QuantisationConfig};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error;
@@ -115,16 +114,14 @@ fn error(model: &Model, scenario: &Scenario) -> f64 {
 fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percent() {
     let baseline = Model::baseline(Motor::zk_22fc());
     let mut misfits = Vec::new();
-    for effect in one_of_each()
+    for effect in HiddenEffect::one_of_each()
         .into_iter()
         .filter(|effect| !effect.is_foreign())
     {
         let id = effect.id();
         let mut model = baseline.with_effect(id).unwrap();
         for (at, spec) in model.effects[0].effect.parameters().iter().enumerate() {
-            let parameters = effect.parameters();
-            let value = parameters.iter().find(|(key, ..)| *key == spec.key);
-            model.effects[0].values[at] = Some(value.unwrap().1);
+            model.effects[0].values[at] = Some(effect.value(spec.key).unwrap());
         }
         let scenario = recorded(&[effect]);
         if id == "backlash" {

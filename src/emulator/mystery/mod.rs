@@ -9,7 +9,6 @@
 //! accident; it is no secret from someone who wants to know.
 
 mod seal;
-mod sizes;
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -115,15 +114,12 @@ pub fn draw(seed: u64) -> Mystery {
 
 fn hidden(rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<HiddenEffect> {
     let kind: f64 = rng.random();
-    let ids: &[&str] = if kind < NONE_SHARE {
+    if kind < NONE_SHARE {
         return None;
-    } else if kind < NONE_SHARE + FOREIGN_SHARE {
-        sizes::FOREIGN
-    } else {
-        sizes::KNOWN
-    };
+    }
+    let ids = HiddenEffect::mysteries(kind < NONE_SHARE + FOREIGN_SHARE);
     let id = ids[rng.random_range(0..ids.len())];
-    sizes::sized(id, rng, nameplate)
+    HiddenEffect::mystery(id, rng, nameplate)
 }
 
 fn true_effect(effect: &HiddenEffect) -> TrueEffect {

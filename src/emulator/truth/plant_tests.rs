@@ -1,10 +1,18 @@
 use proptest::prelude::*;
 
-use super::super::effect::{StribeckFriction, ViscousFriction};
 use super::super::motor::zk_22fc;
 use super::*;
 
 const H: f64 = 50e-6;
+
+fn hidden(id: &str, values: &[(&str, f64)]) -> HiddenEffect {
+    HiddenEffect::new(id, values).unwrap()
+}
+
+fn stribeck() -> HiddenEffect {
+    let values = [("stribeck_n_m", 0.16), ("stribeck_speed_rad_s", 10.0)];
+    hidden("stribeck_friction", &values)
+}
 
 fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
     #[expect(
@@ -42,10 +50,7 @@ fn stiction_holds_below_coulomb_and_breaks_above() {
 
 #[test]
 fn static_friction_beyond_coulomb_holds_longer() {
-    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
-        stribeck_n_m: 0.16,
-        stribeck_speed_rad_s: 10.0,
-    })];
+    let stribeck = [stribeck()];
     // (Mc + Ms) R/Kt = 1.912 V
     for (volts, moves) in [(1.90, false), (1.93, true)] {
         let mut plant = Plant::new(zk_22fc(), &stribeck);
@@ -56,10 +61,7 @@ fn static_friction_beyond_coulomb_holds_longer() {
 
 #[test]
 fn the_shaft_breaks_away_with_its_friction_fully_built_up() {
-    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
-        stribeck_n_m: 0.16,
-        stribeck_speed_rad_s: 10.0,
-    })];
+    let stribeck = [stribeck()];
     let mut plant = Plant::new(zk_22fc(), &stribeck);
     // The current passes the breakaway level after 35 ms; 5 ms later the surplus is a few mN.m. Without the bristle's
     // torque it would be 160 mN.m, and the speed 0.1 rad/s.
@@ -70,10 +72,7 @@ fn the_shaft_breaks_away_with_its_friction_fully_built_up() {
 
 #[test]
 fn a_shaft_that_passes_zero_keeps_its_bristle_and_one_that_rested_does_not() {
-    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
-        stribeck_n_m: 0.16,
-        stribeck_speed_rad_s: 10.0,
-    })];
+    let stribeck = [stribeck()];
     // After each leg: the torque of the bristle a quarter of a millisecond into the reversed motion, far less than its stretch.
     let after = |rest_s: f64| {
         let mut plant = Plant::new(zk_22fc(), &stribeck);
@@ -166,10 +165,7 @@ fn halving_the_step_shows_fourth_order_through_stick_and_reversal() {
 
 #[test]
 fn with_a_bristle_the_step_still_converges() {
-    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
-        stribeck_n_m: 0.16,
-        stribeck_speed_rad_s: 10.0,
-    })];
+    let stribeck = [stribeck()];
     let exact = reversal(&stribeck, 1e-6);
     let error = |step: f64| (reversal(&stribeck, step) - exact).abs();
     assert!(error(H) < 2e-3 * exact.abs(), "{} of {exact}", error(H));
@@ -178,9 +174,10 @@ fn with_a_bristle_the_step_still_converges() {
 
 #[test]
 fn drag_lowers_the_speed_by_its_torque() {
-    let viscous = [HiddenEffect::ViscousFriction(ViscousFriction {
-        viscous_n_m_s_per_rad: 4e-4,
-    })];
+    let viscous = [hidden(
+        "viscous_friction",
+        &[("viscous_n_m_s_per_rad", 4e-4)],
+    )];
     let mut plant = Plant::new(zk_22fc(), &viscous);
     run(&mut plant, Terminals::Voltage(110.0), 3.0, H);
     let w: f64 = plant.speed_rad_s();
@@ -236,10 +233,7 @@ proptest! {
     /// The machine has no preferred direction.
     #[test]
     fn mirrored_voltage_gives_mirrored_motion(levels in prop::collection::vec(-60.0..60.0_f64, 1..6)) {
-        let hidden = [HiddenEffect::StribeckFriction(StribeckFriction {
-            stribeck_n_m: 0.16,
-            stribeck_speed_rad_s: 10.0,
-        })];
+        let hidden = [stribeck()];
         let (mut plus, mut minus) = (Plant::new(zk_22fc(), &hidden), Plant::new(zk_22fc(), &hidden));
         for level in levels {
             run(&mut plus, Terminals::Voltage(level), 0.05, H);

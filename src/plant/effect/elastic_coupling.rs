@@ -1,15 +1,11 @@
-use super::{Card, Coupling, Effect, Enters, ParameterSpec, Terms};
+//! A load that is not rigidly on the motor's shaft.
 
-/// A load that is not rigidly on the motor's shaft.
-pub(super) struct ElasticCoupling;
-
-/// What the simulation builds its second inertia from; shared with `backlash`.
-pub(super) struct Shaft(pub(super) Coupling);
+use super::{Card, CatalogueEffect, Coupling, Enters, ParameterSpec};
 
 /// Share of the inertia behind the shaft. At either end one of the two sides has no inertia left.
 pub(super) const INERTIA_RATIO: ParameterSpec =
     ParameterSpec::shape("inertia_ratio", "-", (0.02, 0.98), &[0.35, 0.55]);
-/// Metal shafts have 0.005 to 0.02, rubber couplings 0.05 to 0.2 (PHYSICS.md); one is no oscillation any more.
+/// Metal shafts have 0.005 to 0.02, rubber couplings 0.05 to 0.2; one is no oscillation any more.
 pub(super) const DAMPING_RATIO: ParameterSpec =
     ParameterSpec::linear_shape("damping_ratio", "-", (0.0, 1.0), 0.05, &[0.03]);
 pub(super) const FRICTION_SPLIT: ParameterSpec =
@@ -17,50 +13,40 @@ pub(super) const FRICTION_SPLIT: ParameterSpec =
 /// Below, the run is too short for it; above, samples at 1 kHz no longer show it.
 pub(super) const FREQUENCY_HZ: (f64, f64) = (1.0, 200.0);
 
-impl Effect for ElasticCoupling {
-    fn card(&self) -> &'static Card {
-        &Card {
-            id: "elastic_coupling",
-            name: "elastic coupling",
-            enters: Enters::Torque,
-            equation: "J1 dw/dt = ... - T, J2 dw2/dt = T - Mc2 sgn(w2), T = k (th - th2) + d (w - w2); \
-                       J2 = r J, k = (2 pi f)^2 J r (1 - r), d = 2 zeta sqrt(k J r (1 - r)), Mc2 = split Mc",
-            causes: "a compliant coupling, a long shaft, a belt or a gear between motor and load",
-            looks_like: "speed that rings at one frequency after every step of the voltage, whatever its size",
-            excite: "fast dither about zero speed and steps of several sizes; slow ramps do not show it",
-            remedy: "stiffen the coupling, keep the speed loop's bandwidth below a third of f, or a notch filter at f",
-            needs_angle: false,
-        }
-    }
-
-    fn parameters(&self) -> &'static [ParameterSpec] {
-        const P: &[ParameterSpec] = &[
-            ParameterSpec::shape(
-                "frequency_hz",
-                "Hz",
-                FREQUENCY_HZ,
-                &[10.0, 13.0, 17.0, 22.0, 28.0, 36.0, 48.0],
-            ),
-            INERTIA_RATIO,
-            DAMPING_RATIO,
-            FRICTION_SPLIT,
-        ];
-        P
-    }
-
-    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
-        Box::new(Shaft(Coupling {
+pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
+    card: &Card {
+        id: "elastic_coupling",
+        name: "elastic coupling",
+        enters: Enters::Torque,
+        equation: "J1 dw/dt = ... - T, J2 dw2/dt = T - Mc2 sgn(w2), T = k (th - th2) + d (w - w2); \
+            J2 = r J, k = (2 pi f)^2 J r (1 - r), d = 2 zeta sqrt(k J r (1 - r)), Mc2 = split Mc",
+        causes: "a compliant coupling, a long shaft, a belt or a gear between motor and load",
+        looks_like: "speed that rings at one frequency after every step of the voltage, whatever \
+            its size",
+        excite: "fast dither about zero speed and steps of several sizes; slow ramps do not show \
+            it",
+        remedy: "stiffen the coupling, keep the speed loop's bandwidth below a third of f, or a \
+            notch filter at f",
+        ..Card::PLAIN
+    },
+    parameters: &[
+        ParameterSpec::shape(
+            "frequency_hz",
+            "Hz",
+            FREQUENCY_HZ,
+            &[10.0, 13.0, 17.0, 22.0, 28.0, 36.0, 48.0],
+        ),
+        INERTIA_RATIO,
+        DAMPING_RATIO,
+        FRICTION_SPLIT,
+    ],
+    terms: |values| {
+        Box::new(Coupling {
             frequency_hz: values[0],
             inertia_ratio: values[1],
             damping_ratio: values[2],
             friction_split: values[3],
             gap_rad: 0.0,
-        }))
-    }
-}
-
-impl Terms for Shaft {
-    fn coupling(&self) -> Option<Coupling> {
-        Some(self.0)
-    }
-}
+        })
+    },
+};

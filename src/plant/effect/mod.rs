@@ -29,9 +29,7 @@ mod inertia_change;
 mod load_dependent_friction;
 mod load_step;
 mod one_sided_load;
-mod onset;
 mod parameter;
-mod path;
 mod quadratic_load;
 mod restart_delay;
 mod speed_delay;
@@ -51,43 +49,47 @@ mod winding_heating;
 pub use angle::ShaftAngle;
 pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
 pub use parameter::{ParameterRole, ParameterSpec};
-pub use path::{Coupling, Path};
 pub use table::{Axis, weights as table_weights};
-pub use terms::{Instant, Sums, Terms};
+pub use terms::{Coupling, Instant, Path, Sums, Terms};
+
+use parameter::WAVE_ORDERS;
+use terms::{
+    begun, current_rate_gain, friction, inertia_gain, torque, voltage, voltage_and_torque,
+};
 
 /// Every effect that the program can name, add and remove.
 pub const CATALOGUE: &[&dyn Effect] = &[
-    &viscous_friction::ViscousFriction,
-    &quadratic_load::QuadraticLoad,
-    &stribeck_friction::StribeckFriction,
-    &constant_load::ConstantLoad,
-    &asymmetric_viscous::AsymmetricViscous,
-    &cogging::Cogging,
-    &eccentric_load::EccentricLoad,
-    &torque_ripple::TorqueRipple,
-    &load_dependent_friction::LoadDependentFriction,
-    &load_step::LoadStep,
-    &one_sided_load::OneSidedLoad,
-    &friction_onset::FrictionOnset,
-    &inertia_change::InertiaChange,
-    &voltage_drop::VoltageDrop,
-    &supply_sag::SupplySag,
-    &winding_heating::WindingHeating,
-    &flux_saturation::FluxSaturation,
-    &inductance_saturation::InductanceSaturation,
-    &field_change::FieldChange,
-    &discontinuous_conduction::DiscontinuousConduction,
-    &command_delay::CommandDelay,
-    &start_delay::StartDelay,
-    &restart_delay::RestartDelay,
-    &speed_delay::SpeedDelay,
-    &speed_filter::SpeedFilter,
-    &current_filter::CurrentFilter,
-    &current_offset::CurrentOffset,
-    &speed_offset::SpeedOffset,
-    &voltage_offset::VoltageOffset,
-    &elastic_coupling::ElasticCoupling,
-    &backlash::Backlash,
+    &viscous_friction::EFFECT,
+    &quadratic_load::EFFECT,
+    &stribeck_friction::EFFECT,
+    &constant_load::EFFECT,
+    &asymmetric_viscous::EFFECT,
+    &cogging::EFFECT,
+    &eccentric_load::EFFECT,
+    &torque_ripple::EFFECT,
+    &load_dependent_friction::EFFECT,
+    &load_step::EFFECT,
+    &one_sided_load::EFFECT,
+    &friction_onset::EFFECT,
+    &inertia_change::EFFECT,
+    &voltage_drop::EFFECT,
+    &supply_sag::EFFECT,
+    &winding_heating::EFFECT,
+    &flux_saturation::EFFECT,
+    &inductance_saturation::EFFECT,
+    &field_change::EFFECT,
+    &discontinuous_conduction::EFFECT,
+    &command_delay::EFFECT,
+    &start_delay::EFFECT,
+    &restart_delay::EFFECT,
+    &speed_delay::EFFECT,
+    &speed_filter::EFFECT,
+    &current_filter::EFFECT,
+    &current_offset::EFFECT,
+    &speed_offset::EFFECT,
+    &voltage_offset::EFFECT,
+    &elastic_coupling::EFFECT,
+    &backlash::EFFECT,
 ];
 
 /// The effect with this id.
@@ -142,6 +144,21 @@ pub struct Card {
     pub needs_angle: bool,
 }
 
+impl Card {
+    /// A card without texts, for what most effects have in common.
+    const PLAIN: Self = Self {
+        id: "",
+        name: "",
+        enters: Enters::Path,
+        equation: "",
+        causes: "",
+        looks_like: "",
+        excite: "",
+        remedy: "",
+        needs_angle: false,
+    };
+}
+
 /// A physical effect: its card, its parameters and its terms for given parameter values.
 pub trait Effect: Sync {
     fn card(&self) -> &'static Card;
@@ -163,6 +180,27 @@ pub trait Effect: Sync {
     /// One parameter in a model file; `None` where nothing is written.
     fn written(&self, _parameter: usize, value: Option<f64>) -> Option<toml::Value> {
         value.map(toml::Value::Float)
+    }
+}
+
+/// An effect of the catalogue: what its file states.
+struct CatalogueEffect {
+    card: &'static Card,
+    parameters: &'static [ParameterSpec],
+    terms: fn(&[f64]) -> Box<dyn Terms>,
+}
+
+impl Effect for CatalogueEffect {
+    fn card(&self) -> &'static Card {
+        self.card
+    }
+
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        self.parameters
+    }
+
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        (self.terms)(values)
     }
 }
 

@@ -1,4 +1,10 @@
-//! What is known beforehand about one parameter of an effect.
+//! Parameter of an effect: its key, unit, bounds and typical size, and how a fit finds it.
+
+/// Periods per turn that are tried for a wave over the shaft's angle.
+pub(super) const WAVE_ORDERS: &[f64] = &[
+    2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0,
+    19.0, 20.0, 21.0, 22.0, 23.0, 24.0,
+];
 
 /// How a parameter is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,17 +39,12 @@ pub struct ParameterSpec {
 
 impl ParameterSpec {
     /// A coefficient of either sign: the effect is proportional to it.
-    pub(super) const fn coefficient(
-        key: &'static str,
-        unit: &'static str,
-        max: f64,
-        scale: f64,
-    ) -> Self {
+    pub(super) const fn coefficient(key: &'static str, unit: &'static str, scale: f64) -> Self {
         Self {
             key,
             unit,
-            min: -max,
-            max,
+            min: -f64::MAX,
+            max: f64::MAX,
             scale,
             role: ParameterRole::Coefficient,
             logarithmic: false,
@@ -52,16 +53,15 @@ impl ParameterSpec {
     }
 
     /// A coefficient that physics keeps at zero or above, such as a delay.
-    pub(super) const fn positive(
-        key: &'static str,
-        unit: &'static str,
-        max: f64,
-        scale: f64,
-    ) -> Self {
+    pub(super) const fn positive(key: &'static str, unit: &'static str, scale: f64) -> Self {
         Self {
             min: 0.0,
-            ..Self::coefficient(key, unit, max, scale)
+            ..Self::coefficient(key, unit, scale)
         }
+    }
+
+    pub(super) const fn up_to(self, max: f64) -> Self {
+        Self { max, ..self }
     }
 
     /// A positive shape parameter within bounds, fitted as a logarithm.
@@ -111,19 +111,19 @@ impl ParameterSpec {
         }
     }
 
-    /// The time of an event, s after the run's first command; `shares` of the run's length are tried.
-    pub(super) const fn event_time(key: &'static str, shares: &'static [f64]) -> Self {
-        Self {
-            key,
-            unit: "s",
-            min: 0.0,
-            max: f64::MAX,
-            scale: 0.1,
-            role: ParameterRole::EventTime,
-            logarithmic: false,
-            shapes: shares,
-        }
-    }
+    /// The moment from which on the effect is there, s after the run's first command.
+    pub(super) const EVENT_TIME: Self = Self {
+        key: "time_s",
+        unit: "s",
+        min: 0.0,
+        max: f64::MAX,
+        scale: 0.1,
+        role: ParameterRole::EventTime,
+        logarithmic: false,
+        shapes: &[
+            0.08, 0.15, 0.22, 0.29, 0.36, 0.43, 0.5, 0.57, 0.64, 0.71, 0.78, 0.85, 0.92,
+        ],
+    };
 
     pub const fn is_coefficient(&self) -> bool {
         matches!(self.role, ParameterRole::Coefficient)

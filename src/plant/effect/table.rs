@@ -149,7 +149,7 @@ pub(super) fn define(
         let specs: Vec<ParameterSpec> = (1..=knots.len())
             .map(|number| {
                 let key = leaked(&format!("value_{number}"));
-                ParameterSpec::coefficient(key, unit, f64::MAX, 0.1)
+                ParameterSpec::coefficient(key, unit, 0.1)
             })
             .collect();
         Box::new(Table {

@@ -1,6 +1,6 @@
-//! What an effect adds to the equations of the baseline.
+//! Terms: what an effect adds to the equations of the baseline, and the frames that make them from a single law.
 
-use super::{Coupling, Path, ShaftAngle};
+use super::ShaftAngle;
 use crate::plant::motor::{Motor, MotorKey};
 
 /// The instant at which terms are evaluated, and the motor that they act on.
@@ -102,5 +102,226 @@ pub trait Terms: Send + Sync {
     /// The second inertia that it puts behind the shaft.
     fn coupling(&self) -> Option<Coupling> {
         None
+    }
+}
+
+/// The way of the command to the motor and of the measurement back; all zero is the direct way.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Path {
+    /// The motor gets every voltage this much later than it was stamped.
+    pub command_delay_s: f64,
+    /// The drive applies zero for this long after the first command that is not zero.
+    pub start_delay_s: f64,
+    /// It applies zero for this long after every start from rest.
+    pub restart_delay_s: f64,
+    /// The measured speed is that of this much earlier.
+    pub speed_delay_s: f64,
+    /// Time constants of first-order filters in the measurement.
+    pub speed_filter_s: f64,
+    pub current_filter_s: f64,
+    /// What a sensor adds to the truth.
+    pub current_offset_a: f64,
+    pub speed_offset_rad_s: f64,
+}
+
+impl Path {
+    /// Both ways one after the other.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            command_delay_s: self.command_delay_s + other.command_delay_s,
+            start_delay_s: self.start_delay_s + other.start_delay_s,
+            restart_delay_s: self.restart_delay_s + other.restart_delay_s,
+            speed_delay_s: self.speed_delay_s + other.speed_delay_s,
+            speed_filter_s: self.speed_filter_s + other.speed_filter_s,
+            current_filter_s: self.current_filter_s + other.current_filter_s,
+            current_offset_a: self.current_offset_a + other.current_offset_a,
+            speed_offset_rad_s: self.speed_offset_rad_s + other.speed_offset_rad_s,
+        }
+    }
+
+    pub fn delays_command(&self) -> bool {
+        self.command_delay_s > 0.0 || self.start_delay_s > 0.0 || self.restart_delay_s > 0.0
+    }
+
+    /// Whether what is measured is the truth.
+    pub fn measures_directly(&self) -> bool {
+        [
+            self.speed_delay_s,
+            self.speed_filter_s,
+            self.current_filter_s,
+            self.current_offset_a,
+            self.speed_offset_rad_s,
+        ]
+        .iter()
+        .all(|value| *value == 0.0)
+    }
+}
+
+/// The load as a second inertia behind an elastic shaft, with or without play.
+///
+/// `J1 = (1 - r) J` carries the motor and its speed sensor, `J2 = r J` the load; `k = (2 pi f)^2 J r (1 - r)`,
+/// `d = 2 zeta sqrt(k J r (1 - r))`. The shaft's torque is `T = k z + d (w - w2)`, where `z` is the twist beyond half the
+/// play to either side and zero within. The damping acts within the play too, as that of oil or grease between the
+/// flanks: so the torque has no jump at contact, and the play closes on a film instead of on nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coupling {
+    /// f: natural frequency of the two inertias against each other.
+    pub frequency_hz: f64,
+    /// r: share of the inertia that is behind the shaft.
+    pub inertia_ratio: f64,
+    /// zeta.
+    pub damping_ratio: f64,
+    /// Share of the Coulomb friction that acts behind the shaft.
+    pub friction_split: f64,
+    /// Play: the angle over which the shaft carries no torque.
+    pub gap_rad: f64,
+}
+
+/// The method of [`Terms`] that a [`Law`] answers.
+const VOLTAGE: u8 = 0;
+const TORQUE: u8 = 1;
+const FRICTION: u8 = 2;
+const CURRENT_RATE: u8 = 3;
+const INERTIA: u8 = 4;
+
+/// Terms that are one law of the instant and the effect's values.
+struct Law<F, const N: usize, const METHOD: u8> {
+    values: [f64; N],
+    law: F,
+}
+
+impl<F, const N: usize, const METHOD: u8> Law<F, N, METHOD>
+where
+    F: Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+{
+    /// `values` as they stand in the effect's parameters.
+    fn boxed(values: &[f64], law: F) -> Box<dyn Terms> {
+        let values = std::array::from_fn(|index| values[index]);
+        Box::new(Self { values, law })
+    }
+
+    /// The law for its own method, nothing for the others; which it is, the compiler knows.
+    fn of(&self, method: u8, at: &Instant) -> f64 {
+        if method == METHOD {
+            (self.law)(at, self.values)
+        } else {
+            0.0
+        }
+    }
+}
+
+impl<F, const N: usize, const METHOD: u8> Terms for Law<F, N, METHOD>
+where
+    F: Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+{
+    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
+        self.of(VOLTAGE, at)
+    }
+
+    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
+        self.of(TORQUE, at)
+    }
+
+    fn friction_n_m(&self, at: &Instant) -> f64 {
+        self.of(FRICTION, at)
+    }
+
+    fn current_rate_gain(&self, at: &Instant) -> f64 {
+        self.of(CURRENT_RATE, at)
+    }
+
+    fn inertia_gain(&self, at: &Instant) -> f64 {
+        self.of(INERTIA, at)
+    }
+}
+
+/// Terms of a voltage drop, V.
+pub(super) fn voltage<const N: usize>(
+    values: &[f64],
+    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    Law::<_, N, VOLTAGE>::boxed(values, law)
+}
+
+/// Terms of a torque against positive motion, N.m.
+pub(super) fn torque<const N: usize>(
+    values: &[f64],
+    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    Law::<_, N, TORQUE>::boxed(values, law)
+}
+
+/// Terms of an addition to the Coulomb level, N.m.
+pub(super) fn friction<const N: usize>(
+    values: &[f64],
+    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    Law::<_, N, FRICTION>::boxed(values, law)
+}
+
+/// Terms of a relative addition to the rate of the current.
+pub(super) fn current_rate_gain<const N: usize>(
+    values: &[f64],
+    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    Law::<_, N, CURRENT_RATE>::boxed(values, law)
+}
+
+/// Terms of a relative addition to the inertia.
+pub(super) fn inertia_gain<const N: usize>(
+    values: &[f64],
+    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    Law::<_, N, INERTIA>::boxed(values, law)
+}
+
+/// Terms of one cause in both balances: voltage drop (V) and torque (N.m).
+pub(super) fn voltage_and_torque(
+    size: f64,
+    law: impl Fn(&Instant, f64) -> [f64; 2] + Send + Sync + 'static,
+) -> Box<dyn Terms> {
+    struct Both<F>(f64, F);
+
+    impl<F: Fn(&Instant, f64) -> [f64; 2] + Send + Sync> Terms for Both<F> {
+        fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
+            (self.1)(at, self.0)[0]
+        }
+
+        fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
+            (self.1)(at, self.0)[1]
+        }
+    }
+
+    Box::new(Both(size, law))
+}
+
+impl Terms for Path {
+    fn path(&self) -> Path {
+        *self
+    }
+}
+
+impl Terms for Coupling {
+    fn coupling(&self) -> Option<Coupling> {
+        Some(*self)
+    }
+}
+
+/// Time over which what begins at some moment builds up, s; a true jump would leave its time without a slope to fit it by.
+const RISE_S: f64 = 0.01;
+/// Rise times after which it has come, to the last bit.
+const SETTLED: f64 = 37.0;
+
+/// How much is there of what begins at `time_s`, found anew in each run.
+pub(super) fn begun(at: &Instant, time_s: f64) -> f64 {
+    let since = (at.time_s - time_s) / RISE_S;
+    // Beyond, the exponential is lost in the rounding of the one that it is added to, and costs most of a free run.
+    if since > SETTLED {
+        1.0
+    } else if since < -SETTLED {
+        0.0
+    } else {
+        1.0 / (1.0 + (-since).exp())
     }
 }

@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use drivebench::emulator::truth::effect::{HiddenEffect, Messy, Site};
+use drivebench::emulator::truth::effect::{HiddenEffect, Site};
 use drivebench::emulator::truth::{
     MotorTruth, NoiseConfig, Plant, QuantisationConfig, Reading, Sensors, Terminals,
 };
@@ -69,7 +69,7 @@ pub(crate) fn record(
     };
     let mut effects = hidden.to_vec();
     if mess > 0.0 {
-        effects.push(HiddenEffect::Messy(Messy { scale: mess }));
+        effects.extend(HiddenEffect::new("messy", &[("scale", mess)]));
     }
     let mut plant = Plant::on_site(site, &effects);
     plant.start();

@@ -1,37 +1,28 @@
 //! Drag that differs by direction: a lip seal that lifts off when the shaft turns one way.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Site};
+use super::Draw::Signed;
+use super::{Acts, Allowed, HiddenKind, Parameter, drag};
 
 /// Speed at which the seal begins to lift, as a share of rated speed: 1 % less torque than `a |w|` at rated speed.
 const LIFT_SPEED_RATIO: f64 = 0.01;
 
-hidden_effect! {
-    /// Torque `a |w|`: the drag is B + a forwards and B - a backwards.
-    AsymmetricViscous {
-        asymmetry_n_m_s_per_rad: Signed in "N.m.s/rad",
-    }
-}
-
-impl Hidden for AsymmetricViscous {
-    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(LipSeal {
-            slope: self.asymmetry_n_m_s_per_rad,
-            lift_speed_rad_s: LIFT_SPEED_RATIO * site.motor.rated_speed_rad_s,
-        }))
-    }
-}
-
-/// torque = a (sqrt(w^2 + w0^2) - w0): no kink at rest, where the seal touches all round. The host's catalogue has
-/// a |w|; this lies a w0 below it from a few w0 on, a constant that is 1 % of the torque at rated speed.
-struct LipSeal {
-    slope: f64,
-    lift_speed_rad_s: f64,
-}
-
-impl Mechanism for LipSeal {
-    fn drag_torque_n_m(&self, speed_rad_s: f64) -> f64 {
-        let w0 = self.lift_speed_rad_s;
-        self.slope * (speed_rad_s.hypot(w0) - w0)
-    }
-}
+/// Torque `a |w|`: the drag is B + a forwards and B - a backwards.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "asymmetric_viscous",
+    names: &["asymmetric_viscous"],
+    parameters: &[Parameter::new(
+        "asymmetry_n_m_s_per_rad",
+        "N.m.s/rad",
+        Allowed::Signed,
+        1e-4,
+    )],
+    mystery: Some(|dice| vec![dice.sign() * dice.torque_n_m / dice.speed_rad_s]),
+    study: &[Signed("asymmetry_n_m_s_per_rad", 2e-4, 5e-4)],
+    acts: Acts::Inside(|values, site| {
+        let slope = values[0];
+        let w0 = LIFT_SPEED_RATIO * site.motor.rated_speed_rad_s;
+        // torque = a (sqrt(w^2 + w0^2) - w0): no kink at rest, where the seal touches all round. The host's catalogue
+        // has a |w|; this lies a w0 below it from a few w0 on, a constant that is 1 % of the torque at rated speed.
+        drag(move |speed_rad_s| slope * (speed_rad_s.hypot(w0) - w0))
+    }),
+};

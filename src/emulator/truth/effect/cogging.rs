@@ -1,30 +1,32 @@
 //! Cogging: magnets against slots, as a harmonic series.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::{OneOf, Phase};
+use super::{Acts, Allowed, HiddenKind, Mechanism, Parameter, load, named};
 
 /// Second harmonic as a share of the first: 1 % of the torque's power, so that one sine explains 99 % of it.
 pub(super) const SECOND_HARMONIC: f64 = 0.1;
 
-hidden_effect! {
-    /// Torque `sin_n_m sin(N th) + cos_n_m cos(N th)`, with or without current.
-    Cogging {
-        /// N, periods per turn.
-        order: Order in "-",
-        sin_n_m: Signed in "N.m",
-        cos_n_m: Signed in "N.m",
-    }
-}
-
-impl Hidden for Cogging {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Slots(Harmonics::new(
-            self.order,
-            (self.sin_n_m, self.cos_n_m),
-            SECOND_HARMONIC,
-        ))))
-    }
-}
+/// Torque `sin_n_m sin(N th) + cos_n_m cos(N th)`, with or without current.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "cogging",
+    names: &["cogging"],
+    parameters: &[
+        // N, periods per turn.
+        Parameter::new("order", "-", Allowed::Order, 7.0),
+        Parameter::new("sin_n_m", "N.m", Allowed::Signed, 0.1),
+        Parameter::new("cos_n_m", "N.m", Allowed::Signed, 0.0),
+    ],
+    mystery: Some(|dice| {
+        let order = dice.order();
+        let [sin, cos] = dice.wave(dice.torque_n_m);
+        vec![order, sin, cos]
+    }),
+    study: &[
+        OneOf("order", &[4.0, 6.0, 8.0, 9.0, 12.0, 14.0]),
+        Phase(["sin_n_m", "cos_n_m"], 0.07, 0.15),
+    ],
+    acts: Acts::Inside(|values, _| slots(named(values), SECOND_HARMONIC)),
+};
 
 /// `A sin(x + p) + share A sin(2 (x + p))` with `x = N th`: the shape of a magnet edge that passes a slot, steeper on one
 /// side. A first-order sine is what the host's catalogue has.
@@ -38,7 +40,7 @@ pub(super) struct Harmonics {
 
 impl Harmonics {
     /// The series whose first harmonic is `sin sin(N th) + cos cos(N th)`.
-    pub(super) fn new(order: f64, (sin, cos): (f64, f64), second: f64) -> Self {
+    pub(super) fn new([order, sin, cos]: [f64; 3], second: f64) -> Self {
         Self {
             order,
             amplitude: sin.hypot(cos),
@@ -54,12 +56,10 @@ impl Harmonics {
     }
 }
 
-pub(super) struct Slots(pub(super) Harmonics);
-
-impl Mechanism for Slots {
-    fn load_torque_n_m(&self, at: &Moment) -> f64 {
-        self.0.at(at.angle_rad)
-    }
+/// The torque of such a series, with or without current.
+pub(super) fn slots(first_harmonic: [f64; 3], second: f64) -> Box<dyn Mechanism> {
+    let series = Harmonics::new(first_harmonic, second);
+    load(move |at| series.at(at.angle_rad))
 }
 
 #[cfg(test)]
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn the_first_harmonic_is_that_of_the_keys_and_the_second_a_tenth() {
-        let series = Harmonics::new(7.0, (0.06, -0.08), SECOND_HARMONIC);
+        let series = Harmonics::new([7.0, 0.06, -0.08], SECOND_HARMONIC);
         let (sin, cos) = coefficients(&series, 7.0);
         assert!((sin - 0.06).abs() < 1e-12 && (cos + 0.08).abs() < 1e-12);
         let (sin, cos) = coefficients(&series, 14.0);

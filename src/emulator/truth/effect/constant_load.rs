@@ -1,26 +1,18 @@
 //! A weight on the shaft.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Signed;
+use super::{Acts, Allowed, HiddenKind, Parameter, load};
 
-hidden_effect! {
-    /// Torque of one sign whatever the direction of motion. Beyond the Coulomb friction it turns a machine at rest.
-    ConstantLoad {
-        constant_n_m: Signed in "N.m",
-    }
-}
-
-impl Hidden for ConstantLoad {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Weight(self.constant_n_m)))
-    }
-}
-
-/// A constant has no other form than the host's.
-struct Weight(f64);
-
-impl Mechanism for Weight {
-    fn load_torque_n_m(&self, _at: &Moment) -> f64 {
-        self.0
-    }
-}
+/// Torque of one sign whatever the direction of motion. Beyond the Coulomb friction it turns a machine at rest.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "constant_load",
+    names: &["constant_load"],
+    parameters: &[Parameter::new("constant_n_m", "N.m", Allowed::Signed, 0.1)],
+    mystery: Some(|dice| vec![dice.sign() * dice.torque_n_m]),
+    study: &[Signed("constant_n_m", 0.04, 0.12)],
+    acts: Acts::Inside(|values, _| {
+        // A constant has no other form than the host's.
+        let constant_n_m = values[0];
+        load(move |_| constant_n_m)
+    }),
+};

@@ -1,20 +1,20 @@
 //! A current sensor that does not read zero at zero.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Path};
+use super::Draw::Signed;
+use super::{Acts, Allowed, HiddenKind, Parameter, Path};
 
-hidden_effect! {
-    /// Added to the measured current.
-    CurrentOffset {
-        offset_a: Signed in "A",
-    }
-}
-
-impl Hidden for CurrentOffset {
-    fn path(&self) -> Path {
-        Path {
-            current_offset_a: self.offset_a,
-            ..Path::default()
-        }
-    }
-}
+/// Added to the measured current.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "current_offset",
+    names: &["current_offset"],
+    parameters: &[Parameter::new("offset_a", "A", Allowed::Signed, 0.2)],
+    mystery: Some(|dice| {
+        // A host refuses to arm where more than this flows at rest.
+        vec![dice.signed(0.015, 0.03) * dice.current_a]
+    }),
+    study: &[Signed("offset_a", 0.1, 0.32)],
+    acts: Acts::Between(|value| Path {
+        current_offset_a: value,
+        ..Path::default()
+    }),
+};

@@ -1,41 +1,32 @@
 //! A bearing that begins to drag some time after the drive was started.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
 
 /// Time constant with which the film breaks down, s.
 const DRY_S: f64 = 0.02;
 
-hidden_effect! {
-    /// Drag in proportion to the speed from `time_s` after each start of the drive on.
-    FrictionOnset {
-        viscous_n_m_s_per_rad: NotNegative in "N.m.s/rad",
-        time_s: NotNegative in "s",
-    }
-}
-
-impl Hidden for FrictionOnset {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Dry {
-            viscous_n_m_s_per_rad: self.viscous_n_m_s_per_rad,
-            time_s: self.time_s,
-        }))
-    }
-}
-
-/// B w (1 - exp(-(t - t1)/20 ms)). The host's catalogue has a logistic curve about t1.
-struct Dry {
-    viscous_n_m_s_per_rad: f64,
-    time_s: f64,
-}
-
-impl Mechanism for Dry {
-    fn friction_n_m(&self, at: &Moment) -> f64 {
-        let since_s = at.time_s - self.time_s;
-        if since_s > 0.0 {
-            -self.viscous_n_m_s_per_rad * at.speed_rad_s.abs() * (-since_s / DRY_S).exp_m1()
-        } else {
-            0.0
-        }
-    }
-}
+/// Drag in proportion to the speed from `time_s` after each start of the drive on.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "friction_onset",
+    names: &["friction_onset"],
+    parameters: &[
+        Parameter::new(
+            "viscous_n_m_s_per_rad",
+            "N.m.s/rad",
+            Allowed::NotNegative,
+            4e-4,
+        ),
+        Parameter::new("time_s", "s", Allowed::NotNegative, 0.6),
+    ],
+    mystery: Some(|dice| vec![dice.torque_n_m / dice.speed_rad_s, dice.between(3.0, 9.0)]),
+    study: &[
+        Between("viscous_n_m_s_per_rad", 4e-4, 8e-4),
+        Between("time_s", 3.0, 6.0),
+    ],
+    acts: Acts::Inside(|values, _| {
+        let [viscous, time_s] = named(values);
+        // B w (1 - exp(-(t - t1)/20 ms)). The host's catalogue has a logistic curve about t1.
+        friction(move |at| viscous * at.speed_rad_s.abs() * at.taken_hold(time_s, DRY_S))
+    }),
+};

@@ -1,35 +1,33 @@
 //! Iron that saturates: the flux linkage of the armature bends over.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, inductance_factor};
 
-hidden_effect! {
-    /// Incremental inductance that is 1/(1 + `saturation_per_a2` i^2) of the one without current, exactly so at rated
-    /// current.
-    InductanceSaturation {
-        saturation_per_a2: NotNegative in "1/A2",
-    }
-}
-
-impl Hidden for InductanceSaturation {
-    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+/// Incremental inductance that is 1/(1 + `saturation_per_a2` i^2) of the one without current, exactly so at rated
+/// current.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "inductance_saturation",
+    names: &["inductance_saturation"],
+    parameters: &[Parameter::new(
+        "saturation_per_a2",
+        "1/A2",
+        Allowed::NotNegative,
+        5e-3,
+    )],
+    mystery: Some(|dice| {
+        // By so much at rated current.
+        vec![dice.size(0.2, 0.6) / (dice.current_a * dice.current_a)]
+    }),
+    study: &[Between("saturation_per_a2", 2e-3, 5e-3)],
+    acts: Acts::Inside(|values, site| {
         let rated = site.motor.rated_current_a;
-        let drop = 1.0 + self.saturation_per_a2 * rated * rated;
-        Some(Box::new(Iron {
-            knee_per_a2: (drop.powf(2.0 / 3.0) - 1.0) / (rated * rated),
-        }))
-    }
-}
-
-/// Flux linkage L i/sqrt(1 + k i^2), whose slope is L (1 + k i^2)^-3/2; k so that the slope meets the host's
-/// L/(1 + c i^2) at rated current.
-struct Iron {
-    knee_per_a2: f64,
-}
-
-impl Mechanism for Iron {
-    fn inductance_factor(&self, current_a: f64) -> f64 {
-        let bend = 1.0 + self.knee_per_a2 * current_a * current_a;
-        1.0 / (bend * bend.sqrt())
-    }
-}
+        let drop = 1.0 + values[0] * rated * rated;
+        let knee_per_a2 = (drop.powf(2.0 / 3.0) - 1.0) / (rated * rated);
+        // Flux linkage L i/sqrt(1 + k i^2), whose slope is L (1 + k i^2)^-3/2; k so that the slope meets the host's
+        // L/(1 + c i^2) at rated current.
+        inductance_factor(move |current_a| {
+            let bend = 1.0 + knee_per_a2 * current_a * current_a;
+            1.0 / (bend * bend.sqrt())
+        })
+    }),
+};

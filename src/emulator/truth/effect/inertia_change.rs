@@ -1,37 +1,27 @@
 //! A workpiece that is clamped some time after the drive was started.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, inertia_factor, named};
 
-hidden_effect! {
-    /// Inertia larger by the share `ratio` from `time_s` after each start of the drive on; the speed does not jump. A
-    /// change of inertia has no other form.
-    InertiaChange {
-        ratio: NotNegative in "-",
-        time_s: NotNegative in "s",
-    }
-}
-
-impl Hidden for InertiaChange {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Clamped {
-            ratio: self.ratio,
-            time_s: self.time_s,
-        }))
-    }
-}
-
-struct Clamped {
-    ratio: f64,
-    time_s: f64,
-}
-
-impl Mechanism for Clamped {
-    fn inertia_factor(&self, at: &Moment) -> f64 {
-        if at.time_s >= self.time_s {
-            1.0 + self.ratio
-        } else {
-            1.0
-        }
-    }
-}
+/// Inertia larger by the share `ratio` from `time_s` after each start of the drive on; the speed does not jump. A
+/// change of inertia has no other form.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "inertia_change",
+    names: &["inertia_change"],
+    parameters: &[
+        Parameter::new("ratio", "-", Allowed::NotNegative, 0.3),
+        Parameter::new("time_s", "s", Allowed::NotNegative, 0.6),
+    ],
+    mystery: Some(|dice| vec![dice.size(0.1, 0.5), dice.between(3.0, 9.0)]),
+    study: &[Between("ratio", 0.15, 0.4), Between("time_s", 3.0, 6.0)],
+    acts: Acts::Inside(|values, _| {
+        let [ratio, time_s] = named(values);
+        inertia_factor(move |at| {
+            if at.time_s >= time_s {
+                1.0 + ratio
+            } else {
+                1.0
+            }
+        })
+    }),
+};

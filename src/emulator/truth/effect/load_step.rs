@@ -1,41 +1,25 @@
 //! A brake that engages some time after the drive was started.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
 
 /// Time constant with which the brake takes hold, s.
 const GRIP_S: f64 = 0.015;
 
-hidden_effect! {
-    /// Friction of `step_n_m` from `time_s` after each start of the drive on.
-    LoadStep {
-        step_n_m: NotNegative in "N.m",
-        time_s: NotNegative in "s",
-    }
-}
-
-impl Hidden for LoadStep {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Brake {
-            torque_n_m: self.step_n_m,
-            time_s: self.time_s,
-        }))
-    }
-}
-
-/// T (1 - exp(-(t - t1)/15 ms)), the current of the brake's coil. The host's catalogue has a logistic curve about t1.
-struct Brake {
-    torque_n_m: f64,
-    time_s: f64,
-}
-
-impl Mechanism for Brake {
-    fn friction_n_m(&self, at: &Moment) -> f64 {
-        let since_s = at.time_s - self.time_s;
-        if since_s > 0.0 {
-            -self.torque_n_m * (-since_s / GRIP_S).exp_m1()
-        } else {
-            0.0
-        }
-    }
-}
+/// Friction of `step_n_m` from `time_s` after each start of the drive on.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "load_step",
+    names: &["load_step"],
+    parameters: &[
+        Parameter::new("step_n_m", "N.m", Allowed::NotNegative, 0.12),
+        Parameter::new("time_s", "s", Allowed::NotNegative, 0.6),
+    ],
+    mystery: Some(|dice| vec![dice.torque_n_m, dice.between(3.0, 9.0)]),
+    study: &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
+    acts: Acts::Inside(|values, _| {
+        let [step_n_m, time_s] = named(values);
+        // T (1 - exp(-(t - t1)/15 ms)), the current of the brake's coil. The host's catalogue has a logistic curve
+        // about t1.
+        friction(move |at| step_n_m * at.taken_hold(time_s, GRIP_S))
+    }),
+};

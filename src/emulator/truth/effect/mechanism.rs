@@ -1,4 +1,4 @@
-//! What an effect does inside the machine.
+//! Mechanism: what an effect does inside the machine, and the frames that make one from a single law.
 
 use crate::emulator::truth::MotorTruth;
 
@@ -40,6 +40,18 @@ pub struct Moment {
     pub flux_factor: f64,
     /// Electromagnetic torque.
     pub torque_n_m: f64,
+}
+
+impl Moment {
+    /// Share of what comes at `from_s` and takes hold with a time constant that is there already.
+    pub(super) fn taken_hold(&self, from_s: f64, time_constant_s: f64) -> f64 {
+        let since_s = self.time_s - from_s;
+        if since_s > 0.0 {
+            -(-since_s / time_constant_s).exp_m1()
+        } else {
+            0.0
+        }
+    }
 }
 
 /// One physical effect at work in the true machine. Every hook defaults to "no effect there".
@@ -107,4 +119,39 @@ pub trait Mechanism: Send {
     /// Advances own states by one step with the machine as it is in the step's middle, `put_out_v` the voltage that the
     /// drive means to put out.
     fn advance(&mut self, _step_s: f64, _at: &Moment, _put_out_v: f64) {}
+}
+
+/// A mechanism that is one law: the method of [`Mechanism`] that it answers, and its argument.
+macro_rules! laws {
+    ($($(#[$doc:meta])* $name:ident, $method:ident, $argument:ty;)+) => {$(
+        $(#[$doc])*
+        pub(super) fn $name(law: impl Fn($argument) -> f64 + Send + 'static) -> Box<dyn Mechanism> {
+            struct Law<F>(F);
+
+            impl<F: Fn($argument) -> f64 + Send> Mechanism for Law<F> {
+                fn $method(&self, at: $argument) -> f64 {
+                    (self.0)(at)
+                }
+            }
+
+            Box::new(Law(law))
+        }
+    )+};
+}
+
+laws! {
+    /// Torque against a shaft that turns at this speed, N.m.
+    drag, drag_torque_n_m, f64;
+    /// Torque from outside, N.m.
+    load, load_torque_n_m, &Moment;
+    /// Friction beyond Coulomb, N.m.
+    friction, friction_n_m, &Moment;
+    /// Inertia, as a multiple of the motor's.
+    inertia_factor, inertia_factor, &Moment;
+    /// Voltage lost at this current, V.
+    voltage_loss, voltage_loss_v, f64;
+    /// Incremental inductance at this current, as a multiple of the one without.
+    inductance_factor, inductance_factor, f64;
+    /// Flux, as a multiple of the nameplate's.
+    flux_factor, flux_factor, &Moment;
 }

@@ -1,13 +1,14 @@
-//! Hidden effects: one file each, one line each in the catalogue.
+//! Hidden effects: one file each, one line each in [`CATALOGUE`].
 //!
 //! ```text
-//! configuration --mechanism()--> Mechanism: what it does inside the machine
-//!     put-out voltage -> supply -> resistance, inductance, voltage loss --> voltage balance
-//!     flux -----------------------------------------------------------> both balances
-//!     drag (moving only), load (also at rest), friction (holds at rest) -> torque balance, stick-slip
-//!     shaft: a second inertia
-//!               --path()------> Path: what lies between command, machine and measurement (path.rs)
-//!               --parts()-----> other effects, where it is made of several
+//! kind (id, parameters, sizes) + values = HiddenEffect, as it stands in a configuration
+//!     Inside ---> Mechanism: what it does inside the machine
+//!         put-out voltage -> supply -> resistance, inductance, voltage loss --> voltage balance
+//!         flux -----------------------------------------------------------> both balances
+//!         drag (moving only), load (also at rest), friction (holds at rest) -> torque balance, stick-slip
+//!     Behind ---> Shaft: a second inertia
+//!     Between --> Path: what lies between command, machine and measurement (path.rs)
+//!     Together -> other effects, of which it is made
 //! ```
 //!
 //! Under `foreign/` are effects that no catalogue of the host has: for them the right answer is that nothing known
@@ -24,16 +25,16 @@ mod discontinuous_conduction;
 mod eccentric_load;
 mod elastic_coupling;
 mod field_change;
-mod flux_saturation;
+pub mod flux_saturation;
 mod foreign;
 mod friction_onset;
 mod inductance_saturation;
 mod inertia_change;
+mod kind;
 mod load_dependent_friction;
 mod load_step;
 mod mechanism;
 mod one_sided_load;
-mod parameter;
 mod quadratic_load;
 mod restart_delay;
 mod speed_delay;
@@ -48,221 +49,271 @@ mod voltage_drop;
 mod voltage_offset;
 mod winding_heating;
 
-use serde::{Deserialize, Serialize};
+use rand_chacha::ChaCha8Rng;
+use serde::de::Error as _;
+use serde::ser::SerializeMap as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-pub use asymmetric_viscous::AsymmetricViscous;
-pub use backlash::Backlash;
-pub use cogging::Cogging;
-pub use command_delay::CommandDelay;
-pub use constant_load::ConstantLoad;
-pub use current_filter::CurrentFilter;
-pub use current_offset::CurrentOffset;
-pub use discontinuous_conduction::DiscontinuousConduction;
-pub use eccentric_load::EccentricLoad;
-pub use elastic_coupling::ElasticCoupling;
-pub use field_change::FieldChange;
-pub use flux_saturation::FluxSaturation;
-pub use foreign::{
-    ExponentialStribeck, FanThreeHalves, HarmonicCogging, LoadRamp, Messy, RandomLoad, Shaker,
-    SoftDrop, TorqueBump,
-};
-pub use friction_onset::FrictionOnset;
-pub use inductance_saturation::InductanceSaturation;
-pub use inertia_change::InertiaChange;
-pub use load_dependent_friction::LoadDependentFriction;
-pub use load_step::LoadStep;
+use kind::{Acts, Allowed, Dice, Draw, HiddenKind, Parameter, named};
+pub use kind::{Refused, TrueParameter};
 pub use mechanism::{Mechanism, Moment, Site};
-pub use one_sided_load::OneSidedLoad;
-pub use parameter::{Refused, TrueParameter};
-pub use quadratic_load::QuadraticLoad;
-pub use restart_delay::RestartDelay;
-pub use speed_delay::SpeedDelay;
-pub use speed_filter::SpeedFilter;
-pub use speed_offset::SpeedOffset;
-pub use start_delay::StartDelay;
-pub use stribeck_friction::StribeckFriction;
-pub use supply_sag::SupplySag;
-pub use torque_ripple::TorqueRipple;
-pub use viscous_friction::ViscousFriction;
-pub use voltage_drop::VoltageDrop;
-pub use voltage_offset::VoltageOffset;
-pub use winding_heating::WindingHeating;
+use mechanism::{
+    drag, flux_factor, friction, inductance_factor, inertia_factor, load, voltage_loss,
+};
 
 use super::Path;
 pub(super) use super::shaft::Shaft;
 
-/// What a configuration stands for in the machine. Every part defaults to "nothing there".
-trait Hidden {
-    /// What it does inside the machine on this site, from rest and cold.
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        None
-    }
+/// Every hidden effect. The order is that in which mysteries number those of the host's catalogue, and then the others.
+static CATALOGUE: &[HiddenKind] = &[
+    viscous_friction::KIND,
+    quadratic_load::KIND,
+    stribeck_friction::KIND,
+    constant_load::KIND,
+    asymmetric_viscous::KIND,
+    cogging::KIND,
+    torque_ripple::KIND,
+    eccentric_load::KIND,
+    load_dependent_friction::KIND,
+    load_step::KIND,
+    one_sided_load::KIND,
+    friction_onset::KIND,
+    inertia_change::KIND,
+    elastic_coupling::KIND,
+    backlash::KIND,
+    voltage_drop::KIND,
+    supply_sag::KIND,
+    winding_heating::KIND,
+    flux_saturation::KIND,
+    inductance_saturation::KIND,
+    field_change::KIND,
+    discontinuous_conduction::KIND,
+    command_delay::KIND,
+    start_delay::KIND,
+    restart_delay::KIND,
+    speed_delay::KIND,
+    speed_filter::KIND,
+    current_filter::KIND,
+    current_offset::KIND,
+    speed_offset::KIND,
+    voltage_offset::KIND,
+    foreign::shaker::KIND,
+    foreign::torque_bump::KIND,
+    foreign::random_load::KIND,
+    foreign::exponential_stribeck::KIND,
+    foreign::fan_three_halves::KIND,
+    foreign::soft_drop::KIND,
+    foreign::harmonic_cogging::KIND,
+    foreign::load_ramp::KIND,
+    foreign::messy::KIND,
+];
 
-    /// What it does between command, machine and measurement.
-    fn path(&self) -> Path {
-        Path::default()
-    }
-
-    /// The second inertia that it puts behind the shaft.
-    fn shaft(&self, _site: &Site) -> Option<Shaft> {
-        None
-    }
-
-    /// The effects that it is made of.
-    fn parts(&self, _site: &Site) -> Vec<HiddenEffect> {
-        Vec::new()
-    }
-}
-
-/// The catalogue: `Variant(Config)` per effect. The ids of `known` are those of the model file.
-macro_rules! catalogue {
-    (
-        known { $($known:ident = $known_id:literal),+ $(,)? }
-        foreign { $($foreign:ident = $foreign_id:literal),+ $(,)? }
-    ) => {
-        /// One hidden effect as it stands in the emulator's configuration.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-        #[serde(tag = "id")]
-        pub enum HiddenEffect {
-            $(#[serde(rename = $known_id)] $known($known),)+
-            $(#[serde(rename = $foreign_id)] $foreign($foreign),)+
-        }
-
-        impl HiddenEffect {
-            /// Every id, in catalogue order.
-            pub const IDS: &'static [&'static str] = &[$($known_id,)+ $($foreign_id),+];
-
-            /// Ids of what no catalogue of the host has.
-            pub const FOREIGN: &'static [&'static str] = &[$($foreign_id),+];
-
-            pub const fn id(&self) -> &'static str {
-                match self {
-                    $(Self::$known(_) => $known_id,)+
-                    $(Self::$foreign(_) => $foreign_id,)+
-                }
-            }
-
-            /// The true parameters, under the keys of the model file.
-            pub fn parameters(&self) -> Vec<TrueParameter> {
-                match self {
-                    $(Self::$known(config) => config.parameters(),)+
-                    $(Self::$foreign(config) => config.parameters(),)+
-                }
-            }
-
-            /// The first value that this effect cannot have.
-            pub fn refused(&self) -> Option<Refused> {
-                match self {
-                    $(Self::$known(config) => config.refused(),)+
-                    $(Self::$foreign(config) => config.refused(),)+
-                }
-            }
-
-            fn hidden(&self) -> &dyn Hidden {
-                match self {
-                    $(Self::$known(config) => config,)+
-                    $(Self::$foreign(config) => config,)+
-                }
-            }
-        }
-    };
-}
-
-catalogue! {
-    known {
-        ViscousFriction = "viscous_friction",
-        QuadraticLoad = "quadratic_load",
-        StribeckFriction = "stribeck_friction",
-        ConstantLoad = "constant_load",
-        AsymmetricViscous = "asymmetric_viscous",
-        Cogging = "cogging",
-        TorqueRipple = "torque_ripple",
-        EccentricLoad = "eccentric_load",
-        LoadDependentFriction = "load_dependent_friction",
-        LoadStep = "load_step",
-        OneSidedLoad = "one_sided_load",
-        FrictionOnset = "friction_onset",
-        InertiaChange = "inertia_change",
-        ElasticCoupling = "elastic_coupling",
-        Backlash = "backlash",
-        VoltageDrop = "voltage_drop",
-        SupplySag = "supply_sag",
-        WindingHeating = "winding_heating",
-        FluxSaturation = "flux_saturation",
-        InductanceSaturation = "inductance_saturation",
-        FieldChange = "field_change",
-        DiscontinuousConduction = "discontinuous_conduction",
-        CommandDelay = "command_delay",
-        StartDelay = "start_delay",
-        RestartDelay = "restart_delay",
-        SpeedDelay = "speed_delay",
-        SpeedFilter = "speed_filter",
-        CurrentFilter = "current_filter",
-        CurrentOffset = "current_offset",
-        SpeedOffset = "speed_offset",
-        VoltageOffset = "voltage_offset",
-    }
-    foreign {
-        Shaker = "shaker",
-        TorqueBump = "torque_bump",
-        RandomLoad = "random_load",
-        SoftDrop = "soft_drop",
-        FanThreeHalves = "fan_three_halves",
-        ExponentialStribeck = "exponential_stribeck",
-        HarmonicCogging = "harmonic_cogging",
-        LoadRamp = "load_ramp",
-        Messy = "messy",
-    }
+/// One hidden effect as it stands in the emulator's configuration: an id, and a number for each key.
+#[derive(Clone, Debug)]
+pub struct HiddenEffect {
+    kind: &'static HiddenKind,
+    /// In the order of the kind's parameters.
+    values: Vec<f64>,
 }
 
 impl HiddenEffect {
+    /// The effect `id` with a value for each of its keys; `None` where the catalogue has no such effect or key, or one is
+    /// left out.
+    pub fn new(id: &str, values: &[(&str, f64)]) -> Option<Self> {
+        let kind = CATALOGUE.iter().find(|kind| kind.id == id)?;
+        let value = |parameter: &Parameter| {
+            let of_key = values.iter().find(|(key, _)| *key == parameter.key);
+            of_key.map(|(_, value)| *value)
+        };
+        let complete: Option<Vec<f64>> = kind.parameters.iter().map(value).collect();
+        let values = complete.filter(|complete| complete.len() == values.len())?;
+        Some(Self { kind, values })
+    }
+
+    /// Every id, in catalogue order.
+    pub fn ids() -> impl Iterator<Item = &'static str> {
+        CATALOGUE.iter().map(|kind| kind.id)
+    }
+
+    /// Ids that a mystery draws from: those of the host's catalogue, or those that no catalogue has. Known effects in a
+    /// wrong shape are not drawn: for them the name of the next of kin would be right too.
+    pub(in crate::emulator) fn mysteries(foreign: bool) -> Vec<&'static str> {
+        let drawn = CATALOGUE
+            .iter()
+            .filter(|kind| kind.mystery.is_some() && kind.names.is_empty() == foreign);
+        drawn.map(|kind| kind.id).collect()
+    }
+
+    /// The effect as a mystery draws it on a motor with this nameplate; `None` where none draws it.
+    pub(in crate::emulator) fn mystery(
+        id: &str,
+        rng: &mut ChaCha8Rng,
+        nameplate: &Site,
+    ) -> Option<Self> {
+        let kind = CATALOGUE.iter().find(|kind| kind.id == id)?;
+        let values = kind.mystery?(&mut Dice::new(rng, nameplate));
+        Some(Self { kind, values })
+    }
+
+    /// Ids that the study of the diagnosis draws, with the names of the host's catalogue that are right for each.
+    pub fn studied() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
+        let drawn = CATALOGUE.iter().filter(|kind| !kind.study.is_empty());
+        drawn.map(|kind| (kind.id, kind.names))
+    }
+
+    /// The effect as the study draws it, each value multiplied by `share` of its key.
+    pub fn study(id: &str, share: impl Fn(&str) -> f64, rng: &mut ChaCha8Rng) -> Option<Self> {
+        let kind = CATALOGUE.iter().find(|kind| kind.id == id)?;
+        let drawn = kind.study.iter().flat_map(|draw| draw.values(rng));
+        let values: Vec<(&str, f64)> = drawn.map(|(key, v)| (key, share(key) * v)).collect();
+        Self::new(id, &values)
+    }
+
+    pub const fn id(&self) -> &'static str {
+        self.kind.id
+    }
+
+    /// The true parameters, under the keys of the model file.
+    pub fn parameters(&self) -> Vec<TrueParameter> {
+        let parameters = self.kind.parameters.iter().zip(&self.values);
+        let told = parameters.map(|(parameter, value)| (parameter.key, *value, parameter.unit));
+        told.collect()
+    }
+
+    /// The value of one parameter.
+    pub fn value(&self, key: &str) -> Option<f64> {
+        let place = self.kind.parameters.iter().position(|p| p.key == key)?;
+        Some(self.values[place])
+    }
+
+    /// The first value that this effect cannot have.
+    pub fn refused(&self) -> Option<Refused> {
+        let mut parameters = self.kind.parameters.iter().zip(&self.values);
+        parameters.find_map(|(parameter, value)| {
+            let allowed = parameter.allowed.refuses(*value)?;
+            Some((parameter.key, *value, allowed))
+        })
+    }
+
     /// Whether no catalogue of the host has it.
     pub fn is_foreign(&self) -> bool {
-        Self::FOREIGN.contains(&self.id())
+        !self.kind.names.contains(&self.kind.id)
     }
 
     /// The mechanism at work on this site, from rest and cold; `None` for what is only in the path or a second inertia.
     pub fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
-        self.hidden().mechanism(site)
+        match self.kind.acts {
+            Acts::Inside(make) => Some(make(&self.values, site)),
+            _ => None,
+        }
     }
 
     /// What it does between command, machine and measurement, its parts included.
     pub fn path(&self, site: &Site) -> Path {
-        self.hidden()
-            .parts(site)
-            .iter()
-            .fold(self.hidden().path(), |path, part| {
-                path.plus(part.path(site))
-            })
+        match self.kind.acts {
+            Acts::Between(make) => make(self.values[0]),
+            Acts::Together(make) => make(self.values[0], site)
+                .iter()
+                .fold(Path::default(), |path, part| path.plus(part.path(site))),
+            Acts::Inside(_) | Acts::Behind(_) => Path::default(),
+        }
     }
 
     /// The effects that it is made of; itself where it is one.
     pub fn single(&self, site: &Site) -> Vec<Self> {
-        match self.hidden().parts(site) {
-            parts if parts.is_empty() => vec![self.clone()],
-            parts => parts,
+        match self.kind.acts {
+            Acts::Together(make) => make(self.values[0], site),
+            _ => vec![self.clone()],
         }
     }
 
     /// The second inertia that it puts behind the shaft.
     pub(super) fn shaft(&self, site: &Site) -> Option<Shaft> {
-        self.hidden().shaft(site)
+        match self.kind.acts {
+            Acts::Behind(make) => Some(make(&self.values, site)),
+            _ => None,
+        }
     }
 
     /// Whether it is a second inertia; a machine can have one.
     pub const fn is_shaft(&self) -> bool {
-        matches!(self, Self::ElasticCoupling(_) | Self::Backlash(_))
+        matches!(self.kind.acts, Acts::Behind(_))
     }
 
     /// All mechanisms at work, those of its parts included.
     pub(super) fn mechanisms(&self, site: &Site) -> Vec<Box<dyn Mechanism>> {
-        let parts = self.hidden().parts(site);
-        let of_parts = parts.iter().flat_map(|part| part.mechanisms(site));
-        self.mechanism(site).into_iter().chain(of_parts).collect()
+        let parts = self.single(site);
+        parts
+            .iter()
+            .filter_map(|part| part.mechanism(site))
+            .collect()
+    }
+
+    /// One of each in the sizes of the example configuration, for tests.
+    #[cfg(test)]
+    pub(in crate::emulator) fn one_of_each() -> Vec<Self> {
+        let usual = |kind: &'static HiddenKind| Self {
+            kind,
+            values: kind
+                .parameters
+                .iter()
+                .map(|parameter| parameter.usual)
+                .collect(),
+        };
+        CATALOGUE.iter().map(usual).collect()
     }
 }
 
-#[cfg(test)]
-pub(in crate::emulator) mod test_samples;
+impl PartialEq for HiddenEffect {
+    fn eq(&self, other: &Self) -> bool {
+        self.id() == other.id() && self.values == other.values
+    }
+}
+
+impl Serialize for HiddenEffect {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(1 + self.values.len()))?;
+        map.serialize_entry("id", self.id())?;
+        for (key, value, _) in self.parameters() {
+            map.serialize_entry(key, &value)?;
+        }
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for HiddenEffect {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let table = toml::Table::deserialize(deserializer)?;
+        let id = table
+            .get("id")
+            .ok_or_else(|| D::Error::missing_field("id"))?;
+        let id = id.as_str().unwrap_or_default();
+        let kind = CATALOGUE.iter().find(|kind| kind.id == id);
+        let kind = kind.ok_or_else(|| D::Error::custom(unknown("variant", id, Self::ids())))?;
+        let keys = kind.parameters.iter().map(|parameter| parameter.key);
+        let is_unknown = |key: &&String| *key != "id" && !keys.clone().any(|known| known == *key);
+        if let Some(key) = table.keys().find(is_unknown) {
+            return Err(D::Error::custom(unknown("field", key, keys)));
+        }
+        let value = |key| {
+            let value = table.get(key).ok_or_else(|| D::Error::missing_field(key))?;
+            f64::deserialize(value.clone()).map_err(|error| D::Error::custom(error.message()))
+        };
+        let values = keys.clone().map(value).collect::<Result<_, _>>()?;
+        Ok(Self { kind, values })
+    }
+}
+
+/// As serde says it of an enum or a struct.
+fn unknown(what: &str, given: &str, known: impl Iterator<Item = &'static str>) -> String {
+    let known: Vec<String> = known.map(|name| format!("`{name}`")).collect();
+    let expected = match &known[..] {
+        [one] => one.clone(),
+        [one, other] => format!("{one} or {other}"),
+        _ => format!("one of {}", known.join(", ")),
+    };
+    format!("unknown {what} `{given}`, expected {expected}")
+}
+
 #[cfg(test)]
 mod tests;

@@ -1,36 +1,24 @@
 //! A weight that is picked up some time after the drive was started.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::{Between, Signed};
+use super::{Acts, Allowed, HiddenKind, Parameter, load, named};
 
 /// Time in which the rope comes under tension, s.
 const TIGHT_S: f64 = 0.03;
 
-hidden_effect! {
-    /// Torque of `load_n_m` against positive motion from `time_s` after each start of the drive on.
-    OneSidedLoad {
-        load_n_m: Signed in "N.m",
-        time_s: NotNegative in "s",
-    }
-}
-
-impl Hidden for OneSidedLoad {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Weight {
-            torque_n_m: self.load_n_m,
-            time_s: self.time_s,
-        }))
-    }
-}
-
-/// T (t - t1)/30 ms until it hangs freely. The host's catalogue has a logistic curve about t1.
-struct Weight {
-    torque_n_m: f64,
-    time_s: f64,
-}
-
-impl Mechanism for Weight {
-    fn load_torque_n_m(&self, at: &Moment) -> f64 {
-        self.torque_n_m * ((at.time_s - self.time_s) / TIGHT_S).clamp(0.0, 1.0)
-    }
-}
+/// Torque of `load_n_m` against positive motion from `time_s` after each start of the drive on.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "one_sided_load",
+    names: &["one_sided_load"],
+    parameters: &[
+        Parameter::new("load_n_m", "N.m", Allowed::Signed, 0.1),
+        Parameter::new("time_s", "s", Allowed::NotNegative, 0.4),
+    ],
+    mystery: Some(|dice| vec![dice.sign() * dice.torque_n_m, dice.between(3.0, 9.0)]),
+    study: &[Signed("load_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
+    acts: Acts::Inside(|values, _| {
+        let [load_n_m, time_s] = named(values);
+        // T (t - t1)/30 ms until it hangs freely. The host's catalogue has a logistic curve about t1.
+        load(move |at| load_n_m * ((at.time_s - time_s) / TIGHT_S).clamp(0.0, 1.0))
+    }),
+};

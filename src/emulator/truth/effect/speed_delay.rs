@@ -1,20 +1,17 @@
 //! A speed that is old when it is told, as one that a slow task of the drive hands over.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Path};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, Path};
 
-hidden_effect! {
-    /// The measured speed is that of this much earlier, from the drive's ticks of 50 us. A delay has no other form.
-    SpeedDelay {
-        delay_s: Delay in "s",
-    }
-}
-
-impl Hidden for SpeedDelay {
-    fn path(&self) -> Path {
-        Path {
-            speed_delay_s: self.delay_s,
-            ..Path::default()
-        }
-    }
-}
+/// The measured speed is that of this much earlier, from the drive's ticks of 50 us. A delay has no other form.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "speed_delay",
+    names: &["speed_delay"],
+    parameters: &[Parameter::new("delay_s", "s", Allowed::Delay, 4e-3)],
+    mystery: Some(|dice| vec![dice.delay_s(4.0, 15.0)]),
+    study: &[Between("delay_s", 1.5e-3, 4e-3)],
+    acts: Acts::Between(|value| Path {
+        speed_delay_s: value,
+        ..Path::default()
+    }),
+};

@@ -1,20 +1,17 @@
 //! A low-pass filter in the measurement of the speed.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Path};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, Path};
 
-hidden_effect! {
-    /// First order, integrated at the drive's tick: another order would be another effect.
-    SpeedFilter {
-        time_constant_s: Delay in "s",
-    }
-}
-
-impl Hidden for SpeedFilter {
-    fn path(&self) -> Path {
-        Path {
-            speed_filter_s: self.time_constant_s,
-            ..Path::default()
-        }
-    }
-}
+/// First order, integrated at the drive's tick: another order would be another effect.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "speed_filter",
+    names: &["speed_filter"],
+    parameters: &[Parameter::new("time_constant_s", "s", Allowed::Delay, 5e-3)],
+    mystery: Some(|dice| vec![dice.delay_s(5.0, 20.0)]),
+    study: &[Between("time_constant_s", 2e-3, 5e-3)],
+    acts: Acts::Between(|value| Path {
+        speed_filter_s: value,
+        ..Path::default()
+    }),
+};

@@ -1,29 +1,33 @@
 //! Stribeck friction with memory: a bristle that stretches, slips and relaxes.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
 
 /// Shaft angle over which the bristle stretches to its full torque, rad: it sets the memory of the friction. Asperities
 /// yield over some micrometres (15 um with the stiffness and level of the paper below), here at a radius of 10 mm.
 const STRETCH_RAD: f64 = 1.5e-3;
 
-hidden_effect! {
-    /// Friction beyond Coulomb that is `stribeck_n_m` at rest and vanishes beyond a few `stribeck_speed_rad_s`.
-    StribeckFriction {
-        stribeck_n_m: NotNegative in "N.m",
-        stribeck_speed_rad_s: Positive in "rad/s",
-    }
-}
-
-impl Hidden for StribeckFriction {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Bristle {
-            torque_n_m: self.stribeck_n_m,
-            speed_scale_rad_s: self.stribeck_speed_rad_s,
+/// Friction beyond Coulomb that is `stribeck_n_m` at rest and vanishes beyond a few `stribeck_speed_rad_s`.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "stribeck_friction",
+    names: &["stribeck_friction"],
+    parameters: &[
+        Parameter::new("stribeck_n_m", "N.m", Allowed::NotNegative, 0.16),
+        Parameter::new("stribeck_speed_rad_s", "rad/s", Allowed::Positive, 10.0),
+    ],
+    mystery: Some(|dice| vec![dice.torque_n_m, dice.between(5.0, 20.0)]),
+    study: &[
+        Between("stribeck_n_m", 0.08, 0.16),
+        Between("stribeck_speed_rad_s", 6.0, 18.0),
+    ],
+    acts: Acts::Inside(|values, _| {
+        Box::new(Bristle {
+            torque_n_m: values[0],
+            speed_scale_rad_s: values[1],
             stretch: 0.0,
-        }))
-    }
-}
+        })
+    }),
+};
 
 /// `LuGre` bristle (Canudas de Wit et al., IEEE TAC 40:3, 1995, eq. 3 to 5), applied to the part beyond Coulomb, with
 /// the stretch z scaled to 1 at full torque:
@@ -65,6 +69,7 @@ impl Mechanism for Bristle {
 #[cfg(test)]
 mod tests {
     use super::super::super::motor::zk_22fc;
+    use super::super::Site;
     use super::*;
 
     fn turning(speed_rad_s: f64) -> Moment {
@@ -75,12 +80,7 @@ mod tests {
     }
 
     fn bristle() -> Box<dyn Mechanism> {
-        StribeckFriction {
-            stribeck_n_m: 0.16,
-            stribeck_speed_rad_s: 10.0,
-        }
-        .mechanism(&Site::of(&zk_22fc()))
-        .unwrap()
+        KIND.mechanism(&[0.16, 10.0], &Site::of(&zk_22fc()))
     }
 
     #[test]

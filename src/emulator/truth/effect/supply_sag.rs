@@ -1,30 +1,29 @@
 //! A supply that gives way under load: source resistance and the capacitor of the intermediate circuit.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
 use crate::plant::REFERENCE_SUPPLY_V;
 
 /// Time constant of source resistance and capacitor, s. It is a smoothing that samples at 1 kHz hardly see.
 const BUS_TIME_CONSTANT_S: f64 = 2e-3;
 
-hidden_effect! {
-    /// Resistance of the drive's supply; the motor sees it through the duty cycle, twice. As in the model file it is that
-    /// of a supply of 110 V: on the drive's own bus the same loss of voltage takes `(bus/110 V)^2` of it.
-    SupplySag {
-        sag_ohm: NotNegative in "ohm",
-    }
-}
-
-impl Hidden for SupplySag {
-    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+/// Resistance of the drive's supply; the motor sees it through the duty cycle, twice. As in the model file it is that
+/// of a supply of 110 V: on the drive's own bus the same loss of voltage takes `(bus/110 V)^2` of it.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "supply_sag",
+    names: &["supply_sag"],
+    parameters: &[Parameter::new("sag_ohm", "ohm", Allowed::NotNegative, 0.4)],
+    mystery: Some(|dice| vec![dice.size(0.02, 0.06) * dice.voltage_v / dice.current_a]),
+    study: &[Between("sag_ohm", 0.25, 0.6)],
+    acts: Acts::Inside(|values, site| {
         let referred = site.bus_v / REFERENCE_SUPPLY_V;
-        Some(Box::new(Supply {
-            source_ohm: self.sag_ohm * referred * referred,
+        Box::new(Supply {
+            source_ohm: values[0] * referred * referred,
             open_circuit_v: site.bus_v,
             bus_v: site.bus_v,
-        }))
-    }
-}
+        })
+    }),
+};
 
 /// C dv/dt = (V0 - v)/Rs - D i with the duty cycle D = u/V0, and the motor gets D v. Settled: u - Rs D^2 i, which is the
 /// host's form; the capacitor makes the sag lag. The battery takes back what braking returns.
@@ -49,6 +48,7 @@ impl Mechanism for Supply {
 #[cfg(test)]
 mod tests {
     use super::super::super::motor::zk_22fc;
+    use super::super::Site;
     use super::*;
 
     #[test]
@@ -62,7 +62,7 @@ mod tests {
                 bus_v,
                 ..Site::of(&zk_22fc())
             };
-            let mut bus = SupplySag { sag_ohm: 0.4 }.mechanism(&site).unwrap();
+            let mut bus = KIND.mechanism(&[0.4], &site);
             for _ in 0..1000 {
                 bus.advance(50e-6, &at, 55.0);
             }
@@ -74,9 +74,7 @@ mod tests {
 
     #[test]
     fn settles_on_the_duty_cycle_law_and_lags() {
-        let mut bus = SupplySag { sag_ohm: 0.4 }
-            .mechanism(&Site::of(&zk_22fc()))
-            .unwrap();
+        let mut bus = KIND.mechanism(&[0.4], &Site::of(&zk_22fc()));
         let at = Moment {
             current_a: 6.0,
             ..Moment::default()

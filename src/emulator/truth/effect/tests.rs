@@ -1,13 +1,29 @@
 use super::super::motor::zk_22fc;
 use super::super::{Plant, Sensors, Terminals};
-use super::test_samples::one_of_each;
 use super::*;
 
+fn hidden(id: &str, values: &[(&str, f64)]) -> HiddenEffect {
+    HiddenEffect::new(id, values).unwrap()
+}
+
 #[test]
-fn the_list_of_the_tests_is_the_catalogue() {
-    let ids: Vec<&str> = one_of_each().iter().map(HiddenEffect::id).collect();
-    assert_eq!(ids, HiddenEffect::IDS);
-    for effect in one_of_each() {
+fn ids_and_keys_differ_and_the_usual_values_are_allowed() {
+    for effect in CATALOGUE {
+        let alike = CATALOGUE.iter().filter(|other| other.id == effect.id);
+        assert_eq!(alike.count(), 1, "{}", effect.id);
+        let drawn = effect
+            .study
+            .iter()
+            .flat_map(|draw| draw.values(&mut rand::SeedableRng::seed_from_u64(1)));
+        let keys: Vec<&str> = drawn.map(|(key, _)| key).collect();
+        let own: Vec<&str> = effect
+            .parameters
+            .iter()
+            .map(|parameter| parameter.key)
+            .collect();
+        assert!(keys.is_empty() || keys == own, "{}: {keys:?}", effect.id);
+    }
+    for effect in HiddenEffect::one_of_each() {
         assert!(!effect.parameters().is_empty(), "{}", effect.id());
         assert_eq!(effect.refused(), None, "{}", effect.id());
     }
@@ -16,7 +32,7 @@ fn the_list_of_the_tests_is_the_catalogue() {
 #[test]
 fn a_mechanism_is_finite_and_a_loss_never_feeds() {
     let site = Site::of(&zk_22fc());
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         for mut mechanism in effect.mechanisms(&site) {
             for step in 0..4000 {
                 let time_s = f64::from(step) * 1e-3;
@@ -65,7 +81,7 @@ fn driven(hidden: &[HiddenEffect], levels: &[f64]) -> (Plant, usize) {
 fn no_effect_moves_a_machine_that_is_at_rest_without_voltage() {
     // Each torque here is below the Coulomb friction. (A shaker or a weight beyond it does move it, and a voltage offset
     // drives a current: the drive's tests.)
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         let id = effect.id();
         let (plant, moved) = driven(&[effect], &[0.0; 4]);
         assert_eq!(moved, 0, "{id}");
@@ -75,7 +91,7 @@ fn no_effect_moves_a_machine_that_is_at_rest_without_voltage() {
 
 #[test]
 fn a_weight_beyond_friction_turns_the_machine_and_one_below_helps_it_break_away() {
-    let weight = |constant_n_m| [HiddenEffect::ConstantLoad(ConstantLoad { constant_n_m })];
+    let weight = |constant_n_m| [hidden("constant_load", &[("constant_n_m", constant_n_m)])];
     let (plant, _) = driven(&weight(0.6), &[0.0; 2]);
     assert!(plant.speed_rad_s() < -1.0, "against positive speed");
     // 1.0 V drive 0.32 N.m, Coulomb holds 0.455: 0.2 N.m more turn it backwards, none forwards.
@@ -87,7 +103,7 @@ fn a_weight_beyond_friction_turns_the_machine_and_one_below_helps_it_break_away(
 fn every_mechanism_changes_the_motion_and_every_path_does_not() {
     let levels = [30.0, -12.0, 60.0, -50.0, 4.0];
     let (plain, _) = driven(&[], &levels);
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         let id = effect.id();
         let site = Site::of(&zk_22fc());
         let (plant, _) = driven(std::slice::from_ref(&effect), &levels);
@@ -115,7 +131,7 @@ fn the_mirrored_command_gives_the_mirrored_motion_where_the_effect_has_no_direct
         "random_load",
         "messy",
     ];
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         let id = effect.id();
         let (plus, _) = driven(std::slice::from_ref(&effect), &[30.0, -12.0]);
         let (minus, _) = driven(&[effect], &[-30.0, 12.0]);
@@ -145,7 +161,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             m.advance(50e-6, &at, 110.0);
         }
     };
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         let Some(mut mechanism) = effect.mechanism(&site) else {
             continue;
         };
@@ -211,7 +227,10 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
 
 #[test]
 fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_the_end() {
-    for effect in one_of_each().into_iter().filter(HiddenEffect::is_shaft) {
+    for effect in HiddenEffect::one_of_each()
+        .into_iter()
+        .filter(HiddenEffect::is_shaft)
+    {
         let (plant, _) = driven(&[effect], &[60.0; 12]);
         let (plain, _) = driven(&[], &[60.0; 12]);
         assert!((plant.speed_rad_s() - plain.speed_rad_s()).abs() < 1e-3);
@@ -221,12 +240,15 @@ fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_th
     let mut motor = zk_22fc();
     (motor.load_torque_n_m, motor.back_emf_v_s_per_rad) = (0.0, 1e-6);
     motor.torque_n_m_per_a = Some(0.3538);
-    let effect = HiddenEffect::ElasticCoupling(ElasticCoupling {
-        frequency_hz: 22.0,
-        inertia_ratio: 0.4,
-        damping_ratio: 0.0,
-        friction_split: 0.5,
-    });
+    let effect = hidden(
+        "elastic_coupling",
+        &[
+            ("frequency_hz", 22.0),
+            ("inertia_ratio", 0.4),
+            ("damping_ratio", 0.0),
+            ("friction_split", 0.5),
+        ],
+    );
     let mut plant = Plant::new(motor, &[effect]);
     let mut acceleration = Vec::new();
     for _ in 0..40_000 {
@@ -264,7 +286,7 @@ fn sensors_show_delay_filter_and_offset() {
     };
     let site = Site::of(&zk_22fc());
     let mut seen = 0;
-    for effect in one_of_each() {
+    for effect in HiddenEffect::one_of_each() {
         let path = effect.path(&site);
         let read = sensors(path);
         let (amps, speed) = match effect.id() {
@@ -293,15 +315,27 @@ fn sensors_show_delay_filter_and_offset() {
 
 #[test]
 fn a_value_that_an_effect_cannot_have_is_named() {
-    let refused = HiddenEffect::Cogging(Cogging {
-        order: 6.5,
-        sin_n_m: 0.1,
-        cos_n_m: 0.0,
-    })
-    .refused();
-    assert_eq!(refused, Some(("order", 6.5, "a whole number, 1 to 400")));
-    let late = HiddenEffect::CommandDelay(CommandDelay { delay_s: 2.0 });
-    assert_eq!(late.refused().map(|(key, ..)| key), Some("delay_s"));
-    let negative = HiddenEffect::ConstantLoad(ConstantLoad { constant_n_m: -0.1 });
-    assert_eq!(negative.refused(), None);
+    for (id, values, refused) in [
+        (
+            "cogging",
+            &[("order", 6.5), ("sin_n_m", 0.1), ("cos_n_m", 0.0)][..],
+            Some(("order", 6.5, "a whole number, 1 to 400")),
+        ),
+        (
+            "command_delay",
+            &[("delay_s", 2.0)],
+            Some(("delay_s", 2.0, "0 to 1 s")),
+        ),
+        ("constant_load", &[("constant_n_m", -0.1)], None),
+    ] {
+        assert_eq!(hidden(id, values).refused(), refused, "{id}");
+    }
+    for (id, values) in [
+        ("cog", &[("order", 6.0)][..]),
+        ("command_delay", &[("delay", 1.0)]),
+        ("command_delay", &[]),
+        ("command_delay", &[("delay_s", 0.1), ("delay", 1.0)]),
+    ] {
+        assert_eq!(HiddenEffect::new(id, values), None, "{id}");
+    }
 }

@@ -1,34 +1,32 @@
 //! Torque ripple: commutation modulates what the current makes of torque.
 
+use super::Draw::{OneOf, Phase};
 use super::cogging::{Harmonics, SECOND_HARMONIC};
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::{Acts, Allowed, HiddenKind, Parameter, load, named};
 
-hidden_effect! {
-    /// Torque against positive speed of `(sin_ratio sin(N th) + cos_ratio cos(N th)) Kt i`: nothing without current.
-    TorqueRipple {
-        /// N, periods per turn.
-        order: Order in "-",
-        sin_ratio: Signed in "-",
-        cos_ratio: Signed in "-",
-    }
-}
-
-impl Hidden for TorqueRipple {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Commutator(Harmonics::new(
-            self.order,
-            (self.sin_ratio, self.cos_ratio),
-            SECOND_HARMONIC,
-        ))))
-    }
-}
-
-/// Commutation is no sine: its second harmonic is a tenth of the first. The host's catalogue has the sine.
-struct Commutator(Harmonics);
-
-impl Mechanism for Commutator {
-    fn load_torque_n_m(&self, at: &Moment) -> f64 {
-        at.torque_n_m * self.0.at(at.angle_rad)
-    }
-}
+/// Torque against positive speed of `(sin_ratio sin(N th) + cos_ratio cos(N th)) Kt i`: nothing without current.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "torque_ripple",
+    names: &["torque_ripple"],
+    parameters: &[
+        // N, periods per turn.
+        Parameter::new("order", "-", Allowed::Order, 7.0),
+        Parameter::new("sin_ratio", "-", Allowed::Signed, 0.05),
+        Parameter::new("cos_ratio", "-", Allowed::Signed, 0.0),
+    ],
+    mystery: Some(|dice| {
+        let order = dice.order();
+        let ratio = dice.size(0.05, 0.15);
+        let [sin, cos] = dice.wave(ratio);
+        vec![order, sin, cos]
+    }),
+    study: &[
+        OneOf("order", &[3.0, 6.0, 8.0, 12.0]),
+        Phase(["sin_ratio", "cos_ratio"], 0.05, 0.12),
+    ],
+    acts: Acts::Inside(|values, _| {
+        // Commutation is no sine: its second harmonic is a tenth of the first. The host's catalogue has the sine.
+        let commutator = Harmonics::new(named(values), SECOND_HARMONIC);
+        load(move |at| at.torque_n_m * commutator.at(at.angle_rad))
+    }),
+};

@@ -1,47 +1,34 @@
 //! Contact drop of the brushes.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, voltage_loss};
 
 /// Current at which the contact film carries 71 % of its full drop, A.
 const FILM_CURRENT_A: f64 = 0.1;
 
-hidden_effect! {
-    /// A drop that saturates at `drop_v`, with the sign of the current.
-    VoltageDrop {
-        drop_v: NotNegative in "V",
-    }
-}
-
-impl Hidden for VoltageDrop {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(BrushFilm {
-            drop_v: self.drop_v,
-        }))
-    }
-}
-
-/// drop = V i/sqrt(i^2 + i0^2). The host's catalogue has a hyperbolic tangent.
-struct BrushFilm {
-    drop_v: f64,
-}
-
-impl Mechanism for BrushFilm {
-    fn voltage_loss_v(&self, current_a: f64) -> f64 {
-        self.drop_v * current_a / current_a.hypot(FILM_CURRENT_A)
-    }
-}
+/// A drop that saturates at `drop_v`, with the sign of the current.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "voltage_drop",
+    names: &["voltage_drop"],
+    parameters: &[Parameter::new("drop_v", "V", Allowed::NotNegative, 1.2)],
+    mystery: Some(|dice| vec![dice.size(0.01, 0.04) * dice.voltage_v]),
+    study: &[Between("drop_v", 0.8, 2.0)],
+    acts: Acts::Inside(|values, _| {
+        let drop_v = values[0];
+        // drop = V i/sqrt(i^2 + i0^2). The host's catalogue has a hyperbolic tangent.
+        voltage_loss(move |current_a| drop_v * current_a / current_a.hypot(FILM_CURRENT_A))
+    }),
+};
 
 #[cfg(test)]
 mod tests {
     use super::super::super::motor::zk_22fc;
+    use super::super::Site;
     use super::*;
 
     #[test]
     fn odd_and_saturating() {
-        let film = VoltageDrop { drop_v: 1.2 }
-            .mechanism(&Site::of(&zk_22fc()))
-            .unwrap();
+        let film = KIND.mechanism(&[1.2], &Site::of(&zk_22fc()));
         assert!((film.voltage_loss_v(5.7) - 1.2).abs() < 1e-3);
         assert!((film.voltage_loss_v(-0.1) + 1.2 / 2.0_f64.sqrt()).abs() < 1e-12);
     }

@@ -1,7 +1,7 @@
 //! Copper that warms up: winding and frame as two heat stores.
 
-use super::parameter::hidden_effect;
-use super::{Hidden, Mechanism, Moment, Site};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
 
 /// Temperature coefficient of copper at 25 C, 1/K.
 const COPPER_PER_K: f64 = 0.00393;
@@ -10,24 +10,28 @@ const FRAME_CAPACITY_RATIO: f64 = 30.0;
 /// Thermal resistance frame to ambient as a share of winding to frame.
 const FRAME_RESISTANCE_RATIO: f64 = 0.1;
 
-hidden_effect! {
-    /// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
-    WindingHeating {
-        gain_per_a2_s: NotNegative in "1/(A2.s)",
-        time_constant_s: Positive in "s",
-    }
-}
-
-impl Hidden for WindingHeating {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(CopperAndFrame {
-            rise_per_a2_s: self.gain_per_a2_s / COPPER_PER_K,
-            time_constant_s: self.time_constant_s,
+/// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "winding_heating",
+    names: &["winding_heating"],
+    parameters: &[
+        Parameter::new("gain_per_a2_s", "1/(A2.s)", Allowed::NotNegative, 2e-3),
+        Parameter::new("time_constant_s", "s", Allowed::Positive, 20.0),
+    ],
+    mystery: Some(|dice| vec![dice.size(1e-3, 4e-3), dice.between(10.0, 40.0)]),
+    study: &[
+        Between("gain_per_a2_s", 0.8e-3, 2.2e-3),
+        Between("time_constant_s", 8.0, 40.0),
+    ],
+    acts: Acts::Inside(|values, _| {
+        Box::new(CopperAndFrame {
+            rise_per_a2_s: values[0] / COPPER_PER_K,
+            time_constant_s: values[1],
             winding_k: 0.0,
             frame_k: 0.0,
-        }))
-    }
-}
+        })
+    }),
+};
 
 /// Two-node network with the loss of the *hot* copper:
 /// dTw/dt = k (1 + a Tw) i^2 - (Tw - Tf)/tau, dTf/dt = ((Tw - Tf) - Tf/0.1)/(30 tau), R = R25 (1 + a Tw).
@@ -62,6 +66,7 @@ impl Mechanism for CopperAndFrame {
 #[cfg(test)]
 mod tests {
     use super::super::super::motor::zk_22fc;
+    use super::super::Site;
     use super::*;
 
     fn carrying(current_a: f64) -> Moment {
@@ -73,12 +78,7 @@ mod tests {
 
     #[test]
     fn warms_with_the_stated_gain_and_cools_again() {
-        let mut winding = WindingHeating {
-            gain_per_a2_s: 2e-3,
-            time_constant_s: 20.0,
-        }
-        .mechanism(&Site::of(&zk_22fc()))
-        .unwrap();
+        let mut winding = KIND.mechanism(&[2e-3, 20.0], &Site::of(&zk_22fc()));
         for _ in 0..2_000 {
             winding.advance(50e-6, &carrying(5.0), 0.0);
         }
@@ -93,12 +93,7 @@ mod tests {
 
     #[test]
     fn the_loss_grows_with_the_resistance() {
-        let mut winding = WindingHeating {
-            gain_per_a2_s: 2e-3,
-            time_constant_s: 20.0,
-        }
-        .mechanism(&Site::of(&zk_22fc()))
-        .unwrap();
+        let mut winding = KIND.mechanism(&[2e-3, 20.0], &Site::of(&zk_22fc()));
         for _ in 0..400_000 {
             winding.advance(50e-6, &carrying(5.0), 0.0);
         }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::Size;
 use super::record::Excitation;
-use super::sizes::{BACKGROUND, KNOWN, PAIRS, UNKNOWN, WRONG_FORM, right_names};
+use super::sizes::{BACKGROUND, PAIRS, known, right_names, unknown, wrong_form};
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -152,9 +152,9 @@ pub(super) fn all(size: Size) -> Vec<Case> {
         return reduced(size);
     }
     let each = |ids: Vec<&'static str>| ids.into_iter().map(|id| vec![id]).collect::<Vec<_>>();
-    let known = each(KNOWN.iter().map(|(id, _)| *id).collect());
-    let unknown = each(UNKNOWN.iter().map(|(id, _)| *id).collect());
-    let other_shapes = each(WRONG_FORM.iter().map(|(id, ..)| *id).collect());
+    let known = each(known());
+    let unknown = each(unknown());
+    let other_shapes = each(wrong_form());
     let pairs: Vec<_> = PAIRS.iter().map(|pair| pair.to_vec()).collect();
     let nothing = [vec![]];
     let mut cases = Vec::new();

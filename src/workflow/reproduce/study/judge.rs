@@ -249,7 +249,7 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
 
 /// Classes in the order of the tables.
 pub(super) fn known() -> impl Iterator<Item = &'static str> {
-    sizes::KNOWN.iter().map(|(id, _)| *id)
+    sizes::known().into_iter()
 }
 
 #[cfg(test)]

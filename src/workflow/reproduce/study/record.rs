@@ -10,6 +10,7 @@ use super::truth::{Truth, truths};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
 use crate::emulator::truth::MotorTruth;
+use crate::emulator::truth::effect::HiddenEffect;
 use crate::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
@@ -227,13 +228,12 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     let is_harsh = case.group == Group::Harsh;
     let share = if is_harsh { HARSH_SIZE_RATIO } else { 1.0 };
     for id in &case.hidden {
-        config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
+        config.hidden.extend(sizes::drawn(id, share, rng));
     }
     if let Some(level) = case.group.background() {
-        let mut messy = toml::Table::new();
-        messy.insert("id".to_owned(), "messy".into());
-        messy.insert("scale".to_owned(), level.into());
-        config.hidden.push(messy.try_into()?);
+        config
+            .hidden
+            .extend(HiddenEffect::new("messy", &[("scale", level)]));
     }
     Ok(config)
 }

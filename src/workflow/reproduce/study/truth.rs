@@ -44,15 +44,9 @@ impl Truth {
         let names = right_names(hidden.id()).into_iter();
         Self {
             names: names.map(|id| (id, size(hidden, id, site))).collect(),
-            order: value(hidden, "order"),
+            order: hidden.value("order"),
         }
     }
-}
-
-fn value(hidden: &HiddenEffect, key: &str) -> Option<f64> {
-    let parameters = hidden.parameters().into_iter();
-    let mut of_key = parameters.filter(|(other, ..)| *other == key);
-    of_key.next().map(|(_, value, _)| value)
 }
 
 fn at_speed(speed_rad_s: f64) -> Instant {
@@ -78,7 +72,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
             Some(torque_n_m / of_size_one)
         }
         "stribeck_friction" => {
-            let own_rad_s = value(hidden, "stribeck_speed_rad_s")?;
+            let own_rad_s = hidden.value("stribeck_speed_rad_s")?;
             let speed_rad_s = SPEED_SHARE * own_rad_s;
             let at = Moment {
                 speed_rad_s,
@@ -91,7 +85,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
                 Some(friction_n_m / of_size_one)
             } else {
                 // A bristle is no function of the speed; at a constant one it settles on the catalogue's curve.
-                value(hidden, main)
+                hidden.value(main)
             }
         }
         "field_change" => {
@@ -103,10 +97,10 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
         }
         _ => match main.strip_prefix("sin_") {
             Some(unit) => {
-                let cosine = value(hidden, &format!("cos_{unit}"))?;
-                Some(value(hidden, main)?.hypot(cosine))
+                let cosine = hidden.value(&format!("cos_{unit}"))?;
+                Some(hidden.value(main)?.hypot(cosine))
             }
-            None => value(hidden, main),
+            None => hidden.value(main),
         },
     }
 }
@@ -115,7 +109,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::emulator::EmulatorConfig;
-    use crate::workflow::reproduce::study::sizes::{KNOWN, WRONG_FORM, drawn};
+    use crate::workflow::reproduce::study::sizes::{drawn, known, wrong_form};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -134,10 +128,9 @@ mod tests {
 
     #[test]
     fn everything_that_has_a_name_has_a_size_but_a_frequency() {
-        let ids = KNOWN.iter().map(|(id, _)| *id);
-        for id in ids.chain(WRONG_FORM.iter().map(|(id, ..)| *id)) {
-            let table = drawn(id, 1.0, &mut ChaCha8Rng::seed_from_u64(3));
-            let [truth] = &truths(&[table.try_into().unwrap()], &motor())[..] else {
+        for id in [known(), wrong_form()].concat() {
+            let effect = drawn(id, 1.0, &mut ChaCha8Rng::seed_from_u64(3)).unwrap();
+            let [truth] = &truths(&[effect], &motor())[..] else {
                 panic!("{id} is one thing");
             };
             for (name, size) in &truth.names {

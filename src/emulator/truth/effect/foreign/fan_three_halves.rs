@@ -1,22 +1,21 @@
-use super::{Hidden, Mechanism, Site, hidden_effect};
+//! A load between drag and fan: k |w|^1.5 against the motion.
 
-hidden_effect! {
-    /// A load between drag and fan: k |w|^1.5 against the motion.
-    FanThreeHalves {
-        three_halves_n_m_s15_per_rad15: NotNegative in "N.m.s1.5/rad1.5",
-    }
-}
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, drag};
 
-impl Hidden for FanThreeHalves {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Stirrer(self.three_halves_n_m_s15_per_rad15)))
-    }
-}
-
-struct Stirrer(f64);
-
-impl Mechanism for Stirrer {
-    fn drag_torque_n_m(&self, speed_rad_s: f64) -> f64 {
-        self.0 * speed_rad_s * speed_rad_s.abs().sqrt()
-    }
-}
+pub(in super::super) const KIND: HiddenKind = HiddenKind {
+    id: "fan_three_halves",
+    names: &["quadratic_load", "viscous_friction"],
+    parameters: &[Parameter::new(
+        "three_halves_n_m_s15_per_rad15",
+        "N.m.s1.5/rad1.5",
+        Allowed::NotNegative,
+        3e-5,
+    )],
+    mystery: None,
+    study: &[Between("three_halves_n_m_s15_per_rad15", 2.2e-5, 4e-5)],
+    acts: Acts::Inside(|values, _| {
+        let size = values[0];
+        drag(move |speed_rad_s| size * speed_rad_s * speed_rad_s.abs().sqrt())
+    }),
+};

@@ -6,25 +6,17 @@
 //! a real bench's background:        messy
 //! ```
 
-mod exponential_stribeck;
-mod fan_three_halves;
-mod harmonic_cogging;
-mod load_ramp;
-mod messy;
-mod random_load;
-mod shaker;
-mod soft_drop;
-mod torque_bump;
+pub(super) mod exponential_stribeck;
+pub(super) mod fan_three_halves;
+pub(super) mod harmonic_cogging;
+pub(super) mod load_ramp;
+pub(super) mod messy;
+pub(super) mod random_load;
+pub(super) mod shaker;
+pub(super) mod soft_drop;
+pub(super) mod torque_bump;
 
-pub use exponential_stribeck::ExponentialStribeck;
-pub use fan_three_halves::FanThreeHalves;
-pub use harmonic_cogging::HarmonicCogging;
-pub use load_ramp::LoadRamp;
-pub use messy::Messy;
-pub use random_load::RandomLoad;
-pub use shaker::Shaker;
-pub use soft_drop::SoftDrop;
-pub use torque_bump::TorqueBump;
-
-use super::parameter::hidden_effect;
-use super::{Hidden, HiddenEffect, Mechanism, Moment, Site};
+use super::{
+    Acts, Allowed, Draw, HiddenEffect, HiddenKind, Mechanism, Moment, Parameter, Site, drag,
+    friction, load, named, voltage_loss,
+};

@@ -1,34 +1,45 @@
+//! A torque that wanders at random: a process that is not even.
+
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{Hidden, Mechanism, Moment, Site, hidden_effect};
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
 
 /// Stream of the generator: sensor noise and tolerances have their own.
 const LOAD_STREAM: u64 = 3;
 
-hidden_effect! {
-    /// A torque that wanders at random: a process that is not even.
-    RandomLoad {
-        /// Standard deviation.
-        std_n_m: NotNegative in "N.m",
-        /// Time over which it forgets.
-        correlation_s: Positive in "s",
-    }
-}
-
-impl Hidden for RandomLoad {
-    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+pub(in super::super) const KIND: HiddenKind = HiddenKind {
+    id: "random_load",
+    names: &[],
+    parameters: &[
+        // Standard deviation.
+        Parameter::new("std_n_m", "N.m", Allowed::NotNegative, 0.06),
+        // Time over which it forgets.
+        Parameter::new("correlation_s", "s", Allowed::Positive, 0.05),
+    ],
+    mystery: Some(|dice| {
+        vec![
+            dice.size(0.03, 0.08) * dice.rated_torque_n_m,
+            dice.between(0.03, 0.2),
+        ]
+    }),
+    study: &[
+        Between("std_n_m", 0.06, 0.12),
+        Between("correlation_s", 0.15, 0.4),
+    ],
+    acts: Acts::Inside(|values, site| {
         let mut rng = ChaCha8Rng::seed_from_u64(site.seed);
         rng.set_stream(LOAD_STREAM);
-        Some(Box::new(Wander {
-            std_n_m: self.std_n_m,
-            correlation_s: self.correlation_s,
+        Box::new(Wander {
+            std_n_m: values[0],
+            correlation_s: values[1],
             torque_n_m: 0.0,
             rng,
-        }))
-    }
-}
+        })
+    }),
+};
 
 /// Ornstein-Uhlenbeck process, exact from step to step.
 struct Wander {
@@ -54,16 +65,12 @@ impl Mechanism for Wander {
 #[cfg(test)]
 mod tests {
     use super::super::super::super::motor::zk_22fc;
+    use super::super::Site;
     use super::*;
 
     #[test]
     fn has_the_stated_spread_and_memory() {
-        let mut load = RandomLoad {
-            std_n_m: 0.02,
-            correlation_s: 0.05,
-        }
-        .mechanism(&Site::of(&zk_22fc()))
-        .unwrap();
+        let mut load = KIND.mechanism(&[0.02, 0.05], &Site::of(&zk_22fc()));
         let step = 1e-3;
         let torque: Vec<f64> = (0..400_000)
             .map(|_| {

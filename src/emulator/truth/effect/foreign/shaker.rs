@@ -1,29 +1,23 @@
-use super::{Hidden, Mechanism, Moment, Site, hidden_effect};
+//! A torque that swings in time, whatever the machine does: a neighbour's machine on the same frame.
 
-hidden_effect! {
-    /// A torque that swings in time, whatever the machine does: a neighbour's machine on the same frame.
-    Shaker {
-        amplitude_n_m: NotNegative in "N.m",
-        frequency_hz: Positive in "Hz",
-    }
-}
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, load, named};
 
-impl Hidden for Shaker {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Swing {
-            amplitude_n_m: self.amplitude_n_m,
-            frequency_rad_s: std::f64::consts::TAU * self.frequency_hz,
-        }))
-    }
-}
-
-struct Swing {
-    amplitude_n_m: f64,
-    frequency_rad_s: f64,
-}
-
-impl Mechanism for Swing {
-    fn load_torque_n_m(&self, at: &Moment) -> f64 {
-        self.amplitude_n_m * (self.frequency_rad_s * at.time_s).sin()
-    }
-}
+pub(in super::super) const KIND: HiddenKind = HiddenKind {
+    id: "shaker",
+    names: &[],
+    parameters: &[
+        Parameter::new("amplitude_n_m", "N.m", Allowed::NotNegative, 0.1),
+        Parameter::new("frequency_hz", "Hz", Allowed::Positive, 4.6),
+    ],
+    mystery: Some(|dice| vec![dice.torque_n_m, dice.between(2.0, 8.0)]),
+    study: &[
+        Between("amplitude_n_m", 0.1, 0.2),
+        Between("frequency_hz", 4.4, 5.6),
+    ],
+    acts: Acts::Inside(|values, _| {
+        let [amplitude_n_m, frequency_hz] = named(values);
+        let frequency_rad_s = std::f64::consts::TAU * frequency_hz;
+        load(move |at| amplitude_n_m * (frequency_rad_s * at.time_s).sin())
+    }),
+};

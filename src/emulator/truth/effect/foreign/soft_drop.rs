@@ -1,25 +1,19 @@
-use super::{Hidden, Mechanism, Site, hidden_effect};
+//! A contact drop that builds up over the current: V tanh(i/0.6 A).
+
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, voltage_loss};
 
 /// Six times as wide as that of the host's contact drop, A.
 const WIDTH_A: f64 = 0.6;
 
-hidden_effect! {
-    /// A contact drop that builds up over the current: V tanh(i/0.6 A).
-    SoftDrop {
-        drop_v: NotNegative in "V",
-    }
-}
-
-impl Hidden for SoftDrop {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Contact(self.drop_v)))
-    }
-}
-
-struct Contact(f64);
-
-impl Mechanism for Contact {
-    fn voltage_loss_v(&self, current_a: f64) -> f64 {
-        self.0 * (current_a / WIDTH_A).tanh()
-    }
-}
+pub(in super::super) const KIND: HiddenKind = HiddenKind {
+    id: "soft_drop",
+    names: &["voltage_drop"],
+    parameters: &[Parameter::new("drop_v", "V", Allowed::NotNegative, 3.0)],
+    mystery: None,
+    study: &[Between("drop_v", 0.8, 2.0)],
+    acts: Acts::Inside(|values, _| {
+        let drop_v = values[0];
+        voltage_loss(move |current_a| drop_v * (current_a / WIDTH_A).tanh())
+    }),
+};

@@ -1,26 +1,34 @@
-use super::{Hidden, Mechanism, Moment, Site, hidden_effect};
+//! Friction that is higher about one speed, in either direction: a resonance that takes up power there.
 
-hidden_effect! {
-    /// Friction that is higher about one speed, in either direction: a resonance that takes up power there.
-    TorqueBump {
-        bump_n_m: NotNegative in "N.m",
-        speed_rad_s: Positive in "rad/s",
-        width_rad_s: Positive in "rad/s",
-    }
-}
+use super::Draw::Between;
+use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
 
-impl Hidden for TorqueBump {
-    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Bump(self.clone())))
-    }
-}
-
-/// T exp(-((|w| - w0)/width)^2) against the motion.
-struct Bump(TorqueBump);
-
-impl Mechanism for Bump {
-    fn friction_n_m(&self, at: &Moment) -> f64 {
-        let off = (at.speed_rad_s.abs() - self.0.speed_rad_s) / self.0.width_rad_s;
-        self.0.bump_n_m * (-off * off).exp()
-    }
-}
+pub(in super::super) const KIND: HiddenKind = HiddenKind {
+    id: "torque_bump",
+    names: &[],
+    parameters: &[
+        Parameter::new("bump_n_m", "N.m", Allowed::NotNegative, 0.12),
+        Parameter::new("speed_rad_s", "rad/s", Allowed::Positive, 95.0),
+        Parameter::new("width_rad_s", "rad/s", Allowed::Positive, 20.0),
+    ],
+    mystery: Some(|dice| {
+        vec![
+            dice.size(0.08, 0.2) * dice.rated_torque_n_m,
+            dice.between(60.0, 180.0),
+            dice.between(10.0, 30.0),
+        ]
+    }),
+    study: &[
+        Between("bump_n_m", 0.12, 0.2),
+        Between("speed_rad_s", 70.0, 130.0),
+        Between("width_rad_s", 12.0, 22.0),
+    ],
+    acts: Acts::Inside(|values, _| {
+        let [bump_n_m, speed_rad_s, width_rad_s] = named(values);
+        // T exp(-((|w| - w0)/width)^2) against the motion.
+        friction(move |at| {
+            let off = (at.speed_rad_s.abs() - speed_rad_s) / width_rad_s;
+            bump_n_m * (-off * off).exp()
+        })
+    }),
+};
