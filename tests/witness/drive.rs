@@ -76,7 +76,7 @@ pub(crate) struct Row {
 /// Bytes that leave for the host, and when the last of them has left.
 pub(crate) type Sent = (f64, Vec<u8>);
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Drive {
     now_s: f64,
     motor: Motor,
@@ -98,8 +98,6 @@ pub(crate) struct Drive {
     pub(crate) visible_s: Option<f64>,
     /// Last write that was heard while the output was on.
     pub(crate) written_s: f64,
-    /// When the drive was first told to run.
-    pub(crate) enabled: u32,
     done_once: bool,
     /// What the sensors told when they froze.
     frozen: Option<[u16; TOLD]>,
@@ -111,28 +109,10 @@ pub(crate) struct Drive {
 impl Drive {
     pub(crate) fn new(act: Act, seed: u64) -> Self {
         let mut drive = Self {
-            now_s: 0.0,
-            motor: Motor::default(),
-            control: 0,
-            reference: 0,
             watchdog_ms: 500,
-            fault_code: 0,
-            comm_loss: false,
-            kicked_s: 0.0,
-            heard: Vec::new(),
-            heard_s: 0.0,
             noise: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(1),
             act,
-            delay_s: 0.0,
-            from_s: None,
-            visible_s: None,
-            written_s: 0.0,
-            enabled: 0,
-            done_once: false,
-            frozen: None,
-            stuck_v: 0.0,
-            replies: 0,
-            log: Vec::new(),
+            ..Self::default()
         };
         drive.delay_s = 0.15 + 0.4 * drive.uniform();
         if act == Act::EnableIgnored {
@@ -141,12 +121,13 @@ impl Drive {
         drive
     }
 
-    /// Watchdog that is in force, s.
+    /// The same with a motor that has this besides.
     pub(crate) fn hiding(mut self, hidden: Hidden) -> Self {
         self.motor.hidden = hidden;
         self
     }
 
+    /// Watchdog that is in force, s.
     pub(crate) fn watchdog_s(&self) -> f64 {
         f64::from(self.watchdog_ms) * 1e-3
     }
@@ -325,16 +306,12 @@ impl Drive {
     }
 
     fn serve(&mut self, request: &Request) -> Vec<u8> {
-        if let (Act::Exception(code), true) = (self.act, self.is_faulty()) {
-            let function = match request {
-                Request::Read { function, .. } => *function,
-                // Writes are taken: the stop has to arrive.
-                _ => 0,
-            };
-            if function != 0 {
-                self.see();
-                return codec::exception(UNIT, function, code);
-            }
+        // Writes are taken: the stop has to arrive.
+        if let (Act::Exception(code), Request::Read { function, .. }) = (self.act, request)
+            && self.is_faulty()
+        {
+            self.see();
+            return codec::exception(UNIT, *function, code);
         }
         match request {
             Request::Read {
@@ -502,14 +479,10 @@ impl Drive {
         if self.fault_code != 0 || self.comm_loss {
             return;
         }
-        let before = self.control;
         self.control = word & (ENABLE | RUN);
         if self.control & ENABLE == 0 {
             self.control = 0;
             self.reference = 0;
-        }
-        if before & RUN == 0 && self.is_on() {
-            self.enabled += 1;
         }
         if self.act == Act::EnableIgnored {
             self.control &= ENABLE;

@@ -49,9 +49,10 @@ pub(crate) enum Host {
 }
 
 /// What goes wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Act {
     /// Nothing does.
+    #[default]
     Nothing,
     Replies(Reply, u32),
     /// So many in a thousand each are late by this much, s, lost, and doubled.
