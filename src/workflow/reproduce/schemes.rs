@@ -168,7 +168,7 @@ pub struct Curve {
 
 /// For each scheme asked for, the medians over the records of each ratio.
 fn curves(records: &[Vec<Record>], asked: impl Fn(&str) -> bool) -> Vec<Curve> {
-    let curve = |scheme: &'static dyn Scheme| {
+    let curve = |scheme: &'static Scheme| {
         let median = |records: &Vec<Record>| {
             let found = records.par_iter().map(|record| errors(scheme, record));
             Errors::medians(&found.collect::<Vec<_>>())
