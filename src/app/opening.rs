@@ -162,11 +162,7 @@ pub(crate) fn serve(
 /// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
 pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (mut profile, text) = drive_profile(bench)?;
-    profile.link.protocol = match bench.link.protocol {
-        Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
-        Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
-        Protocol::Stream => crate::drive::Protocol::Stream,
-    };
+    profile.link.protocol = bench.link.protocol;
     bench.drive_facts = DriveFacts::of(&profile);
     if let Some((key, value, most)) = bench.beyond_drive() {
         return Err(Failure::with_help(
