@@ -98,75 +98,52 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Every named fault at the position of its code, with a name and what has happened.
-    const TABLE: [(Self, &'static str, &'static str); 10] = [
-        (Self::None, "none", "no fault"),
-        (
-            Self::Watchdog,
-            "watchdog",
-            "no command came within the watchdog time",
-        ),
-        (
-            Self::OverCurrent,
-            "over-current",
-            "current above the trip level",
-        ),
-        (
-            Self::OverVoltage,
-            "over-voltage",
-            "intermediate circuit: voltage too high",
-        ),
-        (
-            Self::UnderVoltage,
-            "under-voltage",
-            "intermediate circuit: voltage too low",
-        ),
-        (
-            Self::OverTemperature,
-            "over-temperature",
-            "output stage or motor too hot",
-        ),
-        (Self::OverSpeed, "over-speed", "speed above the speed limit"),
-        (
-            Self::BadCommand,
-            "bad command",
-            "a command block that means nothing",
-        ),
-        (
-            Self::Sensor,
-            "sensor",
-            "current, speed or angle sensor failed",
-        ),
-        (Self::Internal, "internal", "internal fault"),
+    /// Every named fault at the position of its code.
+    const NAMES: [(Self, &'static str); 10] = [
+        (Self::None, "none"),
+        (Self::Watchdog, "watchdog"),
+        (Self::OverCurrent, "over-current"),
+        (Self::OverVoltage, "over-voltage"),
+        (Self::UnderVoltage, "under-voltage"),
+        (Self::OverTemperature, "over-temperature"),
+        (Self::OverSpeed, "over-speed"),
+        (Self::BadCommand, "bad command"),
+        (Self::Sensor, "sensor"),
+        (Self::Internal, "internal"),
     ];
 
     /// Every named fault, by rising code.
     pub fn all() -> impl Iterator<Item = Self> {
-        Self::TABLE.into_iter().map(|(fault, ..)| fault)
+        Self::NAMES.into_iter().map(|(fault, _)| fault)
     }
 
     /// Code in the fault register.
     pub fn code(self) -> u16 {
         match self {
             Self::Other(code) => code,
-            named => (0..)
-                .zip(Self::all())
-                .find(|(_, fault)| *fault == named)
-                .map_or(0, |(code, _)| code),
+            named => {
+                let mut faults = (0..).zip(Self::all());
+                let found = faults.find(|(_, fault)| *fault == named);
+                found.map_or(0, |(code, _)| code)
+            }
         }
     }
 
     /// What has happened, in words.
-    pub fn text(self) -> &'static str {
-        self.row()
-            .map_or("a code that this version does not know", |(_, _, text)| {
-                text
-            })
-    }
-
-    /// Words for a person.
-    pub fn name(self) -> &'static str {
-        self.row().map_or("unknown", |(_, name, _)| name)
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::None => "no fault",
+            Self::Watchdog => "no command came within the watchdog time",
+            Self::OverCurrent => "current above the trip level",
+            Self::OverVoltage => "intermediate circuit: voltage too high",
+            Self::UnderVoltage => "intermediate circuit: voltage too low",
+            Self::OverTemperature => "output stage or motor too hot",
+            Self::OverSpeed => "speed above the speed limit",
+            Self::BadCommand => "a command block that means nothing",
+            Self::Sensor => "current, speed or angle sensor failed",
+            Self::Internal => "internal fault",
+            Self::Other(_) => "a code that this version does not know",
+        }
     }
 
     /// The fault of a code.
@@ -174,8 +151,11 @@ impl Fault {
         Self::all().nth(code.into()).unwrap_or(Self::Other(code))
     }
 
-    fn row(self) -> Option<(Self, &'static str, &'static str)> {
-        Self::TABLE.into_iter().find(|(fault, ..)| *fault == self)
+    /// Words for a person.
+    pub fn name(self) -> &'static str {
+        let mut names = Self::NAMES.into_iter();
+        let found = names.find(|(fault, _)| *fault == self);
+        found.map_or("unknown", |(_, name)| name)
     }
 }
 

@@ -171,11 +171,7 @@ pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> Strin
 /// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
 pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (mut profile, text) = drive_profile(bench)?;
-    profile.link.protocol = match bench.link.protocol {
-        Protocol::ModbusRtu => drive::Protocol::ModbusRtu,
-        Protocol::ModbusTcp => drive::Protocol::ModbusTcp,
-        Protocol::Stream => drive::Protocol::Stream,
-    };
+    profile.link.protocol = bench.link.protocol;
     bench.drive_facts = DriveFacts::of(&profile);
     if let Some((key, value, most)) = bench.beyond_drive() {
         return Err(Failure::usage(

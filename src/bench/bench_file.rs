@@ -4,14 +4,13 @@ mod mechanics;
 
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::limits::{Limits, MotorSection, Nameplate, POSITIVE};
 use super::speed::{Reference, ReferenceError, SpeedSection};
 use crate::config_text::{self, ConfigError};
+pub use crate::drive::Protocol;
 use crate::excitation::{self, ExcitationError, Segment};
 
 /// The bench that `commission` uses when it is given none.
@@ -85,26 +84,6 @@ pub struct BenchFile {
 pub struct DriveSection {
     /// Name of an embedded drive profile, or path of one.
     pub profile: String,
-}
-
-/// How the drive is reached.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, PartialEq, Eq)]
-#[serde(rename_all = "kebab-case")]
-pub enum Protocol {
-    #[default]
-    ModbusRtu,
-    ModbusTcp,
-    Stream,
-}
-
-impl fmt::Display for Protocol {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::ModbusRtu => "modbus-rtu",
-            Self::ModbusTcp => "modbus-tcp",
-            Self::Stream => "stream",
-        })
-    }
 }
 
 #[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]

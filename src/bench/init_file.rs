@@ -265,10 +265,9 @@ fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
 
 /// Over TCP there is no RTU, and over a serial port no TCP; the registers are the same.
 fn protocol(profile: &DriveProfile, port: &str) -> Protocol {
-    use crate::drive::Protocol as Spoken;
     match (profile.link.protocol, Port::parse(port)) {
-        (Spoken::Stream, _) => Protocol::Stream,
-        (_, Some(Port::Tcp(_))) | (Spoken::ModbusTcp, Some(Port::Emulator | Port::Sim)) => {
+        (Protocol::Stream, _) => Protocol::Stream,
+        (_, Some(Port::Tcp(_))) | (Protocol::ModbusTcp, Some(Port::Emulator | Port::Sim)) => {
             Protocol::ModbusTcp
         }
         _ => Protocol::ModbusRtu,

@@ -63,7 +63,7 @@ fn stands_for(signal: &Signal) -> String {
         parts.push(format!("{} side", side.name()));
     }
     if let Some(basis) = keys.basis {
-        parts.push(basis.name().to_owned());
+        parts.push(basis.name());
     }
     if let Some(pairs) = keys.pole_pairs {
         parts.push(format!("by {pairs} pole pairs"));

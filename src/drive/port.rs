@@ -1,16 +1,14 @@
 //! Opening what carries the bytes, with errors that say what to do; and the blocking port of the stream link.
 
-use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::MetadataExt;
-use std::path::Path;
 use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
 
 use super::link::LinkError;
-use super::serial_ports::holders;
+use super::serial_ports::holder_names;
 use super::settings::Framing;
 
 /// How long a peer on the network may take to accept.
@@ -55,17 +53,10 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
         serialport::ErrorKind::Io(kind) => {
             return open_error(path, &io::Error::new(kind, error.to_string()));
         }
-        serialport::ErrorKind::NoDevice => {
-            let holders: Vec<String> = holders(Path::new("/"), Path::new(path))
-                .iter()
-                .map(ToString::to_string)
-                .collect();
-            if holders.is_empty() {
-                format!("another program holds it, or it is no port ({error})")
-            } else {
-                format!("{} holds it ({error})", holders.join(", "))
-            }
-        }
+        serialport::ErrorKind::NoDevice => match holder_names(path) {
+            None => format!("another program holds it, or it is no port ({error})"),
+            Some(names) => format!("{names} holds it ({error})"),
+        },
         _ => error.to_string(),
     };
     LinkError::Open(path.to_owned(), reason)
@@ -75,19 +66,13 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
 pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
     let reason = match error.kind() {
         ErrorKind::NotFound => {
-            let mut reason = "it does not exist".to_owned();
-            let there: Vec<_> = serialport::available_ports()
-                .unwrap_or_default()
-                .into_iter()
-                .map(|port| port.port_name)
-                .collect();
-            // Writing to a string cannot fail.
-            let _ = if there.is_empty() {
-                write!(reason, " (no serial port is there)")
+            let there = serialport::available_ports().unwrap_or_default();
+            let there: Vec<_> = there.into_iter().map(|port| port.port_name).collect();
+            if there.is_empty() {
+                "it does not exist (no serial port is there)".to_owned()
             } else {
-                write!(reason, " (there are: {})", there.join(", "))
-            };
-            reason
+                format!("it does not exist (there are: {})", there.join(", "))
+            }
         }
         ErrorKind::PermissionDenied => match owning_group(path) {
             Some(group) => format!(

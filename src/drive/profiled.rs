@@ -24,7 +24,7 @@ use super::command_times::CommandTimes;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::{RegisterBus, Span};
-use super::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Step};
+use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step};
 use super::settings::KickedBy;
 use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
@@ -256,29 +256,39 @@ impl<B: RegisterBus> ProfiledLink<B> {
             return (span.middle_s(), Some(span.half_width_s()));
         };
         let time_s = clock.follow(&self.readings);
-        let others_s = if self.readings.fast().len() > 1 {
-            2.0 * span.half_width_s()
+        let others = if self.readings.fast().len() > 1 {
+            2.0
         } else {
             0.0
         };
+        let others_s = others * span.half_width_s();
         (time_s, Some(clock.half_width_s() + others_s))
     }
 
     /// A host time on the time axis of the samples, s.
     fn on_time_axis(&self, host_s: f64) -> f64 {
-        self.clock
-            .as_ref()
-            .map_or(host_s, |clock| clock.of_host_s(host_s))
+        let clock = self.clock.as_ref();
+        clock.map_or(host_s, |clock| clock.of_host_s(host_s))
     }
 
-    /// Ends a run: the drive gets its stop, and the reason counts more than how that goes.
-    fn ended(&mut self, reason: String) -> LinkError {
+    /// Ends a run: the drive gets its stop, and zero has to be asked for before the next.
+    fn give_up(&mut self) -> Result<(), LinkError> {
         self.latched = true;
         self.begin_stop(self.bus.now_s());
-        let _ = self.advance();
+        self.advance()
+    }
+
+    /// The same where the reason counts more than how the stop goes.
+    fn ended(&mut self, reason: String) -> LinkError {
+        let _ = self.give_up();
+        self.broken_off("run", reason)
+    }
+
+    /// A command of one step that its drive did not follow.
+    fn broken_off(&self, command: &'static str, reason: String) -> LinkError {
         LinkError::Sequence {
             link: self.name().0,
-            command: "run",
+            command,
             step: 1,
             steps: 1,
             reason,
@@ -294,18 +304,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if self.mode != Mode::On {
             return Ok(());
         }
-        self.latched = true;
-        self.begin_stop(now_s);
-        self.advance()?;
-        Err(LinkError::Sequence {
-            link: self.name().0,
-            command: "run",
-            step: 1,
-            steps: 1,
-            reason: format!(
-                "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
-            ),
-        })
+        self.give_up()?;
+        let reason = format!(
+            "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
+        );
+        Err(self.broken_off("run", reason))
     }
 
     fn decide(&mut self, wanted: &Wanted<'_>, now_s: f64) {
@@ -395,11 +398,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
         loop {
             let readings = &self.readings;
-            let status = |name: &str| {
-                let reading = readings.get(name)?;
-                Some((reading.pattern?, reading.span.asked_s))
-            };
-            let next = sequence.next(self.bus.now_s(), status);
+            let next = sequence.next(self.bus.now_s(), |name| readings.status(name));
             let mut written = Ok(());
             if let Next::Write {
                 set_point,
@@ -488,16 +487,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 .is_none_or(|amperes| amperes < least_a);
             if weak && self.mode == Mode::On {
                 self.field_lost = true;
-                self.latched = true;
-                self.begin_stop(now_s);
-                return gone(self.advance());
+                return gone(self.give_up());
             }
         }
         // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
-            self.latched = true;
-            self.begin_stop(now_s);
-            return gone(self.advance());
+            return gone(self.give_up());
         }
         if self.mode != Mode::On {
             return Ok(());
@@ -514,9 +509,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
         if self.unseen_since_s.is_some() && !in_fault && runs == Some(false) {
             let error = self.never_ran();
-            self.latched = true;
-            self.begin_stop(now_s);
-            let _ = self.advance();
+            let _ = self.give_up();
             return Err(error);
         }
         // It stopped by itself: a fault, its watchdog, somebody at its keypad. It must not be found with a reference and the
@@ -526,8 +519,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.points.release();
             self.points.is_urgent = true;
             gone(self.points.zero(&mut self.bus, &self.readings))?;
-            self.begin_stop(now_s);
-            return gone(self.advance());
+            return gone(self.give_up());
         }
         Ok(())
     }
@@ -544,14 +536,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 }
                 IdentityCheck::Signal { signal, mask, test } => {
                     let reading = self.readings.get(&signal).unwrap_or_default();
-                    let fits = match &test {
-                        IdentityTest::OneOf(patterns) => reading
-                            .pattern
-                            .is_some_and(|pattern| patterns.contains(&(pattern & mask))),
-                        IdentityTest::Within([low, high]) => reading
-                            .value
-                            .is_some_and(|value| (*low..=*high).contains(&value)),
-                    };
+                    let fits = test.passes(reading.pattern, mask, reading.value);
                     (!fits)
                         .then(|| format!("{signal} is {:?} (expected {test:?})", reading.pattern))
                 }
@@ -736,16 +721,12 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         }
         match first {
             Some(error) if !runs => Err(error),
-            first => Err(LinkError::Sequence {
-                link: self.name().0,
-                command: "stop",
-                step: 1,
-                steps: 1,
-                reason: first.map_or_else(
-                    || "the drive still reports that it runs".to_owned(),
-                    |error| format!("the drive still reports that it runs; before that {error}"),
-                ),
-            }),
+            first => {
+                let before = first.map(|error| format!("; before that {error}"));
+                let before = before.unwrap_or_default();
+                let reason = format!("the drive still reports that it runs{before}");
+                Err(self.broken_off("stop", reason))
+            }
         }
     }
 

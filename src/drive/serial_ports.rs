@@ -134,6 +134,13 @@ pub fn holders(root: &Path, path: &Path) -> Vec<Holder> {
     found
 }
 
+/// The names of those programs; `None`: nobody, as far as we can see.
+pub(super) fn holder_names(path: &str) -> Option<String> {
+    let holders = holders(Path::new("/"), Path::new(path));
+    let names: Vec<String> = holders.iter().map(ToString::to_string).collect();
+    (!names.is_empty()).then(|| names.join(", "))
+}
+
 /// The device behind symbolic links, as the system names it (without the root folder).
 fn device_file(root: &Path, path: &Path) -> PathBuf {
     let Ok(real) = fs::canonicalize(below(root, path)) else {
@@ -232,37 +239,38 @@ mod tests {
         ] {
             put(root, &format!("{usb}/{file}"), text);
         }
-        fs::create_dir_all(root.join("sys/bus/drivers/ftdi_sio")).unwrap();
-        fs::create_dir_all(root.join("sys/bus/drivers/serial8250")).unwrap();
-        link(
-            root,
-            &format!("{usb}/1-2:1.0/ttyUSB3/driver"),
-            "../../../../../bus/drivers/ftdi_sio",
-        );
-        link(
-            root,
-            "sys/class/tty/ttyUSB3/device",
-            "../../../devices/usb1/1-2/1-2:1.0/ttyUSB3",
-        );
-        put(root, "sys/devices/8250/x", "");
-        link(
-            root,
-            "sys/devices/8250/driver",
-            "../../bus/drivers/serial8250",
-        );
-        link(root, "sys/class/tty/ttyS0/device", "../../../devices/8250");
-        put(root, "sys/class/tty/ttyS0/type", "0\n");
-        put(root, "sys/class/tty/tty1/dev", "4:1\n");
-        put(root, "dev/ttyUSB3", "");
-        link(
-            root,
-            "dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00",
-            "../../ttyUSB3",
-        );
-        put(root, "proc/4711/comm", "minicom\n");
-        link(root, "proc/4711/fd/3", "/dev/ttyUSB3");
-        put(root, "proc/4712/comm", "bash\n");
-        link(root, "proc/4712/fd/0", "/dev/null");
+        for driver in ["ftdi_sio", "serial8250"] {
+            fs::create_dir_all(root.join("sys/bus/drivers").join(driver)).unwrap();
+        }
+        for (file, text) in [
+            ("sys/devices/8250/x", ""),
+            ("sys/class/tty/ttyS0/type", "0\n"),
+            ("sys/class/tty/tty1/dev", "4:1\n"),
+            ("dev/ttyUSB3", ""),
+            ("proc/4711/comm", "minicom\n"),
+            ("proc/4712/comm", "bash\n"),
+        ] {
+            put(root, file, text);
+        }
+        let (port, class) = ("sys/devices/usb1/1-2/1-2:1.0/ttyUSB3", "sys/class/tty");
+        let of_port = |file| format!("{port}/{file}");
+        let of_class = |file| format!("{class}/{file}");
+        let by_id = "dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00".to_owned();
+        let device = "../../../devices/usb1/1-2/1-2:1.0/ttyUSB3";
+        for (from, to) in [
+            (of_port("driver"), "../../../../../bus/drivers/ftdi_sio"),
+            (of_class("ttyUSB3/device"), device),
+            (
+                "sys/devices/8250/driver".to_owned(),
+                "../../bus/drivers/serial8250",
+            ),
+            (of_class("ttyS0/device"), "../../../devices/8250"),
+            (by_id, "../../ttyUSB3"),
+            ("proc/4711/fd/3".to_owned(), "/dev/ttyUSB3"),
+            ("proc/4712/fd/0".to_owned(), "/dev/null"),
+        ] {
+            link(root, &from, to);
+        }
         folder
     }
 

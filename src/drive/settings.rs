@@ -1,5 +1,7 @@
 //! How a drive is wired, how far its numbers may be believed, and its bounds: what every profile says, whatever its registers.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -23,9 +25,10 @@ impl Trust {
 }
 
 /// The language on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
+    #[default]
     ModbusRtu,
     ModbusTcp,
     Stream,
@@ -38,6 +41,12 @@ impl Protocol {
             Self::ModbusTcp => "modbus-tcp",
             Self::Stream => "stream",
         }
+    }
+}
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 
@@ -125,6 +134,9 @@ pub struct RangeError {
     pub allowed: &'static str,
 }
 
+/// Lowest, highest, and how that is told.
+const POSITIVE: (f64, f64, &str) = (f64::MIN_POSITIVE, f64::MAX, "more than 0");
+
 /// Checks the numbers that every profile has.
 pub(super) fn check_ranges(
     profile: &str,
@@ -132,69 +144,39 @@ pub(super) fn check_ranges(
     watchdog_ms: Option<f64>,
     limits: &DriveLimits,
 ) -> Result<(), RangeError> {
-    let (least, most) = (f64::MIN_POSITIVE, f64::MAX);
     let rows = [
-        (
-            "link.baud",
-            Some(link.baud.into()),
-            [least, most],
-            "more than 0",
-        ),
+        ("link.baud", Some(link.baud.into()), POSITIVE),
         (
             "link.unit",
             Some(link.unit.into()),
-            [1.0, 247.0],
-            "1 to 247",
+            (1.0, 247.0, "1 to 247"),
         ),
         (
             "link.reply_ms",
             Some(link.reply_ms),
-            [0.0, 10_000.0],
-            "0 to 10000",
+            (0.0, 1e4, "0 to 10000"),
         ),
-        ("link.gap_us", link.gap_us, [0.0, 1e6], "0 to 1000000"),
+        ("link.gap_us", link.gap_us, (0.0, 1e6, "0 to 1000000")),
         (
             "link.deadline_ms",
             link.deadline_ms,
-            [1.0, 60_000.0],
-            "1 to 60000",
+            (1.0, 6e4, "1 to 60000"),
         ),
-        (
-            "watchdog.default_ms",
-            watchdog_ms,
-            [least, most],
-            "more than 0",
-        ),
-        (
-            "limits.current_a",
-            limits.current_a,
-            [least, most],
-            "more than 0",
-        ),
-        (
-            "limits.voltage_v",
-            limits.voltage_v,
-            [least, most],
-            "more than 0",
-        ),
-        (
-            "limits.speed_rad_s",
-            limits.speed_rad_s,
-            [least, most],
-            "more than 0",
-        ),
+        ("watchdog.default_ms", watchdog_ms, POSITIVE),
+        ("limits.current_a", limits.current_a, POSITIVE),
+        ("limits.voltage_v", limits.voltage_v, POSITIVE),
+        ("limits.speed_rad_s", limits.speed_rad_s, POSITIVE),
     ];
-    let is_wrong = |value: &f64, [low, high]: [f64; 2]| !(low..=high).contains(value);
-    let wrong = rows.into_iter().find_map(|(key, value, range, allowed)| {
-        let value = value.filter(|value| is_wrong(value, range))?;
-        Some((key, value, allowed))
-    });
-    wrong.map_or(Ok(()), |(key, value, allowed)| {
-        Err(RangeError {
-            profile: profile.to_owned(),
-            key,
-            value,
-            allowed,
-        })
-    })
+    for (key, value, (low, high, allowed)) in rows {
+        if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+            let profile = profile.to_owned();
+            return Err(RangeError {
+                profile,
+                key,
+                value,
+                allowed,
+            });
+        }
+    }
+    Ok(())
 }

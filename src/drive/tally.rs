@@ -149,29 +149,32 @@ mod tests {
 
     #[test]
     fn every_end_has_one_class() {
-        let link = String::new;
+        let none = String::new;
+        let timeout = LinkError::Timeout {
+            link: none(),
+            deadline_ms: 1,
+            request: none(),
+        };
+        let exception = LinkError::Exception {
+            link: none(),
+            request: none(),
+            code: 2,
+            name: "x",
+        };
+        let version = LinkError::Version {
+            link: none(),
+            found: 2,
+            expected: 1,
+        };
         let ends: [Result<(), LinkError>; 8] = [
             Ok(()),
-            Err(LinkError::Timeout {
-                link: link(),
-                deadline_ms: 1,
-                request: link(),
-            }),
-            Err(LinkError::Corrupt(link(), link())),
-            Err(LinkError::Stale(link(), link())),
-            Err(LinkError::Mismatch(link(), link())),
-            Err(LinkError::Exception {
-                link: link(),
-                request: link(),
-                code: 2,
-                name: "x",
-            }),
-            Err(LinkError::Gone(link(), link())),
-            Err(LinkError::Version {
-                link: link(),
-                found: 2,
-                expected: 1,
-            }),
+            Err(timeout),
+            Err(LinkError::Corrupt(none(), none())),
+            Err(LinkError::Stale(none(), none())),
+            Err(LinkError::Mismatch(none(), none())),
+            Err(exception),
+            Err(LinkError::Gone(none(), none())),
+            Err(version),
         ];
         let mut tally = Tally::default();
         for end in &ends {

@@ -15,74 +15,16 @@ use crate::support::{
     stream_frame, tcp_frame, telemetry, unhex,
 };
 
-/// `(what it shows, request PDU)`; they run one after another against one drive.
-const DIALOGUE: &[(&str, &str)] = &[
-    ("the telemetry block in one request", "03 00 00 00 10"),
-    ("input registers mirror it", "04 00 00 00 10"),
-    ("the identity block", "03 00 40 00 11"),
-    (
-        "command 2: voltage 12.000 V",
-        "10 00 20 00 04 08 00 02 00 03 00 00 2e e0",
-    ),
-    (
-        "command 3: speed -10.000 rad/s, and the telemetry block",
-        "17 00 00 00 10 00 20 00 04 08 00 03 00 05 ff ff d8 f0",
-    ),
-    ("the command block reads back", "03 00 20 00 04"),
-    (
-        "stop by the control word alone: the set-point is forgotten",
-        "06 00 21 00 01",
-    ),
-    ("so it reads back as 0", "03 00 20 00 04"),
-    (
-        "a set-point alone, while stopped: taken, without effect",
-        "10 00 22 00 02 04 00 00 13 88",
-    ),
-    (
-        "the control word alone: energised, but with no old set-point",
-        "06 00 21 00 03",
-    ),
-    ("so it reads back as 0 again", "03 00 20 00 04"),
-    ("watchdog 100 ms", "06 00 49 00 64"),
-    ("watchdog off is refused", "06 00 49 00 00"),
-    ("telemetry is read-only", "06 00 07 00 01"),
-    ("half a set-point is refused", "06 00 22 00 01"),
-    ("control word 6 is refused", "06 00 21 00 06"),
-    (
-        "a current is refused: device_kind does not announce it",
-        "10 00 20 00 04 08 00 04 00 04 00 00 01 f4",
-    ),
-    (
-        "no set-point (\"not available\") is refused",
-        "10 00 20 00 04 08 00 04 00 03 80 00 00 00",
-    ),
-    (
-        "a read without register: the write before it does not happen either",
-        "17 00 10 00 01 00 20 00 04 08 00 04 00 03 00 00 2e e0",
-    ),
-    ("the command block is as it was", "03 00 20 00 04"),
-    ("no register at 16", "03 00 10 00 01"),
-    ("no registers at all", "03 00 00 00 00"),
-    ("126 registers are too many", "03 00 00 00 7e"),
-    ("a range past 65535", "03 ff ff 00 02"),
-    ("arm the capture", "06 00 80 00 01"),
-    ("it is armed, and nothing is recorded", "03 00 80 00 03"),
-    (
-        "move the window to sample 40 and read its count and first sample",
-        "17 00 86 00 04 00 85 00 01 02 00 28",
-    ),
-    ("echo", "08 00 00 a5 37"),
-    ("another diagnostic", "08 00 01 00 00"),
-    ("device identification, basic", "2b 0e 01 00"),
-    ("device identification, object 1", "2b 0e 04 01"),
-    ("device identification, object 9: none", "2b 0e 04 09"),
-    ("another encapsulated interface", "2b 0d 00 00"),
-    ("coils are not served", "01 00 00 00 01"),
-    (
-        "an unknown function code; over RTU only silence tells its end",
-        "41 00",
-    ),
-];
+/// What each request shows, and its PDU; they run one after another against one drive.
+fn dialogue() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let lines = |mark| {
+        let text = include_str!("dialogue.txt");
+        text.lines()
+            .skip(1)
+            .filter_map(move |line| line.strip_prefix(mark))
+    };
+    lines("# ").zip(lines("> "))
+}
 
 /// Frames over RTU that nobody answers.
 const UNANSWERED: &[(&str, &str)] = &[
@@ -104,7 +46,7 @@ fn the_modbus_vectors_are_fresh() {
         let frames = [request, said].map(|pdu| hex(&rtu_frame(UNIT, &pdu)));
         exchange(text, shows, &frames);
     };
-    for (number, (shows, request)) in (1..).zip(DIALOGUE) {
+    for (number, (shows, request)) in (1..).zip(dialogue()) {
         rtu_dialogue(&mut rtu_text, shows, request);
         let request = unhex(request);
         let said = response(&mut tcp_bank, &request);
@@ -148,7 +90,10 @@ fn exchanges(name: &str) -> Vec<(Vec<u8>, Vec<u8>)> {
 #[test]
 fn the_receivers_answer_the_committed_dialogues() {
     let exchanges_rtu = exchanges("vectors/modbus-rtu.txt");
-    assert_eq!(exchanges_rtu.len(), DIALOGUE.len() + UNANSWERED.len() + 2);
+    assert_eq!(
+        exchanges_rtu.len(),
+        dialogue().count() + UNANSWERED.len() + 2
+    );
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     for (request, response) in exchanges_rtu {
         let said = serve(&mut receiver, &mut bank, &request, true).concat();

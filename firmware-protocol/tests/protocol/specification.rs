@@ -116,30 +116,33 @@ fn messages() -> String {
     let mut text =
         "| type | message | from | payload | answer |\n|---|---|---|---|---|\n".to_owned();
     for kind in MessageType::ALL {
-        let (payload, answer) = match kind {
-            MessageType::Hello => ("empty", "Identity"),
-            MessageType::Command => (
-                "`control` u16, `set_point` i32: the command block without its number, which is the frame's",
-                "Telemetry, sampled after the command was applied",
-            ),
-            MessageType::TelemetryRequest => ("empty", "Telemetry"),
-            MessageType::SetWatchdog => ("`watchdog` u16, ms", "Identity"),
-            MessageType::CaptureArm => ("`capture_control` u16", "CaptureStatus"),
-            MessageType::CaptureStatusRequest => ("empty", "CaptureStatus"),
-            MessageType::CaptureRequest => {
-                ("u16, index of the first sample wanted", "CaptureBlock")
+        let payload = match kind {
+            MessageType::Hello
+            | MessageType::TelemetryRequest
+            | MessageType::CaptureStatusRequest => "empty",
+            MessageType::Command => {
+                "`control` u16, `set_point` i32: the command block without its number, which is the frame's"
             }
-            MessageType::Identity => ("the identity block as it stands in the registers", ""),
-            MessageType::Telemetry => ("see below", ""),
-            MessageType::CaptureStatus => (
-                "`capture_state` u16, `capture_count` u16, `capture_time` u32",
-                "",
-            ),
-            MessageType::CaptureBlock => (
-                "u16 index of the first sample, u8 number of samples n, then n times `voltage` i32, `current` i32, `speed` i32, steps as in Telemetry",
-                "",
-            ),
-            MessageType::Error => ("u8 type of the question, u8 error code", ""),
+            MessageType::SetWatchdog => "`watchdog` u16, ms",
+            MessageType::CaptureArm => "`capture_control` u16",
+            MessageType::CaptureRequest => "u16, index of the first sample wanted",
+            MessageType::Identity => "the identity block as it stands in the registers",
+            MessageType::Telemetry => "see below",
+            MessageType::CaptureStatus => {
+                "`capture_state` u16, `capture_count` u16, `capture_time` u32"
+            }
+            MessageType::CaptureBlock => {
+                "u16 index of the first sample, u8 number of samples n, then n times `voltage` i32, `current` i32, `speed` i32, steps as in Telemetry"
+            }
+            MessageType::Error => "u8 type of the question, u8 error code",
+        };
+        let answer = match kind {
+            MessageType::Hello | MessageType::SetWatchdog => "Identity",
+            MessageType::Command => "Telemetry, sampled after the command was applied",
+            MessageType::TelemetryRequest => "Telemetry",
+            MessageType::CaptureArm | MessageType::CaptureStatusRequest => "CaptureStatus",
+            MessageType::CaptureRequest => "CaptureBlock",
+            _ => "",
         };
         let from = if kind.code() & 0x80 == 0 {
             "host"

@@ -366,19 +366,14 @@ fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTes
     let bits = pattern(picture.map, picture.windows, name);
     let index = picture.map.index(name);
     let value = index.and_then(|index| picture.reading(index).value());
-    let (what, passed) = match test {
+    let what = match test {
         IdentityTest::OneOf(patterns) => {
             let allowed: Vec<String> = patterns.iter().map(|p| format!("{p:#06x}")).collect();
-            (
-                format!("{name} has to read {}", allowed.join(" or ")),
-                bits.is_some_and(|bits| patterns.contains(&(bits & mask))),
-            )
+            format!("{name} has to read {}", allowed.join(" or "))
         }
-        IdentityTest::Within([low, high]) => (
-            format!("{name} has to lie within {low} to {high}"),
-            value.is_some_and(|value| (*low..=*high).contains(&value)),
-        ),
+        IdentityTest::Within([low, high]) => format!("{name} has to lie within {low} to {high}"),
     };
+    let passed = test.passes(bits, mask, value);
     let found = match (test, bits, value) {
         (IdentityTest::OneOf(_), Some(bits), _) => format!("{:#06x}", bits & mask),
         (IdentityTest::Within(_), _, Some(value)) => number::reading(value),

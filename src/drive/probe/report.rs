@@ -136,52 +136,34 @@ impl ProbeReport {
             let state = self.states.iter().find(|state| state.name == name);
             state.is_some_and(|state| state.holds == Some(true))
         };
-        let wrong: Vec<&str> = self
-            .signals
-            .iter()
-            .filter(|signal| signal.plausible == Some(false))
-            .map(|signal| signal.name.as_str())
-            .collect();
-        let judged = self
-            .signals
-            .iter()
-            .filter(|s| s.plausible.is_some())
-            .count();
-        let confirmed = self.signals.iter().filter(|s| s.confirms).count();
-        let (verdict, sentence) = if let Some(check) = failed {
-            (
-                ProbeVerdict::WrongDrive,
-                format!("{}: {} (found {})", self.profile, check.what, check.found),
-            )
+        let signals = || self.signals.iter();
+        let wrong = signals().filter(|signal| signal.plausible == Some(false));
+        let wrong: Vec<&str> = wrong.map(|signal| signal.name.as_str()).collect();
+        let judged = signals().filter(|s| s.plausible.is_some()).count();
+        let confirmed = signals().filter(|s| s.confirms).count();
+        let profile = &self.profile;
+        let (verdict, sentence) = if let Some(ProbedCheck { what, found, .. }) = failed {
+            let sentence = format!("{profile}: {what} (found {found})");
+            (ProbeVerdict::WrongDrive, sentence)
         } else if self.is_unknown_everywhere && self.is_built_in {
-            (
-                ProbeVerdict::WrongDrive,
-                format!(
-                    "{}: the drive has none of the registers of this built-in profile",
-                    self.profile
-                ),
-            )
+            let sentence =
+                format!("{profile}: the drive has none of the registers of this built-in profile");
+            (ProbeVerdict::WrongDrive, sentence)
         } else if holds("running") {
-            (
-                ProbeVerdict::Implausible,
-                "the drive reports that it runs, so its readings cannot be judged at rest; or its status word is read wrongly".to_owned(),
-            )
+            let sentence = "the drive reports that it runs, so its readings cannot be judged at rest; or its status word is read wrongly";
+            (ProbeVerdict::Implausible, sentence.to_owned())
         } else if wrong.is_empty() {
-            (
-                ProbeVerdict::Plausible,
-                format!(
-                    "{judged} of {judged} readings that can be judged are those of a drive at rest"
-                ),
-            )
+            let sentence = format!(
+                "{judged} of {judged} readings that can be judged are those of a drive at rest"
+            );
+            (ProbeVerdict::Plausible, sentence)
         } else {
-            (
-                ProbeVerdict::Implausible,
-                format!(
-                    "{} of {judged} readings that can be judged are not those of a drive at rest: {}",
-                    wrong.len(),
-                    wrong.join(", ")
-                ),
-            )
+            let sentence = format!(
+                "{} of {judged} readings that can be judged are not those of a drive at rest: {}",
+                wrong.len(),
+                wrong.join(", ")
+            );
+            (ProbeVerdict::Implausible, sentence)
         };
         (self.verdict, self.sentence) = (verdict, sentence);
         if verdict == ProbeVerdict::Plausible && confirmed == 0 && judged > 0 {

@@ -52,11 +52,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         loop {
             let faulty = self.told("fault") == Some(true);
             let readings = &self.readings;
-            let status = |name: &str| {
-                let reading = readings.get(name)?;
-                Some((reading.pattern?, reading.span.asked_s))
-            };
-            match sequence.next(self.bus.now_s(), status) {
+            match sequence.next(self.bus.now_s(), |name| readings.status(name)) {
                 Next::Write {
                     set_point,
                     value,

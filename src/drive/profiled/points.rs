@@ -111,8 +111,7 @@ impl Points {
 
     /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
     pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
-        let point = map.demand(quantity)?;
-        let at = map.set_points.iter().position(|p| p.name == point.name)?;
+        let (at, point) = find(map, &map.demand(quantity)?.name)?;
         let sent = self.sent.get(at).filter(|sent| !sent.in_doubt)?;
         Some(sent.value? * point.si?)
     }
@@ -128,10 +127,9 @@ impl Points {
         self.running = true;
         self.is_urgent = false;
         let map = Arc::clone(&self.map);
-        let Some(point) = map.set_point(name) else {
+        let Some((at, point)) = find(&map, name) else {
             return Ok(());
         };
-        let at = self.position(name);
         let now_s = bus.now_s();
         let mut value = wanted;
         if let Some([low, high]) = point.range() {
@@ -147,9 +145,7 @@ impl Points {
         self.sent[at].asked_s = Some(now_s);
         self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
         let sent = &self.sent[at];
-        let is_held = sent
-            .value
-            .is_some_and(|last| last.to_bits() == value.to_bits());
+        let is_held = sent.value.map(f64::to_bits) == Some(value.to_bits());
         if is_held && !sent.in_doubt {
             return Ok(());
         }
@@ -200,9 +196,9 @@ impl Points {
     ) -> Result<(), LinkError> {
         let map = Arc::clone(&self.map);
         let mut result = Ok(());
-        for point in map.set_points.iter().filter(|p| p.is_reference()) {
+        let points = map.set_points.iter().enumerate();
+        for (at, point) in points.filter(|(_, point)| point.is_reference()) {
             let written = self.write(bus, readings, &point.name, 0.0, None);
-            let at = self.position(&point.name);
             self.sent[at].value = None;
             if matches!(written, Err(LinkError::Gone { .. })) {
                 return written;
@@ -222,29 +218,21 @@ impl Points {
         mask: Option<u16>,
     ) -> Result<(), LinkError> {
         let map = Arc::clone(&self.map);
-        let Some(point) = map.set_point(name) else {
-            return Err(refused(
-                bus,
-                format!("the profile has no setpoint {name:?}"),
-            ));
+        let Some((at, point)) = find(&map, name) else {
+            let text = format!("the profile has no setpoint {name:?}");
+            return Err(refused(bus, text));
         };
-        let at = self.position(name);
         let encoded = |value: f64| {
             let factor = readings.factor(&point.numbers.scale_by)?;
             let raw = point.numbers.raw(value, factor);
             point.location.layout.encode(raw)
         };
-        let magnitude = if point.keys.sign.is_some() {
-            value.abs()
-        } else {
-            value
-        };
+        let has_sign = point.keys.sign.is_some();
+        let magnitude = if has_sign { value.abs() } else { value };
         let Some(mut registers) = encoded(magnitude) else {
             let unit = point.numbers.unit.name();
-            return Err(refused(
-                bus,
-                format!("setpoint {name} = {value} {unit} does not fit its register"),
-            ));
+            let text = format!("setpoint {name} = {value} {unit} does not fit its register");
+            return Err(refused(bus, text));
         };
         // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
         let sign = point.keys.sign.as_ref();
@@ -297,21 +285,19 @@ impl Points {
         mask: u16,
         negative: bool,
     ) -> Result<(), LinkError> {
-        let at = self.position(name);
-        let in_doubt = self.sent[at].in_doubt;
-        let Some(before) = self.sent[at].registers.first().copied() else {
+        let map = Arc::clone(&self.map);
+        let Some((at, point)) = find(&map, name) else {
             return Ok(());
         };
-        let word = if negative {
-            before | mask
-        } else {
-            before & !mask
+        let sent = &self.sent[at];
+        let Some(before) = sent.registers.first().copied() else {
+            return Ok(());
         };
-        let map = Arc::clone(&self.map);
-        match map.set_points.get(at) {
-            Some(point) if word != before || in_doubt => self.send(bus, at, point, &[word]),
-            _ => Ok(()),
+        let word = (before & !mask) | if negative { mask } else { 0 };
+        if word == before && !sent.in_doubt {
+            return Ok(());
         }
+        self.send(bus, at, point, &[word])
     }
 
     /// Whether a write may go out at all; `false`: it would change nothing.
@@ -442,11 +428,8 @@ impl Points {
 
     /// The longest row of read-backs that were not what was written.
     pub(super) fn mismatches(&self) -> u32 {
-        self.sent
-            .iter()
-            .map(|sent| sent.mismatches)
-            .max()
-            .unwrap_or(0)
+        let mismatches = self.sent.iter().map(|sent| sent.mismatches);
+        mismatches.max().unwrap_or(0)
     }
 
     pub(super) fn mismatch_text(&self) -> String {
@@ -478,12 +461,9 @@ impl Points {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
         self.is_urgent = false;
-        for point in map.set_points.iter().filter(|p| p.is_reference()) {
-            if !point.keys.readback {
-                continue;
-            }
+        let points = map.set_points.iter().enumerate();
+        for (at, point) in points.filter(|(_, p)| p.is_reference() && p.keys.readback) {
             self.write(bus, readings, &point.name, 0.0, None)?;
-            let at = self.position(&point.name);
             self.sent[at].value = None;
             if self.sent[at].mismatches > 0 {
                 return Ok(Some(Err(self.mismatch_text())));
@@ -492,11 +472,12 @@ impl Points {
         }
         Ok((!names.is_empty()).then(|| Ok(format!("{} read back as written", names.join(", ")))))
     }
+}
 
-    fn position(&self, name: &str) -> usize {
-        let mut points = self.map.set_points.iter();
-        points.position(|point| point.name == name).unwrap_or(0)
-    }
+/// A set-point and its position.
+fn find<'a>(map: &'a RegisterMap, name: &str) -> Option<(usize, &'a SetPoint)> {
+    let mut points = map.set_points.iter().enumerate();
+    points.find(|(_, point)| point.name == name)
 }
 
 fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {

@@ -73,6 +73,12 @@ impl Readings {
         self.last.get(self.map.index(name)?).copied()
     }
 
+    /// The bits of a signal, and when they were asked for, s.
+    pub(super) fn status(&self, name: &str) -> Option<(u32, f64)> {
+        let reading = self.get(name)?;
+        Some((reading.pattern?, reading.span.asked_s))
+    }
+
     pub(super) fn at(&self, index: usize) -> Reading {
         self.last.get(index).copied().unwrap_or_default()
     }
@@ -247,13 +253,9 @@ impl Readings {
 
     /// Of the shaft, as last read, rad/s.
     fn speed_rad_s(&self) -> Option<f64> {
-        let at = self
-            .map
-            .signals
-            .iter()
-            .position(|signal| signal.keys.quantity == Quantity::ShaftSpeed)?;
-        let (_, si) = self.map.signals[at].channel?;
-        Some(self.last[at].value? * si)
+        let signal = self.map.of_quantity(Quantity::ShaftSpeed)?;
+        let (_, si) = signal.channel?;
+        Some(self.get(&signal.name)?.value? * si)
     }
 
     /// Product of the signals that a value is scaled with; `None` while one is not known.

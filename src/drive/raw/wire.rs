@@ -4,7 +4,6 @@
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
 use std::os::fd::OwnedFd;
-use std::path::Path;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -16,7 +15,7 @@ use rustix::termios::{
 
 use super::super::link::LinkError;
 use super::super::port::{connect, open_error};
-use super::super::serial_ports::holders;
+use super::super::serial_ports::holder_names;
 use super::super::settings::Framing;
 
 /// The descriptor, and what is to be put back when it is closed.
@@ -155,14 +154,7 @@ fn open(link: &str, reason: &str) -> LinkError {
 
 /// Someone else has the port: who?
 fn held(path: &str) -> LinkError {
-    let who: Vec<String> = holders(Path::new("/"), Path::new(path))
-        .iter()
-        .map(ToString::to_string)
-        .collect();
-    let reason = if who.is_empty() {
-        "another program holds it".to_owned()
-    } else {
-        format!("held by {}", who.join(", "))
-    };
+    let nobody = || "another program holds it".to_owned();
+    let reason = holder_names(path).map_or_else(nobody, |names| format!("held by {names}"));
     open(path, &reason)
 }

@@ -10,6 +10,7 @@
 use serde::Serialize;
 
 use super::facts::{RegisterMap, Signal};
+use super::fit::written;
 use super::rest::{confirms, expected_at_rest};
 use super::value::{Kind, Layout, Order};
 
@@ -39,29 +40,18 @@ impl Change {
 
     /// Every change that makes a difference to such a layout.
     fn all(layout: Layout) -> Vec<Self> {
-        let flags = |possible: bool| {
-            if possible {
-                &[false, true][..]
-            } else {
-                &[false]
-            }
+        let has_words = layout.registers() > 1;
+        let has_sign = layout.kind != Kind::F32;
+        let of_shift = |shift| {
+            (0..8_u8).map(move |bits| Self {
+                shift,
+                words: bits & 4 != 0,
+                bytes: bits & 2 != 0,
+                sign: bits & 1 != 0,
+            })
         };
-        let mut all = Vec::new();
-        for shift in [0, -1, 1] {
-            for words in flags(layout.registers() > 1) {
-                for bytes in flags(true) {
-                    for sign in flags(layout.kind != Kind::F32) {
-                        all.push(Self {
-                            shift,
-                            words: *words,
-                            bytes: *bytes,
-                            sign: *sign,
-                        });
-                    }
-                }
-            }
-        }
-        all.retain(|change| *change != Self::NONE);
+        let mut all: Vec<Self> = [0, -1, 1].into_iter().flat_map(of_shift).collect();
+        all.retain(|c| *c != Self::NONE && (has_words || !c.words) && (has_sign || !c.sign));
         all.sort_by_key(|change| change.size());
         all
     }
@@ -80,12 +70,9 @@ impl Change {
             (Order::LowFirst, true) => Order::HighFirst,
             (order, false) => order,
         };
+        let kind = layout.kind;
         Layout {
-            kind: if self.sign {
-                other_sign(layout.kind)
-            } else {
-                layout.kind
-            },
+            kind: if self.sign { other_sign(kind) } else { kind },
             words: turned(layout.words, self.words),
             bytes: turned(layout.bytes, self.bytes),
             ..layout
@@ -100,13 +87,13 @@ impl Change {
             parts.push(shift_text(self.shift).to_owned());
         }
         if self.words {
-            parts.push(format!("word_order = \"{}\"", order_name(other.words)));
+            parts.push(format!("word_order = \"{}\"", written(&other.words)));
         }
         if self.bytes {
-            parts.push(format!("byte_order = \"{}\"", order_name(other.bytes)));
+            parts.push(format!("byte_order = \"{}\"", written(&other.bytes)));
         }
         if self.sign {
-            parts.push(format!("type = \"{}\"", kind_name(other.kind)));
+            parts.push(format!("type = \"{}\"", written(&other.kind)));
         }
         parts.join(" and ")
     }
@@ -128,23 +115,6 @@ const fn other_sign(kind: Kind) -> Kind {
         Kind::U32 => Kind::I32,
         Kind::I32 => Kind::U32,
         Kind::F32 => Kind::F32,
-    }
-}
-
-const fn order_name(order: Order) -> &'static str {
-    match order {
-        Order::HighFirst => "high_first",
-        Order::LowFirst => "low_first",
-    }
-}
-
-const fn kind_name(kind: Kind) -> &'static str {
-    match kind {
-        Kind::U16 => "u16",
-        Kind::I16 => "i16",
-        Kind::U32 => "u32",
-        Kind::I32 => "i32",
-        Kind::F32 => "f32",
     }
 }
 
@@ -360,26 +330,33 @@ impl Picture<'_> {
             (0..self.map.signals.len()).filter(fits).count()
         };
         let (judged, as_written) = (self.judged(), fitting(Change::NONE));
-        let single = |shift, words, bytes| Change {
-            shift,
-            words,
-            bytes,
-            sign: false,
+        let shifted = |shift| {
+            let change = Change {
+                shift,
+                ..Change::NONE
+            };
+            (
+                change,
+                shift_text(shift).replace("the address", "every address"),
+            )
         };
-        let mut found: Vec<(Change, Hypothesis)> = [
-            (
-                single(1, false, false),
-                shift_text(1).replace("the address", "every address"),
-            ),
-            (
-                single(-1, false, false),
-                shift_text(-1).replace("the address", "every address"),
-            ),
-            (single(0, true, false), self.order_text(true)),
-            (single(0, false, true), self.order_text(false)),
-        ]
-        .into_iter()
-        .map(|(change, text)| {
+        let ordered = |words| {
+            let (change, none) = (
+                Change {
+                    words,
+                    bytes: !words,
+                    ..Change::NONE
+                },
+                String::new,
+            );
+            let layouts = self.map.signals.iter().map(|signal| signal.location.layout);
+            // The other order than that of the first signal which has one.
+            let mut of_interest = layouts.filter(|layout| !words || layout.registers() > 1);
+            let text = |layout| format!("{} everywhere", change.text(layout));
+            (change, of_interest.next().map_or_else(none, text))
+        };
+        let changes = [shifted(1), shifted(-1), ordered(true), ordered(false)];
+        let found = changes.into_iter().map(|(change, text)| {
             let hypothesis = Hypothesis {
                 change: text,
                 plausible: fitting(change),
@@ -387,9 +364,10 @@ impl Picture<'_> {
                 as_written,
             };
             (change, hypothesis)
-        })
-        .filter(|(_, hypothesis)| hypothesis.plausible > as_written)
-        .collect();
+        });
+        let mut found: Vec<(Change, Hypothesis)> = found
+            .filter(|(_, hypothesis)| hypothesis.plausible > as_written)
+            .collect();
         // The second best explains less, and would only be noise beside the best.
         let best = found.iter().map(|(_, found)| found.plausible).max();
         found.retain(|(_, found)| Some(found.plausible) == best);
@@ -400,20 +378,6 @@ impl Picture<'_> {
     fn judged(&self) -> usize {
         let known = |index: &usize| self.expected(*index).is_some();
         (0..self.map.signals.len()).filter(known).count()
-    }
-
-    /// The other order than that of the first signal which has one.
-    fn order_text(&self, words: bool) -> String {
-        let layouts = self.map.signals.iter().map(|signal| signal.location.layout);
-        let mut of_interest = layouts.filter(|layout| !words || layout.registers() > 1);
-        let change = Change {
-            words,
-            bytes: !words,
-            ..Change::NONE
-        };
-        of_interest.next().map_or_else(String::new, |layout| {
-            format!("{} everywhere", change.text(layout))
-        })
     }
 
     /// One signal read with `change`, the signals that it is scaled with read with `of_factors`.
@@ -445,7 +409,7 @@ impl Picture<'_> {
     fn factor(&self, signal: &Signal, change: Change, depth: usize) -> Option<f64> {
         let of = |name: &String| {
             let depth = depth.checked_sub(1)?;
-            let index = self.map.signals.iter().position(|s| s.name == *name)?;
+            let index = self.map.index(name)?;
             self.read_as(index, change, change, depth).value()
         };
         signal.numbers.scale_by.iter().map(of).product()
@@ -488,7 +452,7 @@ mod tests {
     }
 
     fn index(map: &RegisterMap, name: &str) -> usize {
-        map.signals.iter().position(|s| s.name == name).unwrap()
+        map.index(name).unwrap()
     }
 
     fn picture<'a>(map: &'a RegisterMap, windows: &'a [Window]) -> Picture<'a> {

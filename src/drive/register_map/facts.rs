@@ -397,6 +397,16 @@ pub enum IdentityTest {
     Within([f64; 2]),
 }
 
+impl IdentityTest {
+    /// Whether a signal with these bits, and this value, passes.
+    pub fn passes(&self, pattern: Option<u32>, mask: u32, value: Option<f64>) -> bool {
+        match self {
+            Self::OneOf(patterns) => pattern.is_some_and(|bits| patterns.contains(&(bits & mask))),
+            Self::Within([low, high]) => value.is_some_and(|v| (*low..=*high).contains(&v)),
+        }
+    }
+}
+
 /// What watches over the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

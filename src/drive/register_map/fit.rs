@@ -1,36 +1,14 @@
 //! Which quantities signals and set-points may have, and in which units: what is wrong here would otherwise only show
 //! up as a channel that is missing.
 
+use serde::Serialize;
+
 use super::facts::{Quantity, Unit};
 
 impl Quantity {
     /// As a profile writes it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Current => "current",
-            Self::Voltage => "voltage",
-            Self::BusVoltage => "bus_voltage",
-            Self::LineVoltage => "line_voltage",
-            Self::ShaftSpeed => "shaft_speed",
-            Self::OutputSpeed => "output_speed",
-            Self::Torque => "torque",
-            Self::Power => "power",
-            Self::Duty => "duty",
-            Self::FieldCurrent => "field_current",
-            Self::Temperature => "temperature",
-            Self::Angle => "angle",
-            Self::Clock => "clock",
-            Self::Status => "status",
-            Self::FaultCode => "fault_code",
-            Self::RatedCurrent => "rated_current",
-            Self::RatedVoltage => "rated_voltage",
-            Self::RatedSpeed => "rated_speed",
-            Self::CurrentLimit => "current_limit",
-            Self::VoltageLimit => "voltage_limit",
-            Self::Word => "word",
-            Self::Speed => "speed",
-            Self::Other => "other",
-        }
+    pub fn name(self) -> String {
+        written(&self)
     }
 
     /// Units in which it may be given; `None`: any.
@@ -113,18 +91,23 @@ impl Quantity {
             [""] => "no unit".to_owned(),
             names => either(names),
         };
-        Err(match (unit, names.as_slice()) {
-            (Unit::None, [first, ..]) if !first.is_empty() => (
-                "quantity",
-                format!("quantity \"{quantity}\" needs a unit (expected {expected})"),
-            ),
-            _ => (
-                "unit",
-                format!(
-                    "unit \"{unit_name}\" does not fit quantity \"{quantity}\" (expected {expected})"
-                ),
-            ),
-        })
+        if unit == Unit::None && names != [""] {
+            let message = format!("quantity \"{quantity}\" needs a unit (expected {expected})");
+            return Err(("quantity", message));
+        }
+        let message = format!(
+            "unit \"{unit_name}\" does not fit quantity \"{quantity}\" (expected {expected})"
+        );
+        Err(("unit", message))
+    }
+}
+
+/// How a profile writes a value, by the names that serde has for it.
+pub(super) fn written(value: &impl Serialize) -> String {
+    match toml::Value::try_from(value) {
+        Ok(toml::Value::String(name)) => name,
+        // Each is an enumeration of plain names.
+        _ => String::new(),
     }
 }
 

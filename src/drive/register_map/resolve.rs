@@ -207,26 +207,20 @@ impl Reader<'_> {
             )
         })?;
         for function in &link.functions {
-            part.require(
-                FUNCTIONS.contains(function),
-                "functions",
-                format_args!("function code {function} is not one of Modbus"),
-            )?;
+            let holds = FUNCTIONS.contains(function);
+            let message = format_args!("function code {function} is not one of Modbus");
+            part.require(holds, "functions", message)?;
         }
-        part.require(
-            link.functions.contains(&3) || link.functions.contains(&4),
-            "functions",
-            "neither 3 nor 4 is there: nothing can be read",
-        )?;
+        let holds = link.functions.contains(&3) || link.functions.contains(&4);
+        let message = "neither 3 nor 4 is there: nothing can be read";
+        part.require(holds, "functions", message)?;
         for (key, value, most) in [
             ("max_read", link.max_read, 125),
             ("max_write", link.max_write, 123),
         ] {
-            part.require(
-                (1..=most).contains(&value),
-                key,
-                format_args!("{key} {value} is not allowed (expected 1 to {most})"),
-            )?;
+            let holds = (1..=most).contains(&value);
+            let message = format_args!("{key} {value} is not allowed (expected 1 to {most})");
+            part.require(holds, key, message)?;
         }
         let (can, message) = match link.resync {
             Resync::Fc08 => (
@@ -244,11 +238,10 @@ impl Reader<'_> {
             Resync::None => (true, ""),
         };
         part.require(can, "resync", message)?;
-        part.require(
-            link.protocol != Protocol::Stream,
-            "protocol",
-            "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)",
-        )?;
+        let holds = link.protocol != Protocol::Stream;
+        let message =
+            "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)";
+        part.require(holds, "protocol", message)?;
         let formula = link.address_formula;
         self.numbering = Numbering { base, formula };
         Ok(())
@@ -283,20 +276,17 @@ impl Reader<'_> {
         });
         let bits = part.of("bits", bits.transpose())?;
         if let Some(valid @ [low, high]) = keys.valid {
-            part.require(
-                low < high,
-                "valid",
-                format_args!("valid {valid:?} is not allowed (expected [lowest, highest])"),
-            )?;
+            let holds = low < high;
+            let message =
+                format_args!("valid {valid:?} is not allowed (expected [lowest, highest])");
+            part.require(holds, "valid", message)?;
         }
         let per_turn =
             part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
         let channel = channel_of(keys.quantity, keys.unit, per_turn);
-        part.require(
-            channel.is_none() || keys.origin.is_some(),
-            "quantity",
-            "origin is missing (expected measured, estimated or commanded)",
-        )?;
+        let holds = channel.is_none() || keys.origin.is_some();
+        let message = "origin is missing (expected measured, estimated or commanded)";
+        part.require(holds, "quantity", message)?;
         let layout = Layout {
             kind: keys.kind,
             words: keys.word_order,
@@ -372,11 +362,10 @@ impl Reader<'_> {
         let registers = keys.kind.registers();
         let single = registers == 1 && self.link.functions.contains(&6);
         let function = keys.function.unwrap_or(if single { 6 } else { 16 });
-        part.require(
-            function == 16 || (function == 6 && registers == 1),
-            "function",
-            format_args!("function {function} is not allowed (expected 6 for one register, or 16)"),
-        )?;
+        let holds = function == 16 || (function == 6 && registers == 1);
+        let message =
+            format_args!("function {function} is not allowed (expected 6 for one register, or 16)");
+        part.require(holds, "function", message)?;
         part.of("function", self.knows(function))?;
         let layout = Layout {
             words: keys.word_order,
@@ -401,16 +390,13 @@ impl Reader<'_> {
             let message = format_args!("{key} is not allowed (expected more than 0)");
             part.require(is_allowed, key, message)?;
         }
-        part.require(
-            !keys.nvm || keys.refresh_ms.is_none(),
-            "refresh_ms",
-            "a register in non-volatile memory must not be refreshed: each write wears it out",
-        )?;
-        part.require(
-            keys.quantity == Quantity::Word || keys.limits.is_some(),
-            "quantity",
-            "limits are missing (expected [lowest, highest] in the setpoint's unit)",
-        )?;
+        let holds = !keys.nvm || keys.refresh_ms.is_none();
+        let message =
+            "a register in non-volatile memory must not be refreshed: each write wears it out";
+        part.require(holds, "refresh_ms", message)?;
+        let holds = keys.quantity == Quantity::Word || keys.limits.is_some();
+        let message = "limits are missing (expected [lowest, highest] in the setpoint's unit)";
+        part.require(holds, "quantity", message)?;
         Ok(SetPoint {
             name: name.to_owned(),
             line: self.line(&span),
@@ -435,11 +421,9 @@ impl Reader<'_> {
             let resolved = numbering.resolve(time.address, time.parameter.as_deref(), None);
             let (address, _) = part.of("time", resolved)?;
             let unit_ms = time.unit_ms;
-            part.require(
-                unit_ms.is_finite() && unit_ms > 0.0,
-                "time",
-                format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)"),
-            )?;
+            let holds = unit_ms.is_finite() && unit_ms > 0.0;
+            let message = format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)");
+            part.require(holds, "time", message)?;
             let location = Location {
                 table: RegisterTable::Holding,
                 address,
@@ -450,11 +434,9 @@ impl Reader<'_> {
             }
             found = Some((location, unit_ms * 1e-3));
         }
-        part.require(
-            keys.set_ms.is_none() || (found.is_some() && !keys.nvm),
-            "set_ms",
-            "set_ms needs a time register outside of non-volatile memory",
-        )?;
+        let holds = keys.set_ms.is_none() || (found.is_some() && !keys.nvm);
+        let message = "set_ms needs a time register outside of non-volatile memory";
+        part.require(holds, "set_ms", message)?;
         let times = [keys.default_ms, keys.set_ms, Some(keys.boot_delay_s)];
         let mut times = times.into_iter().flatten();
         let are_times = times.all(|time| time.is_finite() && time >= 0.0);
@@ -600,16 +582,12 @@ impl Reader<'_> {
         }
         if let Some(spanned) = &file.converter {
             let (part, quadrants) = (self.part(spanned.span(), ""), spanned.get_ref().quadrants);
-            part.require(
-                [1, 2, 4].contains(&quadrants),
-                "quadrants",
-                format_args!("quadrants {quadrants} is not allowed (expected 1, 2 or 4)"),
-            )?;
-            part.require(
-                map.of_quantity(Quantity::FieldCurrent).is_some(),
-                "",
-                "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip",
-            )?;
+            let holds = [1, 2, 4].contains(&quadrants);
+            let message = format_args!("quadrants {quadrants} is not allowed (expected 1, 2 or 4)");
+            part.require(holds, "quadrants", message)?;
+            let holds = map.of_quantity(Quantity::FieldCurrent).is_some();
+            let message = "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip";
+            part.require(holds, "", message)?;
         }
         let rates = map.rates;
         self.part(file.rates.span(), "").require(
@@ -783,11 +761,9 @@ impl Reader<'_> {
                 else {
                     return Err(part.wrong("wait", "a wait has mask, equals and within_ms"));
                 };
-                part.require(
-                    within_ms.is_finite() && within_ms > 0.0,
-                    "within_ms",
-                    format_args!("within_ms {within_ms} is not allowed (expected more than 0)"),
-                )?;
+                let holds = within_ms.is_finite() && within_ms > 0.0;
+                let message = format_args!("within_ms {within_ms} is not allowed (expected more than 0)");
+                part.require(holds, "within_ms", message)?;
                 Ok(Step::Wait {
                     condition: condition(&part, map, signal, (mask, pattern), false)?,
                     within_s: within_ms * 1e-3,
@@ -883,11 +859,10 @@ fn condition(
     let what = "signal with poll = \"fast\"";
     part.reader
         .known(signal, fast.iter().copied(), what, &part.span)?;
-    part.require(
-        pattern & !mask == 0,
-        "mask",
-        format_args!("{pattern:#06x} has bits outside of the mask {mask:#06x}: it can never hold"),
-    )?;
+    let holds = pattern & !mask == 0;
+    let message =
+        format_args!("{pattern:#06x} has bits outside of the mask {mask:#06x}: it can never hold");
+    part.require(holds, "mask", message)?;
     Ok(Condition {
         signal: signal.to_owned(),
         mask,

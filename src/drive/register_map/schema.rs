@@ -27,13 +27,8 @@ pub enum Basis {
 }
 
 impl Basis {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Rms => "rms",
-            Self::Peak => "peak",
-            Self::Mean => "mean",
-            Self::Instantaneous => "instantaneous",
-        }
+    pub fn name(self) -> String {
+        super::fit::written(&self)
     }
 }
 

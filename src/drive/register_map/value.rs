@@ -179,35 +179,31 @@ mod tests {
     #[expect(clippy::float_cmp, reason = "whole numbers are exact")]
     fn types_orders_bytes_and_bits_are_read_as_the_manual_says() {
         let plain = Layout::plain;
-        assert_eq!(decode(plain(Kind::U16), &[0xFFFF]), 65_535.0);
-        assert_eq!(decode(plain(Kind::I16), &[0xFFFF]), -1.0);
-        assert_eq!(decode(plain(Kind::I32), &[0xFFFF, 0xFFFE]), -2.0);
-        assert_eq!(decode(plain(Kind::U32), &[1, 2]), 65_538.0);
-        assert_eq!(decode(plain(Kind::F32), &[0x41C8, 0]), 25.0);
-        let low_first = Layout {
-            words: Order::LowFirst,
-            ..plain(Kind::U32)
-        };
-        assert_eq!(decode(low_first, &[2, 1]), 65_538.0);
-        let swapped = Layout {
-            bytes: Order::LowFirst,
-            ..plain(Kind::U16)
-        };
-        assert_eq!(decode(swapped, &[0x0100]), 1.0);
-        let high = Layout {
-            byte: Some(Byte::High),
-            ..plain(Kind::U16)
-        };
-        assert_eq!(decode(high, &[0x1234]), 18.0);
-        let bits = Layout {
-            bits: Some((3, 5)),
-            ..plain(Kind::U16)
-        };
-        assert_eq!(decode(bits, &[0b0010_1000]), 5.0);
+        let (mut low_first, mut swapped) = (plain(Kind::U32), plain(Kind::U16));
+        (low_first.words, swapped.bytes) = (Order::LowFirst, Order::LowFirst);
+        let (mut high, mut bits) = (plain(Kind::U16), plain(Kind::U16));
+        (high.byte, bits.bits) = (Some(Byte::High), Some((3, 5)));
+        for (layout, registers, number) in [
+            (plain(Kind::U16), &[0xFFFF][..], 65_535.0),
+            (plain(Kind::I16), &[0xFFFF], -1.0),
+            (plain(Kind::I32), &[0xFFFF, 0xFFFE], -2.0),
+            (plain(Kind::U32), &[1, 2], 65_538.0),
+            (plain(Kind::F32), &[0x41C8, 0], 25.0),
+            (low_first, &[2, 1], 65_538.0),
+            (swapped, &[0x0100], 1.0),
+            (high, &[0x1234], 18.0),
+            (bits, &[0b0010_1000], 5.0),
+        ] {
+            assert_eq!(decode(layout, registers), number, "{layout:?}");
+        }
         assert_eq!(plain(Kind::I32).pattern(&[1]), None);
-        assert_eq!(plain(Kind::U16).encode(-1.0), None);
-        assert_eq!(plain(Kind::U16).encode(65_536.0), None);
-        assert_eq!(plain(Kind::I16).encode(f64::NAN), None);
+        for (kind, raw) in [
+            (Kind::U16, -1.0),
+            (Kind::U16, 65_536.0),
+            (Kind::I16, f64::NAN),
+        ] {
+            assert_eq!(plain(kind).encode(raw), None);
+        }
     }
 
     proptest! {
