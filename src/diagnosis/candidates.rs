@@ -1,13 +1,14 @@
 //! One candidate effect: its probability beside all others, its size, and the fall of the error on data that the fit has
 //! not seen.
 
-use serde::{Serialize, Serializer, ser::SerializeMap};
+use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::Floor;
-use super::joint::answer::{Inference, Inferred};
+use super::joint::answer::{Inference, Inferred, Onset, RunOf};
 use super::ladder::Standing;
 use super::reached::{self, Reached};
+use super::score::{by_key, parameters_of};
 use crate::plant::Effect;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
 use crate::text::number::{probability, significant};
@@ -55,27 +56,6 @@ impl Status {
     }
 }
 
-/// A run that speaks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RunOf {
-    Fit,
-    Holdout,
-    /// Both, where one run was split.
-    Whole,
-}
-
-/// When something that happens once did so in one run, and how large it was there: in the unit of its first parameter.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Onset {
-    pub run: RunOf,
-    /// Since the run's first command.
-    pub time_s: f64,
-    pub interval_95_s: [f64; 2],
-    pub size: f64,
-    pub size_std: f64,
-}
-
 /// What is reported of one effect.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
@@ -111,38 +91,18 @@ pub struct Candidate {
 }
 
 /// Factor from which on it is worth a word that intervals were widened.
-const WORTH_SAYING: f64 = 1.05;
+const WORTH_SAYING_RATIO: f64 = 1.05;
 
 impl Candidate {
     /// Said beside its size where its intervals are wider than the noise alone makes them.
     pub fn widened(&self) -> Option<String> {
-        (self.interval_factor > WORTH_SAYING).then(|| {
+        (self.interval_factor > WORTH_SAYING_RATIO).then(|| {
             format!(
                 "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
                 self.interval_factor
             )
         })
     }
-}
-
-/// Parameters as a JSON object by their key.
-pub(super) fn by_key<S: Serializer>(
-    parameters: &[ParameterEstimate],
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    let mut map = serializer.serialize_map(Some(parameters.len()))?;
-    for parameter in parameters {
-        let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-        map.serialize_entry(key, parameter)?;
-    }
-    map.end()
-}
-
-/// The parameters of one effect.
-pub(super) fn parameters_of(id: &str, all: &[ParameterEstimate]) -> Vec<ParameterEstimate> {
-    let prefix = format!("{id}.");
-    let own = all.iter().filter(|own| own.key.starts_with(&prefix));
-    own.cloned().collect()
 }
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the

@@ -16,22 +16,6 @@ use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::numerics::count::whole;
 use crate::plant::{Input, Model, Plant, Scenario, State};
 
-/// Figures of one held-out signal.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct HoldoutFigures {
-    pub fit_percent: f64,
-    pub rmse: f64,
-}
-
-impl From<SignalScore> for HoldoutFigures {
-    fn from(score: SignalScore) -> Self {
-        Self {
-            fit_percent: score.fit_percent,
-            rmse: score.rmse,
-        }
-    }
-}
-
 /// Figures of one signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SignalComparison {
@@ -40,7 +24,7 @@ pub struct SignalComparison {
     /// Null where no floor is known.
     pub noise_floor: Option<f64>,
     pub one_step_rmse: f64,
-    pub holdout: HoldoutFigures,
+    pub holdout: SignalScore,
 }
 
 /// The motor's torque beside that of the inverse model; the figures are those of the weak form.
@@ -51,7 +35,7 @@ pub struct TorqueComparison {
     pub rmse: f64,
     /// Null where no floor is known.
     pub noise_floor: Option<f64>,
-    pub holdout: HoldoutFigures,
+    pub holdout: SignalScore,
     /// The relative error under each processing of the data: it depends on it, so it is never shown without it.
     pub processing: Vec<ProcessingError>,
 }
@@ -168,7 +152,7 @@ pub fn compare(
             rmse: here.rmse,
             noise_floor: known(level),
             one_step_rmse,
-            holdout: there.into(),
+            holdout: there,
         })
     };
     let judged = |residual: Vec<(f64, f64)>, level: f64| {
@@ -285,11 +269,10 @@ impl Balance {
         let processing = processing.collect();
         let training = self.score(model, &self.sides.training);
         let holdout = self.score(model, &self.sides.holdout);
-        let figures = |score: &Score| HoldoutFigures {
-            fit_percent: score.torque.map_or(f64::NAN, |torque| torque.fit_percent),
-            rmse: score.torque.map_or(f64::NAN, |torque| torque.rmse),
-        };
-        let HoldoutFigures { fit_percent, rmse } = figures(&training);
+        let figures = |score: &Score| score.torque.unwrap_or(SignalScore::UNKNOWN);
+        let SignalScore {
+            fit_percent, rmse, ..
+        } = figures(&training);
         let speed_rad_s = speed(model, evidence);
         // Where it fails is a help; a run that it cannot be told for is still compared.
         let Located {
@@ -369,7 +352,7 @@ fn speed(model: &Model, evidence: &Evidence) -> Option<SignalComparison> {
         rmse: training.rmse,
         noise_floor: None,
         one_step_rmse: one_step.rmse,
-        holdout: holdout.into(),
+        holdout,
     })
 }
 

@@ -4,15 +4,15 @@ use serde::Serialize;
 
 use super::candidates::{Candidate, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
-use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE, in_noise};
+use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
 use super::joint::answer::{Inference, Unknown, asked};
 use super::joint::free_run::likelier;
-use super::ladder::{A_SIZE_SIGMAS, Bench, Fitted, Rung, Standing, cannot_simulate, climb};
+use super::ladder::{A_SIZE_SIGMAS, Bench, Rung, Standing, climb};
 use super::location::{AxisMap, FailureLocation, axis_map};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
-use super::score::Score;
+use super::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;

@@ -5,7 +5,8 @@ use super::evidence::{Evidence, not_repeated};
 use super::joint::Noise;
 use super::joint::free_run::unseen_in;
 use super::location::{FailureLocation, locate_difference};
-use crate::identification::noise::{AT_THE_FLOOR, FloorSource, NoiseFloor};
+use super::score::in_noise;
+use crate::identification::noise::{AT_THE_FLOOR, FloorSource};
 use crate::identification::output_error::FitError;
 use crate::plant::Model;
 
@@ -14,7 +15,7 @@ pub(super) const SUFFICIENT_SHARE: f64 = 0.9;
 /// The same below which a run that had no part in the answer does not confirm it.
 const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
 /// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
-pub(super) const MOST_UNSEEN: f64 = 2.0;
+pub(super) const MOST_UNSEEN_RATIO: f64 = 2.0;
 
 /// Error of a free run below which nothing can be told, in units of the sensors' noise.
 #[derive(Clone, Copy)]
@@ -44,7 +45,7 @@ impl<'a> Floor<'a> {
 
     /// Where it may be in one run.
     pub(super) fn highest(self) -> f64 {
-        self.with(MOST_UNSEEN * self.unseen)
+        self.with(MOST_UNSEEN_RATIO * self.unseen)
     }
 
     /// Whether an error is no more than the noise.
@@ -75,19 +76,8 @@ fn explained(before: f64, after: f64, floor: f64) -> f64 {
     }
 }
 
-/// Root mean squares of current, A, and speed, rad/s, as one in units of the noise; none where neither is known.
-pub(super) fn in_noise(rms: [Option<f64>; 2], noise: &NoiseFloor) -> Option<f64> {
-    let levels = [noise.current_a, noise.speed_rad_s];
-    let squares: Vec<f64> = (rms.into_iter().zip(levels))
-        .filter(|(_, level)| level.is_finite())
-        .filter_map(|(rms, level)| Some((rms? / level).powi(2)))
-        .collect();
-    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
-    (!squares.is_empty()).then(|| mean.sqrt())
-}
-
 /// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
-const REPEATS: f64 = 1.5;
+const REPEATS_RATIO: f64 = 1.5;
 
 /// Two runs of the same excitation, each with its own fit of one model.
 #[derive(Clone, Debug, Default)]
@@ -117,7 +107,7 @@ impl Repeatability {
             return Self::not_known("the model cannot be followed on both runs");
         };
         let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
-        if floor.highest() > REPEATS {
+        if floor.highest() > REPEATS_RATIO {
             return Self::not_known("too many rows were lost");
         }
         let found = || -> Result<Self, FitError> {
@@ -144,12 +134,13 @@ impl Repeatability {
 
     /// Whether the difference is little more than the sensors' noise; none where it is not known.
     pub(super) fn repeats(&self) -> Option<bool> {
-        self.floor.map(|floor| floor <= REPEATS)
+        self.floor.map(|floor| floor <= REPEATS_RATIO)
     }
 
     /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
     pub(super) fn in_motion(&self) -> f64 {
-        self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
+        self.floor
+            .map_or(1.0, |floor| floor.clamp(1.0, REPEATS_RATIO))
     }
 }
 

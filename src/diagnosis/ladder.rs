@@ -7,19 +7,17 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::candidates::{by_key, parameters_of};
 use super::compare::{Comparison, compare};
 use super::evidence::Evidence;
 use super::joint::answer::{Inference, asked, infer, refined};
 use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
-use super::score::Score;
-use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error::{self, Fit, FitError};
+use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
+use crate::identification::output_error::{self, FitError};
 use crate::identification::torque_rows::Method;
 use crate::numerics::levenberg_marquardt::Options;
-use crate::plant::{Effect, Input, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{Effect, Input, Model, Scenario, State};
 use crate::sample::ParameterEstimate;
 use crate::text::number::probability;
 
@@ -29,52 +27,6 @@ pub(super) const A_SIZE_SIGMAS: f64 = 1.0;
 const A_SIZE_IN_THE_BALANCE_SIGMAS: f64 = 2.0;
 /// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
 const AS_GOOD: f64 = 1.02;
-
-/// A fitted model with what is known about its parameters, whatever method fitted it.
-#[derive(Clone, Debug)]
-pub struct Fitted {
-    pub model: Model,
-    /// Every parameter of the model, in the order of its slots.
-    pub parameters: Vec<ParameterEstimate>,
-    /// Training error in units of the noise.
-    pub nrms: f64,
-    pub noise: NoiseFloor,
-    /// What the standard deviations above were multiplied by, because more than noise is left over.
-    pub interval_factor: f64,
-    /// Where the training run begins.
-    pub start: State,
-}
-
-impl Fitted {
-    /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
-    /// shape is all that there is, of that. None where no size is known.
-    pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {
-        let specs = effect::find(id)?.parameters();
-        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
-        let sizes = specs.iter();
-        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
-        let sizes = sizes.filter_map(|spec| {
-            let key = format!("{id}.{}", spec.key);
-            let own = self.parameters.iter().find(|own| own.key == key)?;
-            own.value.zip(own.std)
-        });
-        let told = sizes.map(|(value, std)| value.abs() > 0.0 && value.abs() >= sigmas * std);
-        told.reduce(|told, another| told || another)
-    }
-}
-
-impl From<Fit> for Fitted {
-    fn from(fit: Fit) -> Self {
-        Self {
-            model: fit.model,
-            parameters: fit.parameters,
-            nrms: fit.nrms,
-            noise: fit.noise,
-            interval_factor: fit.interval_factor,
-            start: fit.start,
-        }
-    }
-}
 
 /// A model on the confirming run, with its events and its start where they are in it.
 pub(super) struct Confirming {
@@ -232,11 +184,6 @@ impl Bench {
         }));
         limits
     }
-}
-
-pub(super) fn cannot_simulate(run: &Scenario) -> FitError {
-    let run = run.name.clone();
-    FitError::CannotSimulate { run }
 }
 
 /// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
@@ -526,53 +473,4 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
         "; these runs would not show it"
     };
     format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnosis::kit::{nameplate, record};
-    use crate::sample::Verdict;
-
-    #[test]
-    fn a_size_counts_and_not_the_shape_of_what_has_none() {
-        let run = record(&nameplate(), 0, 7);
-        let noise = NoiseFloor::from_standstill(&run).unwrap();
-        let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
-        let mut fit = Fitted::from(fit);
-        let estimate = |&(key, value, std): &(&str, f64, Option<f64>)| ParameterEstimate {
-            key: key.to_owned(),
-            value: Some(value),
-            std,
-            unit: "",
-            verdict: Verdict::Settled,
-            reason: None,
-        };
-        let stribeck: &[(&str, f64, Option<f64>)] = &[
-            ("stribeck_friction.stribeck_n_m", 5e-3, Some(2.2e-2)),
-            ("stribeck_friction.speed_rad_s", 33.0, Some(3.0)),
-        ];
-        let wave: &[_] = &[
-            ("cogging.sin_n_m", 1e-3, Some(2e-2)),
-            ("cogging.cos_n_m", -5e-2, Some(2e-2)),
-        ];
-        let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
-        let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
-        let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];
-        for (values, id, sigmas, told) in [
-            // A speed of 33 +- 3 rad/s is no size.
-            (stribeck, "stribeck_friction", 1.0, Some(false)),
-            (wave, "cogging", 2.0, Some(true)),
-            (wave, "cogging", 3.0, Some(false)),
-            // Nothing is nothing, however well it is known.
-            (none, "voltage_drop", 1.0, Some(false)),
-            // A coupling has nothing but its shape.
-            (coupling, "elastic_coupling", 1.0, Some(true)),
-            (unknown, "cogging", 1.0, None),
-            (wave, "voltage_drop", 1.0, None),
-        ] {
-            fit.parameters = values.iter().map(estimate).collect();
-            assert_eq!(fit.is_told_from_zero(id, sigmas), told, "{id} {sigmas}");
-        }
-    }
 }

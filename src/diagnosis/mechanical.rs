@@ -13,8 +13,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::ladder::Fitted;
-use super::score::Score;
+use super::score::{Fitted, Score};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::{Method, TorqueRows};
@@ -36,9 +35,9 @@ const FEWEST_BLOCKS: f64 = 20.0;
 /// Intervals of a fit whose residual is not white are this much wider.
 const WIDENED: f64 = 2.0;
 /// Autocorrelation of neighbouring rows beyond what overlapping windows give.
-const NOT_WHITE: f64 = 0.4;
+const NOT_WHITE_CORRELATION: f64 = 0.4;
 /// Rows below which nothing is said of how long a series remembers itself.
-const FEWEST_ROWS_OF_A_MEMORY: usize = 8;
+const FEWEST_CORRELATED_ROWS: usize = 8;
 /// First step of the search over a form: relative for logarithmic ones, for the time of an event this part of the rows'
 /// span; and the halvings that follow.
 const FIRST_STEP: f64 = 0.35;
@@ -441,7 +440,7 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
         &blocks(rows, residual.as_slice()),
     )?;
     let next = statistics::autocorrelation(residual.as_slice(), 2);
-    let is_white = next.get(1).is_none_or(|rho| *rho <= NOT_WHITE);
+    let is_white = next.get(1).is_none_or(|rho| *rho <= NOT_WHITE_CORRELATION);
     let widened = if is_white { 1.0 } else { WIDENED };
     let estimate = |slot: &Slot| {
         let key = slot.key();
@@ -508,7 +507,7 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
 /// is lost in chance.
 fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
     let n = values.len();
-    if n < FEWEST_ROWS_OF_A_MEMORY {
+    if n < FEWEST_CORRELATED_ROWS {
         return 0.0;
     }
     let period_s = (time_s[time_s.len() - 1] - time_s[0]) / (n - 1) as f64;

@@ -32,13 +32,13 @@ mod reached;
 mod residual;
 mod score;
 
-pub use candidates::{Candidate, Onset, RunOf, Status};
+pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, ProcessingError, SignalComparison, TorqueComparison, compare};
 pub use diagnose::{Confirmation, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
-pub use joint::answer::Unknown;
-pub use ladder::{AddResult, Fitted, Rung, add, remove};
+pub use joint::answer::{Onset, RunOf, Unknown};
+pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, axis_map,
     locate,
@@ -49,7 +49,7 @@ pub use next_experiment::{
 pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
-pub use score::{Score, SignalScore};
+pub use score::{Fitted, Score, SignalScore};
 
 #[cfg(test)]
 mod event_tests;

@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::ladder::Fitted;
+use super::score::Fitted;
 use crate::numerics::statistics::largest;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, Path, Plant, Scenario, ShaftAngle,

@@ -1,18 +1,30 @@
-//! How well a model meets a run, by its free run or by its balance of torques, in SI and in units of the noise.
+//! A fitted model, and how well a model meets a run: by its free run or by its balance of torques, in SI and in units of the
+//! noise.
 
-use super::floor::in_noise;
+use serde::{Serialize, Serializer, ser::SerializeMap};
+
 use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error::{self, FitError};
+use crate::identification::output_error::{self, Fit, FitError};
 use crate::identification::torque_rows::TorqueRows;
-use crate::plant::{Input, Model, Scenario};
+use crate::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
+use crate::sample::ParameterEstimate;
 
 /// Figures of one signal.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SignalScore {
     /// `100 (1 - |e| / |y - mean y|)`, not clipped.
     pub fit_percent: f64,
     pub rmse: f64,
+    #[serde(skip)]
     pub samples: usize,
+}
+
+impl SignalScore {
+    pub(super) const UNKNOWN: Self = Self {
+        fit_percent: f64::NAN,
+        rmse: f64::NAN,
+        samples: 0,
+    };
 }
 
 /// Residuals of a free run over the scored samples, or of a balance of torques over its rows.
@@ -151,11 +163,94 @@ fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
     points.filter(|(_, value)| value.is_finite()).collect()
 }
 
+/// A fitted model with what is known about its parameters, whatever method fitted it.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    pub model: Model,
+    /// Every parameter of the model, in the order of its slots.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Training error in units of the noise.
+    pub nrms: f64,
+    pub noise: NoiseFloor,
+    /// What the standard deviations above were multiplied by, because more than noise is left over.
+    pub interval_factor: f64,
+    /// Where the training run begins.
+    pub start: State,
+}
+
+impl Fitted {
+    /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
+    /// shape is all that there is, of that. None where no size is known.
+    pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {
+        let specs = effect::find(id)?.parameters();
+        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
+        let sizes = specs.iter();
+        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
+        let sizes = sizes.filter_map(|spec| {
+            let key = format!("{id}.{}", spec.key);
+            let own = self.parameters.iter().find(|own| own.key == key)?;
+            own.value.zip(own.std)
+        });
+        let told = sizes.map(|(value, std)| value.abs() > 0.0 && value.abs() >= sigmas * std);
+        told.reduce(|told, another| told || another)
+    }
+}
+
+impl From<Fit> for Fitted {
+    fn from(fit: Fit) -> Self {
+        Self {
+            model: fit.model,
+            parameters: fit.parameters,
+            nrms: fit.nrms,
+            noise: fit.noise,
+            interval_factor: fit.interval_factor,
+            start: fit.start,
+        }
+    }
+}
+
+pub(super) fn cannot_simulate(run: &Scenario) -> FitError {
+    let run = run.name.clone();
+    FitError::CannotSimulate { run }
+}
+
+/// Root mean squares of current, A, and speed, rad/s, as one in units of the noise; none where neither is known.
+pub(super) fn in_noise(rms: [Option<f64>; 2], noise: &NoiseFloor) -> Option<f64> {
+    let levels = [noise.current_a, noise.speed_rad_s];
+    let squares: Vec<f64> = (rms.into_iter().zip(levels))
+        .filter(|(_, level)| level.is_finite())
+        .filter_map(|(rms, level)| Some((rms? / level).powi(2)))
+        .collect();
+    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
+    (!squares.is_empty()).then(|| mean.sqrt())
+}
+
+/// Parameters as a JSON object by their key.
+pub(super) fn by_key<S: Serializer>(
+    parameters: &[ParameterEstimate],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    let mut map = serializer.serialize_map(Some(parameters.len()))?;
+    for parameter in parameters {
+        let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
+        map.serialize_entry(key, parameter)?;
+    }
+    map.end()
+}
+
+/// The parameters of one effect.
+pub(super) fn parameters_of(id: &str, all: &[ParameterEstimate]) -> Vec<ParameterEstimate> {
+    let prefix = format!("{id}.");
+    let own = all.iter().filter(|own| own.key.starts_with(&prefix));
+    own.cloned().collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::kit::{held, nameplate, truth};
+    use crate::diagnosis::kit::{held, nameplate, record, truth};
     use crate::plant::testing;
+    use crate::sample::Verdict;
 
     #[test]
     fn the_error_of_a_fit_is_that_of_its_score_however_often_each_signal_was_sampled() {
@@ -174,5 +269,47 @@ mod tests {
         );
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
         assert!((weighing_samples / score - 1.0).abs() > 0.05);
+    }
+
+    #[test]
+    fn a_size_counts_and_not_the_shape_of_what_has_none() {
+        let run = record(&nameplate(), 0, 7);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
+        let mut fit = Fitted::from(fit);
+        let estimate = |&(key, value, std): &(&str, f64, Option<f64>)| ParameterEstimate {
+            key: key.to_owned(),
+            value: Some(value),
+            std,
+            unit: "",
+            verdict: Verdict::Settled,
+            reason: None,
+        };
+        let stribeck: &[(&str, f64, Option<f64>)] = &[
+            ("stribeck_friction.stribeck_n_m", 5e-3, Some(2.2e-2)),
+            ("stribeck_friction.speed_rad_s", 33.0, Some(3.0)),
+        ];
+        let wave: &[_] = &[
+            ("cogging.sin_n_m", 1e-3, Some(2e-2)),
+            ("cogging.cos_n_m", -5e-2, Some(2e-2)),
+        ];
+        let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
+        let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
+        let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];
+        for (values, id, sigmas, told) in [
+            // A speed of 33 +- 3 rad/s is no size.
+            (stribeck, "stribeck_friction", 1.0, Some(false)),
+            (wave, "cogging", 2.0, Some(true)),
+            (wave, "cogging", 3.0, Some(false)),
+            // Nothing is nothing, however well it is known.
+            (none, "voltage_drop", 1.0, Some(false)),
+            // A coupling has nothing but its shape.
+            (coupling, "elastic_coupling", 1.0, Some(true)),
+            (unknown, "cogging", 1.0, None),
+            (wave, "voltage_drop", 1.0, None),
+        ] {
+            fit.parameters = values.iter().map(estimate).collect();
+            assert_eq!(fit.is_told_from_zero(id, sigmas), told, "{id} {sigmas}");
+        }
     }
 }

@@ -8,8 +8,8 @@ use crate::plant::{
 
 /// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
 /// the torque itself, which no machine measures better.
-pub(super) const FORM: f64 = 0.05;
-const DRIVE: f64 = 0.02;
+pub(super) const FORM_SHARE: f64 = 0.05;
+const DRIVE_SHARE: f64 = 0.02;
 
 /// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
 /// voltage has no armature.
@@ -55,7 +55,7 @@ impl Forms {
         let dies_s =
             |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(LEAST_DAMPING));
         // When the sides of a play meet nobody can foretell: a moment later the whole blow is an error.
-        let in_phase = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM };
+        let in_phase = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM_SHARE };
         let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         Self {
             terms,
@@ -66,7 +66,7 @@ impl Forms {
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
             friction: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
-            drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
+            drive: counts * DRIVE_SHARE / FORM_SHARE * constants(model, scenario).torque_n_m_per_a,
         }
     }
 

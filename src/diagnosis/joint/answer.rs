@@ -5,21 +5,19 @@ use statrs::function::erf::erfc;
 
 use super::acting::constants;
 use super::asked::{prepared, why_not};
-use super::columns::{Around, Candidate, NO_PARAMETER, Seen, Variant};
+use super::columns::{Around, Candidate, ColumnInformation, NO_PARAMETER, Variant};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
-use super::search::{self, Found};
+use super::search::{self, SearchResult};
 use super::select::Set;
 use super::solution::{self, Happened};
-use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
-use crate::diagnosis::floor::{Floor, MOST_UNSEEN, in_noise};
-use crate::diagnosis::ladder::{Fitted, cannot_simulate};
+use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
 use crate::diagnosis::mechanical::start_of;
 use crate::diagnosis::progress::Progress;
-use crate::diagnosis::score::Score;
+use crate::diagnosis::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
@@ -45,6 +43,27 @@ const TOGETHER_PROBABILITY: f64 = 0.9;
 
 /// Share of the error from which on what follows an axis is a part of the answer.
 const LEAST_PART_SHARE: f64 = 0.03;
+
+/// A run that speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RunOf {
+    Fit,
+    Holdout,
+    /// Both, where one run was split.
+    Whole,
+}
+
+/// When something that happens once did so in one run, and how large it was there: in the unit of its first parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Onset {
+    pub run: RunOf,
+    /// Since the run's first command.
+    pub time_s: f64,
+    pub interval_95_s: [f64; 2],
+    pub size: f64,
+    pub size_std: f64,
+}
 
 /// One effect.
 #[derive(Clone)]
@@ -102,11 +121,11 @@ pub(in crate::diagnosis) struct Inference {
     /// Length of the first run, s, and what each run is.
     first_ends_s: f64,
     runs: &'static [RunOf],
-    found: Found,
+    found: SearchResult,
 }
 
 /// Error, in units of the noise, from which on it is worth a word that lost rows make it.
-const WORTH_SAYING: f64 = 0.3;
+const WORTH_SAYING_FLOORS: f64 = 0.3;
 
 impl Inference {
     /// The floor of the hold-out.
@@ -116,12 +135,12 @@ impl Inference {
 
     /// What lost rows make of the hold-out's error and what is allowed for it, where that is worth a word.
     pub(in crate::diagnosis) fn lost_rows(&self, floor: Floor<'_>) -> Option<String> {
-        (self.unseen >= WORTH_SAYING).then(|| {
+        (self.unseen >= WORTH_SAYING_FLOORS).then(|| {
             format!(
                 "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
                  noise of its error, and up to {:.1} is allowed for; an error below {:.1} times the noise may be all theirs",
                 self.unseen,
-                MOST_UNSEEN * self.unseen,
+                MOST_UNSEEN_RATIO * self.unseen,
                 floor.highest()
             )
         })
@@ -187,7 +206,7 @@ impl Inference {
     /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
     /// likeliest form.
     pub(in crate::diagnosis) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
-        let Found {
+        let SearchResult {
             hypothesis,
             reduced,
             posterior,
@@ -361,7 +380,7 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
-const LED_ONLY: f64 = 1.1;
+const LED_ONLY_RATIO: f64 = 1.1;
 
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
 /// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
@@ -375,7 +394,9 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
         return fit;
     };
     let led = Score::of(&estimated.model, run, &fit.noise);
-    let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
+    let led = led
+        .ok()
+        .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
     let kept = led.as_ref().map_or(&model, |_| &estimated.model);
     let period_s = run.mean_period_s();
     for (slot, deviation) in &estimated.deviations {
@@ -402,10 +423,10 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
 }
 
 /// By how much sensors may differ from what they show at rest, and where that is not known.
-const KNOWN_AT_REST: f64 = 0.1;
-const NOT_KNOWN: f64 = 2.0;
+const KNOWN_AT_REST_LOG_SIGMA: f64 = 0.1;
+const NOT_KNOWN_LOG_SIGMA: f64 = 2.0;
 /// The same of a speed that alone tells of its noise: running, it may be another than at rest.
-const ALONE: f64 = 0.7;
+const ALONE_LOG_SIGMA: f64 = 0.7;
 
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
 fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
@@ -421,15 +442,15 @@ fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
         disturbance_n_m: (0.004 * torque).max(f64::MIN_POSITIVE),
         correlation_s: 0.5,
         input: (1e-4 * largest_input).max(f64::MIN_POSITIVE),
-        sensors: KNOWN_AT_REST,
+        sensors: KNOWN_AT_REST_LOG_SIGMA,
     };
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
         noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
-        noise.sensors = ALONE;
+        noise.sensors = ALONE_LOG_SIGMA;
         if floor.source == FloorSource::None {
             noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
-            noise.sensors = NOT_KNOWN;
+            noise.sensors = NOT_KNOWN_LOG_SIGMA;
         }
     }
     noise
@@ -442,7 +463,7 @@ fn roughness(values: &[f64]) -> f64 {
     statistics::robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
-fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
+fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
     let reduced = &found.reduced;
     let id = effect.card().id;
     let mut out = Inferred {
@@ -509,11 +530,11 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
 }
 
 /// What the runs say of an event at each moment of one of them, beside the best set.
-fn moments(found: &Found, k: usize) -> Vec<Seen> {
+fn moments(found: &SearchResult, k: usize) -> Vec<ColumnInformation> {
     let reduced = &found.reduced;
     let candidate = &reduced.linear.candidates[k];
     if !candidate.moments.is_empty() {
-        let wider = |seen: &Seen| Seen {
+        let wider = |seen: &ColumnInformation| ColumnInformation {
             information: seen.information / found.excess,
             asked: seen.asked / found.excess,
             ..*seen
@@ -531,8 +552,8 @@ fn moments(found: &Found, k: usize) -> Vec<Seen> {
 
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
 /// say nothing it may have any size that is plausible.
-fn whenever(moments: &[Seen]) -> f64 {
-    let size = |seen: &Seen| {
+fn whenever(moments: &[ColumnInformation]) -> f64 {
+    let size = |seen: &ColumnInformation| {
         let precision = seen.information.max(0.0) + 1.0;
         let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
         let mean = (seen.asked / precision).abs() * seen.unit;
@@ -572,7 +593,7 @@ fn without(set: &Set, k: usize) -> Set {
 }
 
 /// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
-fn size_in(found: &Found, set: &Set, k: usize) -> Option<(f64, f64)> {
+fn size_in(found: &SearchResult, set: &Set, k: usize) -> Option<(f64, f64)> {
     let reduced = &found.reduced;
     let variant = &reduced.linear.candidates[k].variants[set[k]?];
     let columns = reduced.columns(set);
@@ -602,7 +623,7 @@ fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
 /// against it.
-fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
+fn detectable(found: &SearchResult, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let reduced = &found.reduced;
     let candidate = &reduced.linear.candidates[k];
     let variant = &candidate.variants[with[k]?];
@@ -653,7 +674,7 @@ const SERVES_AS_WELL_NATS: f64 = 3.0;
 
 /// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
 /// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
-fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
+fn confusable(found: &SearchResult) -> Vec<[&'static str; 2]> {
     let reduced = &found.reduced;
     let candidates = &reduced.linear.candidates;
     let best = &found.posterior.best;
@@ -807,7 +828,7 @@ mod tests {
         );
         // What foretells a free run is not given away for it.
         assert!(
-            led.nrms < LED_ONLY * free.nrms,
+            led.nrms < LED_ONLY_RATIO * free.nrms,
             "{} {}",
             led.nrms,
             free.nrms
@@ -816,7 +837,7 @@ mod tests {
 
     #[test]
     fn an_event_is_below_its_bound_whenever_it_happened() {
-        let seen = |precision: f64| Seen {
+        let seen = |precision: f64| ColumnInformation {
             information: precision - 1.0,
             asked: 0.0,
             unit: 2.0,
@@ -834,7 +855,7 @@ mod tests {
         assert!(bound > 2.0, "{bound}");
         // One in which it is there counts, and the others hardly do.
         let mut there = vec![seen(400.0); 39];
-        there.push(Seen {
+        there.push(ColumnInformation {
             asked: 0.5 * 400.0,
             ..seen(400.0)
         });

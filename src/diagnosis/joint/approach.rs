@@ -1,7 +1,7 @@
 //! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
 //! one after the other.
 
-use super::columns::{Around, Linear, Variant, linearise, squares};
+use super::columns::{Around, FAR_MEAN_SQUARE, Linear, Variant, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
@@ -9,17 +9,15 @@ use super::select::{Reduced, Set};
 use super::solution::{around, placed, present};
 use crate::plant::{Effect, Model, Scenario, State};
 
-/// Mean square of the innovations above which a linear solution is not believed.
-const FAR: f64 = 3.0;
 /// The same above which a fitted model may be no machine.
-const ASTRAY: f64 = 100.0;
+const ASTRAY_MEAN_SQUARE: f64 = 100.0;
 /// Effects that join one by one before the sets are weighed.
 const MOST_STEPS: usize = 4;
 /// Share of the squares that one of them must leave at most.
-const WORTH_A_STEP: f64 = 0.9;
+const WORTH_A_STEP_SHARE: f64 = 0.9;
 /// Single effects that are refitted for one step, and the share of the best one's gain from which they are.
 const MOST_SINGLES: usize = 6;
-const WORTH_A_REFIT: f64 = 0.2;
+const WORTH_A_REFIT_SHARE: f64 = 0.2;
 /// Forms of what is there wholly or not at all from which a refit starts.
 const STARTS: usize = 3;
 
@@ -44,12 +42,12 @@ pub(super) fn approach(
         let runs = around(&hypothesis, &scenarios[..1], &starts[..1], noise)?;
         let rows = runs[0].follower.rows as f64;
         let now = squares(&runs);
-        if now < FAR * rows {
+        if now < FAR_MEAN_SQUARE * rows {
             break;
         }
-        match best_step(&hypothesis, asked, &runs, FAR * rows) {
+        match best_step(&hypothesis, asked, &runs, FAR_MEAN_SQUARE * rows) {
             Some(step)
-                if step.squares < WORTH_A_STEP * now
+                if step.squares < WORTH_A_STEP_SHARE * now
                     && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
             {
                 hypothesis = step.hypothesis;
@@ -116,7 +114,7 @@ fn best_step(
             singles.push(whole);
         }
     }
-    singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
+    singles.retain(|single| single.0 >= WORTH_A_REFIT_SHARE * most);
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
         let set = with(candidate, variant);
@@ -184,7 +182,7 @@ pub(super) fn nearer(
 ) -> Hypothesis {
     let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
     let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
-    let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY * rows as f64);
+    let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY_MEAN_SQUARE * rows as f64);
     let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
     match again.flatten() {
         Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,

@@ -9,12 +9,12 @@ use crate::plant::{Effect, Enters, Input, Instant, ParameterSpec, Scenario, star
 /// what the frame and the drive's own loops do would decide.
 const APART_S: f64 = 0.03;
 /// Periods that the angle must cover before a wave over it is asked for: less is a slope.
-const LEAST_TRAVEL: f64 = 2.0;
+const LEAST_TRAVEL_PERIODS: f64 = 2.0;
 /// Longest part of a period between two samples, and the share of the samples that must lie so close.
-const RESOLVED: f64 = 0.25;
-const LEAST_RESOLVED: f64 = 0.1;
+const RESOLVED_PERIODS: f64 = 0.25;
+const LEAST_RESOLVED_SHARE: f64 = 0.1;
 /// Share of the longest step below which the shaft counts as resting.
-const MOVES: f64 = 0.02;
+const MOVES_SHARE: f64 = 0.02;
 
 /// Why a run cannot judge an effect at all; `None` where it can. A voltage drives through every equation.
 pub(in crate::diagnosis) fn why_not(
@@ -81,7 +81,7 @@ fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let angles = || angles.iter().map(|point| point.1);
     let least = angles().fold(f64::INFINITY, f64::min);
     let most = angles().fold(f64::NEG_INFINITY, f64::max);
-    (most - least) * periods_per_turn >= LEAST_TRAVEL * TAU
+    (most - least) * periods_per_turn >= LEAST_TRAVEL_PERIODS * TAU
 }
 
 /// Whether samples lie close enough to see the wave pass.
@@ -90,12 +90,12 @@ fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let pairs = angles.windows(2);
     let steps: Vec<f64> = pairs.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
     // What the noise of a resting shaft adds up to is no motion.
-    let moves = MOVES * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
+    let moves = MOVES_SHARE * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
     let moving = steps.iter().filter(|step| **step > moves).count();
     let close = steps
         .iter()
-        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED * TAU);
-    close.count() as f64 >= LEAST_RESOLVED * moving as f64
+        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED_PERIODS * TAU);
+    close.count() as f64 >= LEAST_RESOLVED_SHARE * moving as f64
 }
 
 /// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its

@@ -23,6 +23,9 @@ use crate::plant::{
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
 pub(super) const SLAB: f64 = 2.0;
 
+/// Mean square of the innovations above which a linear solution is not believed, and refutes nothing.
+pub(super) const FAR_MEAN_SQUARE: f64 = 3.0;
+
 /// One form of an effect.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Variant {
@@ -46,7 +49,7 @@ pub(super) struct Variant {
 
 /// What runs say of one column beside others: per slab the information, and what they ask for times that.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct ColumnInformation {
     pub information: f64,
     pub asked: f64,
     /// The slab, in the unit of its parameter.
@@ -62,7 +65,7 @@ pub(super) struct Candidate {
     pub log_odds: f64,
     pub variants: Vec<Variant>,
     /// Of an event of which few forms have columns what all its moments say beside the model.
-    pub moments: Vec<Seen>,
+    pub moments: Vec<ColumnInformation>,
     /// Candidates that say the same and are out where this one is in.
     pub excludes: Vec<usize>,
 }

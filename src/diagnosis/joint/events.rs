@@ -32,15 +32,15 @@ const PAIRED: usize = 4;
 const AROUND: i32 = 8;
 /// Parts of a run on either side within which it is looked for: linearised far from the data it was put wrong by more than
 /// one.
-const WIDE: f64 = 4.0;
+const WIDE_PARTS: f64 = 4.0;
 /// Levels of looking more finely.
 const LEVELS: usize = 5;
 /// Periods of a run by which an event may still move.
-const STAYS: f64 = 1.5;
+const STAYS_PERIODS: f64 = 1.5;
 /// Part of a period below which moments are not told apart.
-const FINE: f64 = 0.25;
+const FINE_PERIODS: f64 = 0.25;
 /// Fall of the log likelihood at the ends of a 95 % interval.
-const INTERVAL: f64 = 1.92;
+const INTERVAL_NATS: f64 = 1.92;
 
 /// Time before and behind the moment by which an onset may have another form, s: nobody knows how fast it comes.
 const ONSET_S: f64 = 0.01;
@@ -217,7 +217,7 @@ impl Hypothesis {
             let mut others = before.events.iter();
             others.any(|other| {
                 (other.id(), other.run) == (event.id(), event.run)
-                    && (other.time_s() - event.time_s()).abs() <= STAYS * period_s
+                    && (other.time_s() - event.time_s()).abs() <= STAYS_PERIODS * period_s
             })
         })
     }
@@ -461,7 +461,7 @@ impl Search<'_> {
         let period_s = self.run.scenario.mean_period_s();
         let spacing_s = spacing_s(self.run, self.event.id());
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
-        let mut step_s = WIDE * spacing_s / f64::from(AROUND);
+        let mut step_s = WIDE_PARTS * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
         let mut seen: Vec<(f64, f64)> = Vec::new();
         for _ in 0..LEVELS {
@@ -470,14 +470,14 @@ impl Search<'_> {
             seen.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = seen.iter().max_by(|a, b| a.1.total_cmp(&b.1));
             best_s = likeliest.map_or(best_s, |seen| seen.0);
-            if step_s < FINE * period_s {
+            if step_s < FINE_PERIODS * period_s {
                 break;
             }
             step_s *= 2.0 / f64::from(AROUND);
         }
         let gains = seen.iter().map(|seen| seen.1);
         let most = gains.fold(f64::NEG_INFINITY, f64::max);
-        let least = most - INTERVAL * excess;
+        let least = most - INTERVAL_NATS * excess;
         // Where nothing moves the moment may be anywhere.
         let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {

@@ -4,7 +4,7 @@
 //! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
-use super::acting::{FORM, Forms};
+use super::acting::{FORM_SHARE, Forms};
 use crate::identification::stamps::spread;
 use crate::numerics::statistics::{largest, median};
 use crate::plant::propagator::{LinearPart, Propagator};
@@ -29,17 +29,17 @@ pub(in crate::diagnosis) struct Noise {
 /// Correlation time of the voltage's error, s.
 const VOLTAGE_S: f64 = 0.05;
 /// Periods without a torque, or without a speed, after which nobody knows what was held and where the shaft went.
-const LONGEST_HOLD: f64 = 5.0;
+const LONGEST_HOLD_PERIODS: f64 = 5.0;
 /// Share of the largest speed below which friction is not yet developed where a torque drives: the balance of torques says
 /// nothing of a reversal.
-const REVERSAL: f64 = 0.015;
+const REVERSAL_SHARE: f64 = 0.015;
 /// Uncertainty of the speed after a break-away or a change of sign, as a share of the largest speed.
-const JUMP: f64 = 0.0017;
+const JUMP_SHARE: f64 = 0.0017;
 /// What is not known of the first current, as a share of the largest, and of the first speed, in units of its noise.
-const START: f64 = 0.1;
-const START_IN_NOISE: f64 = 10.0;
+const START_SHARE: f64 = 0.1;
+const START_SIGMAS: f64 = 10.0;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
-const RELEASED: f64 = 5.0;
+const RELEASED_SIGMAS: f64 = 5.0;
 
 /// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
 const RINGING_S: f64 = 0.01;
@@ -198,7 +198,7 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
 
 /// Variance of the speed that a break-away or a change of sign adds.
 pub(super) fn jump_of(scenario: &Scenario) -> f64 {
-    (JUMP * fastest(scenario)).powi(2)
+    (JUMP_SHARE * fastest(scenario)).powi(2)
 }
 
 fn fastest(scenario: &Scenario) -> f64 {
@@ -251,9 +251,9 @@ impl<'a> Filter<'a> {
         // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a
         // shaft turned that did not rest.
         let most_a = largest(scenario.current_a.iter().copied());
-        p[0][0] = (START * most_a).powi(2);
+        p[0][0] = (START_SHARE * most_a).powi(2);
         if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
-            p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);
+            p[1][1] = (START_SIGMAS * noise.speed_rad_s).powi(2);
         }
         let holes = scenario.unknown_input.iter();
         let restarted = holes.filter(|hole| hole.restart.is_some());
@@ -268,9 +268,9 @@ impl<'a> Filter<'a> {
         let usual = if by_voltage {
             f64::INFINITY
         } else {
-            LONGEST_HOLD
+            LONGEST_HOLD_PERIODS
         };
-        let slow_rad_s = REVERSAL * fastest(scenario);
+        let slow_rad_s = REVERSAL_SHARE * fastest(scenario);
         let forms = Forms::of(model, scenario);
         let late_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
         Some(Self {
@@ -393,7 +393,7 @@ impl<'a> Filter<'a> {
             let held_s = time_s - self.scenario.events[self.event].0;
             let is_blind = time_s - self.seen_s > self.longest_blind_s;
             let anew = match (held_s > self.longest_hold_s || is_blind, slow) {
-                (true, _) => self.slow_rad_s / REVERSAL,
+                (true, _) => self.slow_rad_s / REVERSAL_SHARE,
                 (_, true) => self.slow_rad_s,
                 _ => 0.0,
             };
@@ -403,7 +403,7 @@ impl<'a> Filter<'a> {
             self.ringing = self.most_ringing;
             self.twisted_s = time_s;
         }
-        let mut form = squares.map(|square| FORM * FORM * square);
+        let mut form = squares.map(|square| FORM_SHARE * FORM_SHARE * square);
         form[2] = self.ringing(squares[2], interval_s);
         let taken_over = Propagator::default();
         let passage = Passage {
@@ -444,7 +444,7 @@ impl<'a> Filter<'a> {
         if let Some(value) = speed {
             self.seen_s = self.scenario.sample_time_s[sample];
             let e = value - reading[1] - moved;
-            if rests && e.abs() > RELEASED * self.noise.speed_rad_s {
+            if rests && e.abs() > RELEASED_SIGMAS * self.noise.speed_rad_s {
                 self.p[1][1] += e * e;
             }
             vague[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
@@ -731,10 +731,10 @@ mod tests {
         let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
         let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
         // A torque of 2 N.m, and a quarter of a period later none.
-        assert!((filter.ringing(4.0, 1e-3) / (4.0 * FORM * FORM) - 1.0).abs() < 1e-9);
+        assert!((filter.ringing(4.0, 1e-3) / (4.0 * FORM_SHARE * FORM_SHARE) - 1.0).abs() < 1e-9);
         let later = filter.ringing(0.0, 0.25 / 20.0);
         assert!(
-            (0.8..0.9).contains(&(later / (4.0 * FORM * FORM))),
+            (0.8..0.9).contains(&(later / (4.0 * FORM_SHARE * FORM_SHARE))),
             "{later}"
         );
         filter.twisted_s = filter.last_s;
@@ -766,7 +766,7 @@ mod tests {
         }];
         let (follower, _) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
         let unknown = |sample: usize| follower.passages[sample].form[2];
-        let most = (0..last).map(unknown).fold(0.0, f64::max) / (FORM * FORM);
+        let most = (0..last).map(unknown).fold(0.0, f64::max) / (FORM_SHARE * FORM_SHARE);
         // It had long come to rest.
         assert!(unknown(last - 1) < 0.01 * most);
         assert!(unknown(last) > 0.9 * most, "{} {most}", unknown(last));

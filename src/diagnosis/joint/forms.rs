@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, Linear, Part, Seen, Source, squares};
+use super::columns::{Around, ColumnInformation, FAR_MEAN_SQUARE, Linear, Part, Source, squares};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
 use crate::plant::Scenario;
@@ -13,11 +13,9 @@ const KEPT: usize = 6;
 /// The beginning of a run that is looked at first is one part of so many.
 const LOOK: usize = 6;
 /// Standard deviations by which the beginning has to tell all of an effect from none of it.
-const PLAIN: f64 = 20.0;
+const PLAIN_SIGMAS: f64 = 20.0;
 /// Share of an effect, as the beginning has it, below which it is not there wholly.
-const REFUTED: f64 = 0.2;
-/// Mean square of the innovations above which a linear solution refutes nothing.
-const FAR: f64 = 3.0;
+const REFUTED_SHARE: f64 = 0.2;
 
 /// Forms of one column or two that are carried side by side, and their products with all that matters.
 struct Group {
@@ -129,7 +127,7 @@ pub(super) fn drop_refuted(
     base: &Whitened,
     precision: &[f64],
 ) {
-    if squares(std::slice::from_ref(run)) > FAR * run.follower.rows as f64 {
+    if squares(std::slice::from_ref(run)) > FAR_MEAN_SQUARE * run.follower.rows as f64 {
         return;
     }
     let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(LOOK));
@@ -148,7 +146,7 @@ pub(super) fn drop_refuted(
         let k = precision.len();
         let cross = products.rows(0, k).into_owned();
         let [own, rest] = given.left(&cross, products[k], products[k + 1]);
-        (own * mean * mean > PLAIN * PLAIN).then(|| (rest / own / mean, column))
+        (own * mean * mean > PLAIN_SIGMAS * PLAIN_SIGMAS).then(|| (rest / own / mean, column))
     };
     let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants[0].mean > 0.0;
     let wholes = parts.par_iter_mut().filter(|part| whole(part));
@@ -157,8 +155,9 @@ pub(super) fn drop_refuted(
         let forms = part.sources.par_iter().with_max_len(1);
         let looks: Vec<Option<(f64, Vec<f32>)>> =
             forms.map(|sources| look(&sources[0], mean)).collect();
-        let refuted =
-            |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < REFUTED);
+        let refuted = |look: &Option<(f64, Vec<f32>)>| {
+            look.as_ref().is_some_and(|look| look.0 < REFUTED_SHARE)
+        };
         if !looks.iter().all(refuted) {
             part.keep(|form| !refuted(&looks[form]));
             return;
@@ -287,11 +286,11 @@ impl Base {
     }
 
     /// What the runs say of the form of one column in this lane.
-    fn seen(&self, products: &[Lane], lane: usize, unit: f64) -> Seen {
+    fn seen(&self, products: &[Lane], lane: usize, unit: f64) -> ColumnInformation {
         let m = self.right.len();
         let cross = DVector::from_fn(m, |r, _| products[r][lane]);
         let [information, asked] = self.left(&cross, products[m + 1][lane], products[m][lane]);
-        Seen {
+        ColumnInformation {
             information,
             asked,
             unit,

@@ -405,8 +405,8 @@ impl Unknown {
 }
 
 /// Gain below which a step is not worth its filter run, and that of a round below which no other is made, nats.
-const LEAST_GAIN: f64 = 0.05;
-const LEAST_ROUND: f64 = 0.5;
+const LEAST_GAIN_NATS: f64 = 0.05;
+const LEAST_ROUND_NATS: f64 = 0.5;
 const MOST_ROUNDS: usize = 6;
 
 /// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
@@ -433,7 +433,7 @@ fn climb(
                     }
                     let log = log_likelihood(&next);
                     known.push((unknown.log(&next), log));
-                    if log <= best + LEAST_GAIN {
+                    if log <= best + LEAST_GAIN_NATS {
                         break;
                     }
                     (best, now) = (log, next);
@@ -445,7 +445,7 @@ fn climb(
                 }
             }
             if let Some((log, gain)) = top(&mut known)
-                && gain > LEAST_GAIN
+                && gain > LEAST_GAIN_NATS
             {
                 let next = unknown.set(&now, floor, course, log);
                 let log = log_likelihood(&next);
@@ -454,7 +454,7 @@ fn climb(
                 }
             }
         }
-        if best - before < LEAST_ROUND {
+        if best - before < LEAST_ROUND_NATS {
             break;
         }
     }

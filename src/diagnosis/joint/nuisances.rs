@@ -14,31 +14,31 @@ use crate::plant::{
 };
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
-const MOTOR: f64 = 0.3;
+const MOTOR_LOG_SIGMA: f64 = 0.3;
 /// Step of a difference of two runs with a motor's parameter, relative.
 const STEP: f64 = 2e-3;
 /// The same in standard deviations beforehand.
 const LINEAR_STEP: f64 = 0.02;
 /// Error of the stamps of commands and samples beforehand, as a share of the period: where the host stamped them, and where
 /// the drive did.
-const STAMP: f64 = 0.05;
-const OWN_STAMP: f64 = 0.01;
+const STAMP_SHARE: f64 = 0.05;
+const OWN_STAMP_SHARE: f64 = 0.01;
 /// What the form of an effect may differ from its equation by.
-const FORM: f64 = 0.1;
+const FORM_SHARE: f64 = 0.1;
 /// Powers of its own size that its form may have beside itself.
 const POWERS: [f64; 2] = [1.0, 2.0];
 /// By what factor the shapes of what an effect is made of may differ from the one that its equation has, either way, and how
 /// much of it may have another shape.
-const SPREAD: f64 = 2.0;
+const SPREAD_RATIO: f64 = 2.0;
 const SHARE_OF_SPREAD: f64 = 0.25;
 /// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
 const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
-const SLOW: f64 = 0.5;
+const SLOW_SHARE: f64 = 0.5;
 /// Time constants of the intermediate circuit's capacitor with the resistance of what feeds it, s.
 const CAPACITOR_S: [f64; 2] = [1e-3, 4e-3];
 /// Share of its level from which on it has been reached, and the share of the largest current where it has.
-const REACHED: f64 = 0.99;
-const SMALL: f64 = 0.1;
+const REACHED_SHARE: f64 = 0.99;
+const SMALL_SHARE: f64 = 0.1;
 
 /// What is known of a motor's parameter beforehand.
 pub(super) enum MotorPrior {
@@ -52,13 +52,15 @@ pub(super) enum MotorPrior {
 /// what is missing, so that it may be off by an effect's slab.
 pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> Option<MotorPrior> {
     if scenario.input == Input::Voltage {
-        return Some(MotorPrior::Logarithm(MOTOR));
+        return Some(MotorPrior::Logarithm(MOTOR_LOG_SIGMA));
     }
     match key {
-        MotorKey::Inertia => Some(MotorPrior::Logarithm(MOTOR)),
+        MotorKey::Inertia => Some(MotorPrior::Logarithm(MOTOR_LOG_SIGMA)),
         MotorKey::LoadTorque => {
             let slab = SLAB * typical_size(effect::find("constant_load")?, 0, model, scenario);
-            Some(MotorPrior::Linear(slab.max(MOTOR * model.motor.get(key)?)))
+            Some(MotorPrior::Linear(
+                slab.max(MOTOR_LOG_SIGMA * model.motor.get(key)?),
+            ))
         }
         _ => None,
     }
@@ -113,8 +115,8 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         // Of a torque nobody knows where in its period it stands.
         let least_s = match known_s {
             _ if !by_voltage => period_s,
-            None => OWN_STAMP * period_s,
-            Some(_) => STAMP * period_s,
+            None => OWN_STAMP_SHARE * period_s,
+            Some(_) => STAMP_SHARE * period_s,
         };
         let error_s = least_s.max(known_s.unwrap_or(0.0));
         if along {
@@ -164,14 +166,14 @@ fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
         };
         terms.voltage_v(&at, &[]).abs()
     };
-    ([SMALL * most_a, most_a].map(at), SMALL * most_a)
+    ([SMALL_SHARE * most_a, most_a].map(at), SMALL_SHARE * most_a)
 }
 
 /// Whether terms have reached a level by a small part of the run's currents, as a drop of brushes: in what range they build
 /// up is no part of their equation.
 fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
     let ([small_v, most_v], _) = small_and_most_v(terms, scenario);
-    most_v > 0.0 && small_v > REACHED * most_v
+    most_v > 0.0 && small_v > REACHED_SHARE * most_v
 }
 
 /// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
@@ -198,7 +200,7 @@ pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
         }
         let ([small_v, _], small_a) = small_and_most_v(&*terms, scenario);
         if small_v > 0.0 && !has_a_level(&*terms, scenario) {
-            FORM * small_v / small_a
+            FORM_SHARE * small_v / small_a
         } else {
             0.0
         }
@@ -232,7 +234,7 @@ pub(super) fn bends(
                 let wave = Wave {
                     order: harmonic * order,
                     sine,
-                    size: FORM * amplitude * gain,
+                    size: FORM_SHARE * amplitude * gain,
                     of_current: false,
                 };
                 bends.push(Source::Tangent(Tangent::Wave(wave)));
@@ -245,7 +247,7 @@ pub(super) fn bends(
         let bent = |power| Tangent::Bent {
             terms: effect.terms(values),
             power,
-            share: FORM,
+            share: FORM_SHARE,
         };
         // What stands at its level is the same to any power.
         if !has_a_level(&*terms, scenario) {
@@ -254,7 +256,7 @@ pub(super) fn bends(
             let slow = |factor| Tangent::Slow {
                 terms: effect.terms(values),
                 factor,
-                share: SLOW,
+                share: SLOW_SHARE,
             };
             bends.extend(SLOWER.map(slow).map(Source::Tangent));
         }
@@ -300,7 +302,7 @@ fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = T
     let specs = effect.parameters();
     let shapes = (0..specs.len()).filter(|k| specs[*k].logarithmic && !specs[*k].is_coefficient());
     shapes.flat_map(move |shape| {
-        [1.0 / SPREAD, SPREAD].map(|factor| {
+        [1.0 / SPREAD_RATIO, SPREAD_RATIO].map(|factor| {
             let mut other = values.to_vec();
             other[shape] *= factor;
             Tangent::Change {

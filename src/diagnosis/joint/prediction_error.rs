@@ -21,8 +21,8 @@ use crate::plant::{
 
 /// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
 /// units of its scale.
-const SHAPE: f64 = 1.0;
-const LINEAR_SHAPE: f64 = 3.0;
+const SHAPE_LOG_SIGMA: f64 = 1.0;
+const LINEAR_SHAPE_SCALES: f64 = 3.0;
 
 /// How a parameter and its coordinate belong together: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal
 /// prior about `at`.
@@ -88,9 +88,9 @@ impl Coordinate {
             } else {
                 spec.min
             };
-            Self::logarithm(SHAPE, (least, spec.max), value)
+            Self::logarithm(SHAPE_LOG_SIGMA, (least, spec.max), value)
         } else {
-            let unit = LINEAR_SHAPE * spec.scale;
+            let unit = LINEAR_SHAPE_SCALES * spec.scale;
             Self::linear(unit, (spec.min, spec.max), value / unit)
         })
     }

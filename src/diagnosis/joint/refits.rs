@@ -13,10 +13,10 @@ use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
 /// Log of the odds beforehand of an effect that a refit has refuted, and what is added to that of one without which a refit
 /// is worse.
-const BARRED: f64 = -30.0;
-const KEPT: f64 = 30.0;
+const BARRED_LOG_ODDS: f64 = -30.0;
+const KEPT_LOG_ODDS: f64 = 30.0;
 /// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
-const WORTH_A_SECOND: f64 = 5.7;
+const WORTH_A_SECOND_NATS: f64 = 5.7;
 
 /// What a refit found against the linear solution.
 #[derive(PartialEq)]
@@ -43,9 +43,11 @@ pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static s
         let log_odds = candidate.log_odds;
         for judged in judged {
             match judged {
-                Judged::Barred { id, .. } if *id == candidate.id => candidate.log_odds = BARRED,
+                Judged::Barred { id, .. } if *id == candidate.id => {
+                    candidate.log_odds = BARRED_LOG_ODDS;
+                }
                 Judged::Kept { id } if *id == candidate.id => {
-                    candidate.log_odds = log_odds + KEPT;
+                    candidate.log_odds = log_odds + KEPT_LOG_ODDS;
                 }
                 _ => {}
             }
@@ -57,7 +59,7 @@ pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static s
 pub(super) fn bar_what_rings(linear: &mut Linear) {
     let candidates = linear.candidates.iter_mut();
     for candidate in candidates.filter(|own| own.is_whole() && !own.in_model) {
-        candidate.log_odds = BARRED;
+        candidate.log_odds = BARRED_LOG_ODDS;
     }
 }
 
@@ -66,8 +68,9 @@ pub(super) fn bar_what_rings(linear: &mut Linear) {
 pub(super) fn needed(hypothesis: &Hypothesis, next: &Refit, runs: &[Around<'_>]) -> Vec<Judged> {
     let ids = hypothesis.model.effect_ids().into_iter();
     let removed: Vec<&'static str> = ids.filter(|id| !next.hypothesis.model.has(id)).collect();
-    let is_worse =
-        |now: Refit| 0.5 * (next.deviance - now.deviance) > WORTH_A_SECOND * removed.len() as f64;
+    let is_worse = |now: Refit| {
+        0.5 * (next.deviance - now.deviance) > WORTH_A_SECOND_NATS * removed.len() as f64
+    };
     if removed.is_empty() || !fit(hypothesis, runs).is_some_and(is_worse) {
         return Vec::new();
     }
@@ -107,12 +110,12 @@ pub(super) fn has_drop_of_brushes(model: &Model) -> bool {
         let boundary = gaps.effect.parameters().iter();
         let boundary = boundary.zip(gaps.values_or_guess());
         let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
-        boundary.any(|(_, value_a)| value_a < AT_THE_LIMIT * LEAST_BOUNDARY_A)
+        boundary.any(|(_, value_a)| value_a < AT_THE_LIMIT_RATIO * LEAST_BOUNDARY_A)
     })
 }
 
 /// How many times the least value of a shape one that was fitted down to it may be.
-const AT_THE_LIMIT: f64 = 1.02;
+const AT_THE_LIMIT_RATIO: f64 = 1.02;
 
 /// Growth of the squares up to which a drop stands for gaps that end where it would: with more its form is another.
 const SOFTLY: f64 = 1.05;
@@ -168,7 +171,11 @@ impl Weighed<'_> {
             let gained = if candidate.in_model { change } else { -change };
             let left = refit.filter(|_| candidate.in_model);
             let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
-            let raised = if candidate.log_odds > 0.0 { KEPT } else { 0.0 };
+            let raised = if candidate.log_odds > 0.0 {
+                KEPT_LOG_ODDS
+            } else {
+                0.0
+            };
             let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
             (odds, candidate.id, left)
         });
@@ -216,7 +223,7 @@ impl Weighed<'_> {
             let is_one = simple == SIMPLE_FOR_RICH.0
                 && has_drop_of_brushes(there)
                 && left.squares < SOFTLY * rich.squares;
-            let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND;
+            let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND_NATS;
             (is_one || serves).then_some((simple, left.hypothesis))
         })
     }
@@ -295,7 +302,7 @@ mod tests {
                 bar_what_rings(linear);
                 let mut rings = linear.candidates.iter().filter(|own| own.is_whole());
                 let coupling = rings.find(|own| own.id == "elastic_coupling");
-                let found = coupling.is_some_and(|own| own.log_odds <= BARRED);
+                let found = coupling.is_some_and(|own| own.log_odds <= BARRED_LOG_ODDS);
                 assert_eq!(found, is_barred);
             };
             weighed(&model, &run, &["elastic_coupling"], odds, |_| {});

@@ -23,7 +23,7 @@ use crate::numerics::count::whole;
 use crate::plant::{Effect, Input, Model, Scenario, State};
 
 /// Mean square of the innovations below which little is missing.
-const NEAR: f64 = 1.5;
+const NEAR_MEAN_SQUARE: f64 = 1.5;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
 const MOST_ROUNDS: usize = 12;
 /// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
@@ -32,13 +32,13 @@ const NOISE_ROUNDS: usize = 3;
 /// Rounds that are spent because an event was found at another moment.
 const MOST_MOVES: usize = 3;
 /// Changes of the logarithms of disturbance and of the input's error that ask for another linearisation.
-const SAME_DISTURBANCE: f64 = 0.2;
-const SAME_INPUT: f64 = 0.3;
+const SAME_DISTURBANCE_LOG: f64 = 0.2;
+const SAME_INPUT_LOG: f64 = 0.3;
 /// Growth of the squares from which a refit has lost its way.
-const LOST: f64 = 1.05;
+const LOST_RATIO: f64 = 1.05;
 
 /// What the search ends with.
-pub(super) struct Found {
+pub(super) struct SearchResult {
     /// The best set, fitted on all runs, and when its events happened.
     pub(super) hypothesis: Hypothesis,
     pub(super) happened: Vec<Happened>,
@@ -80,8 +80,8 @@ fn has_new_event(linear: &Linear, set: &Set) -> bool {
 /// Whether so much else is random that runs have to be linearised anew.
 fn is_another(noise: &Noise, before: &Noise) -> bool {
     let change = |a: f64, b: f64| (a / b).ln().abs();
-    change(noise.disturbance_n_m, before.disturbance_n_m) > SAME_DISTURBANCE
-        || change(noise.input, before.input) > SAME_INPUT
+    change(noise.disturbance_n_m, before.disturbance_n_m) > SAME_DISTURBANCE_LOG
+        || change(noise.input, before.input) > SAME_INPUT_LOG
 }
 
 /// The candidates of a set by their names, each with the runs in which it is one that happens.
@@ -109,7 +109,7 @@ pub(super) fn search(
     starts: &[State],
     floor: Noise,
     progress: Progress<'_>,
-) -> Option<Found> {
+) -> Option<SearchResult> {
     let mut search = Search {
         asked,
         scenarios,
@@ -164,7 +164,7 @@ impl<'a> Search<'a> {
     }
 
     /// The answer at the last model that could be followed and weighed.
-    fn ended_at_last(&self) -> Option<Found> {
+    fn ended_at_last(&self) -> Option<SearchResult> {
         let hypothesis = self.last.clone();
         let runs = self.around(&hypothesis)?;
         let linear = self.linearised(&hypothesis, &runs, false)?;
@@ -176,7 +176,7 @@ impl<'a> Search<'a> {
 
     /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
     /// the balance is linear, however much is missing.
-    fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<Found> {
+    fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<SearchResult> {
         let (asked, scenarios, starts, floor) =
             (self.asked, self.scenarios, self.starts, self.floor);
         let by_voltage = scenarios[0].input == Input::Voltage;
@@ -275,7 +275,7 @@ impl<'a> Search<'a> {
         mut reduced: Reduced,
         mut posterior: Posterior,
         runs: &[Around<'_>],
-    ) -> Option<Found> {
+    ) -> Option<SearchResult> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
         let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
@@ -286,7 +286,7 @@ impl<'a> Search<'a> {
         }
         keep_doubts(&self.judged, &reduced.linear, &mut posterior);
         let happened = happened(&reduced, &posterior.best, runs, excess)?;
-        Some(Found {
+        Some(SearchResult {
             hypothesis,
             happened,
             reduced,
@@ -328,7 +328,7 @@ fn refitted(
     let kept = needed(hypothesis, &next, runs).into_iter();
     let kept: Vec<Judged> = kept.filter(|own| !judged.contains(own)).collect();
     let is_same = start.ids() == hypothesis.ids();
-    let stands = is_same || next.squares < LOST * squares(runs);
+    let stands = is_same || next.squares < LOST_RATIO * squares(runs);
     let goes_on = kept.is_empty() && stands;
     (kept, goes_on.then_some(next.hypothesis))
 }
@@ -344,7 +344,7 @@ fn first_noise(
 ) -> Option<(Noise, bool)> {
     let runs = around(hypothesis, scenarios, starts, known)?;
     let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
-    if squares(&runs) > NEAR * rows as f64 {
+    if squares(&runs) > NEAR_MEAN_SQUARE * rows as f64 {
         return Some((known, false));
     }
     let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);

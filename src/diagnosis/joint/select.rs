@@ -9,10 +9,10 @@ use std::collections::{BTreeSet, HashMap};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
 
-use super::columns::{Linear, Seen, Variant};
+use super::columns::{ColumnInformation, Linear, Variant};
 
 /// Size, in slabs, below which an effect counts as not there.
-const HAIR: f64 = 0.004;
+const HAIR_SLABS: f64 = 0.004;
 /// Sets from which neighbours are looked at, at most, and how far behind the best they may be, nats.
 const MOST_EXPANDED: usize = 60;
 const WINDOW_NATS: f64 = 6.0;
@@ -61,7 +61,11 @@ impl Reduced {
                 // Forms of an event share columns.
                 let variants = candidate.variants.iter();
                 let columns: BTreeSet<usize> = variants.flat_map(|v| &v.columns).copied().collect();
-                hairs.extend(columns.into_iter().map(|c| (c, 1.0 / (HAIR * HAIR))));
+                hairs.extend(
+                    columns
+                        .into_iter()
+                        .map(|c| (c, 1.0 / (HAIR_SLABS * HAIR_SLABS))),
+                );
             }
         }
         let k = hairs.len();
@@ -234,9 +238,9 @@ impl Reduced {
     }
 
     /// What the runs say of one column, a slab of which is `unit`, beside others.
-    pub(super) fn seen(&self, others: &[usize], column: usize, unit: f64) -> Seen {
+    pub(super) fn seen(&self, others: &[usize], column: usize, unit: f64) -> ColumnInformation {
         let Some((factor, b)) = self.factor(others) else {
-            return Seen {
+            return ColumnInformation {
                 information: 0.0,
                 asked: 0.0,
                 unit,
@@ -244,7 +248,7 @@ impl Reduced {
         };
         let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
         let solved = factor.solve(&cross);
-        Seen {
+        ColumnInformation {
             information: self.gram[(column, column)] - cross.dot(&solved),
             asked: self.right[column] - b.dot(&solved),
             unit,

@@ -5,7 +5,7 @@ use crate::numerics::statistics::median;
 use crate::plant::{Effect, Input, Model, ParameterSpec, Path, Scenario};
 
 /// Share of the armature's time constant up to which a current's rate counts as the same over an interval between samples.
-const SHORT: f64 = 0.5;
+const SHORT_SHARE: f64 = 0.5;
 
 /// Whether tangents are slopes of the whole model: what lies between motion and measurement, a second inertia and a current
 /// that settles between two samples are none of theirs.
@@ -45,7 +45,7 @@ fn is_short(model: &Model, scenario: &Scenario) -> bool {
     let times = scenario.sample_time_s.windows(2);
     let interval_s = median(&times.map(|pair| pair[1] - pair[0]).collect::<Vec<_>>());
     let constant_s = model.motor.electrical_time_constant_s();
-    constant_s.is_some_and(|constant_s| interval_s < SHORT * constant_s)
+    constant_s.is_some_and(|constant_s| interval_s < SHORT_SHARE * constant_s)
 }
 
 /// The slope over a parameter of an effect with these values, for each `unit` of a coefficient; of a shape from a step of

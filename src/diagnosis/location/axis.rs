@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{DMatrix, DVector};
 
 use super::windows::{Window, Windows, own_keys};
-use super::{FailureLocation, name, words};
+use super::{FailureLocation, name, sentences};
 use crate::numerics::count::whole;
 use crate::plant::{Balance, Model, MotorKey};
 
@@ -94,7 +94,7 @@ impl Axis {
             share_of_time: self.region.share_of_time,
             follows: self.follows,
             strength: self.strength,
-            sentence: words::sentence(&self),
+            sentence: sentences::sentence(&self),
         }
     }
 }

@@ -6,7 +6,7 @@
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
 //!                  |           the narrowest range that holds most of it
 //!                  |-> curve   the same as a curve along each axis, which a table can hold
-//!                  |-> words   one sentence each
+//!                  |-> sentences   one sentence each
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -17,8 +17,8 @@
 
 mod axis;
 mod curve;
+mod sentences;
 mod windows;
-mod words;
 
 use serde::Serialize;
 
@@ -172,7 +172,7 @@ pub fn locate(
         };
         // Without a known noise, what follows nothing may be the noise.
         balance.fails &= balance.nres.is_some() || !axes.is_empty();
-        words::describe(&mut balance, axes.first());
+        sentences::describe(&mut balance, axes.first());
         found.balances.push(balance);
         found
             .locations
@@ -317,8 +317,8 @@ pub(super) fn undecided(
         format!(
             "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
             worst.equation,
-            words::name_of_variable(first.variable),
-            words::name_of_variable(second.variable),
+            sentences::name_of_variable(first.variable),
+            sentences::name_of_variable(second.variable),
             100.0 * first.follows,
             100.0 * second.follows
         )

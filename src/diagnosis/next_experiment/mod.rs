@@ -13,8 +13,8 @@
 
 mod plan;
 mod recommend;
+mod sentences;
 mod separation;
-mod words;
 
 use std::path::Path;
 

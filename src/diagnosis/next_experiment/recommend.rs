@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::plan::{COUNT, Planned, Recipe, planned};
 use super::separation::{Response, Rival, refitted};
-use super::{ExperimentLimits, MenuEntry, NextExperiment, PairEntry, SEPARATED, words};
+use super::{ExperimentLimits, MenuEntry, NextExperiment, PairEntry, SEPARATED, sentences};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
@@ -292,7 +292,7 @@ fn tell_apart(
         let recipe = all.find(|recipe| recipe.id == program);
         recipe.map_or("", |recipe| recipe.name)
     };
-    let mut sentence = words::pairs(plan, &pairs, name_of);
+    let mut sentence = sentences::pairs(plan, &pairs, name_of);
     if !separable && limits.slew_v_per_s.is_finite() {
         let free = ExperimentLimits {
             slew_v_per_s: f64::INFINITY,
@@ -305,7 +305,7 @@ fn tell_apart(
             let quicker = &freely[quicker];
             let largest = separations.iter().copied().fold(0.0, f64::max);
             if largest >= quicker.needed {
-                sentence.push_str(&words::with_more_slew(&quicker.plan, largest));
+                sentence.push_str(&sentences::with_more_slew(&quicker.plan, largest));
             }
         }
     }
@@ -384,7 +384,7 @@ fn reveal(
     let weakest = told.iter().map(|own| *own.1).fold(f64::INFINITY, f64::min);
     let found = !told.is_empty();
     Ok(Some(NextExperiment {
-        sentence: words::reveals(plan, &reveals, &names(&hidden)),
+        sentence: sentences::reveals(plan, &reveals, &names(&hidden)),
         bench: None,
         pair: None,
         pairs: Vec::new(),

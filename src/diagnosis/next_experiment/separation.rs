@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::plan::SHORTEST_PERIOD_S;
 use crate::diagnosis::evidence::Evidence;
-use crate::diagnosis::ladder::cannot_simulate;
+use crate::diagnosis::score::cannot_simulate;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::{Options, Problem, jacobian_at, minimise};
