@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use super::*;
 use crate::app::{OpenRig, Recorded, Rig, RigOptions, RunDone, RunRequest, run};
 use crate::bench::{BenchFile, Outcome, VirtualClock, Waivers};
+use crate::drive::offer::Purpose;
 use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
 use crate::recording::open_run;
@@ -113,6 +114,12 @@ impl Lab {
         }
     }
 
+    /// A rig over the drive, to which nothing happens.
+    fn rig(&self) -> Rig {
+        let open = self.opener(|| ());
+        open(self.options(), None, Purpose::Voltages).unwrap()
+    }
+
     fn opener(&self, hook: impl FnMut() + Send + 'static) -> OpenRig {
         let link = Witness {
             drive: Arc::clone(&self.drive),
@@ -160,10 +167,11 @@ fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, 
     alone(controls, notices, work)
 }
 
-fn recorded(done: RunDone) -> Recorded {
+fn recorded(done: Result<RunDone, Failure>) -> Recorded {
     match done {
-        RunDone::Run(whole) => whole.recorded,
-        RunDone::Named(ending) => panic!("{ending:?}"),
+        Ok(RunDone::Run(whole)) => whole.recorded,
+        Ok(RunDone::Named(ending)) => panic!("{ending:?}"),
+        Err(failure) => panic!("{failure:?}"),
     }
 }
 
@@ -183,8 +191,7 @@ fn a_bench_that_panics_stops_its_drive_and_is_status_6() {
 fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
     let lab = Lab::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
-    let mut rig =
-        lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
+    let mut rig = lab.rig();
     rig.energises(&controls, 0.0);
     let unwound = catch_unwind(AssertUnwindSafe(move || {
         let command = Command {
@@ -227,40 +234,40 @@ fn left_at_speed(
     (lab, ended)
 }
 
+/// The record of a run that was ended so, and the status of the command.
+#[track_caller]
+fn interrupted(lab: &Lab, ended: Result<Ended<RunDone>, Failure>) -> Failure {
+    lab.expect_stopped();
+    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
+    let recorded = recorded(Ok(ended.work));
+    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
+    ended.left.conclude(recorded.failure()).unwrap_err()
+}
+
 #[test]
 fn a_screen_that_panics_ends_the_run_with_status_6() {
     let (lab, ended) = left_at_speed(|| panic!("on purpose"));
-    lab.expect_stopped();
-    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
-    let recorded = recorded(ended.work);
-    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
-    let failure = ended.left.conclude(recorded.failure()).unwrap_err();
+    let failure = interrupted(&lab, ended);
     assert_eq!(failure.status, INTERNAL);
-    assert!(
-        failure
-            .headline()
-            .contains("screen has panicked (on purpose)")
-    );
+    let headline = failure.headline();
+    let said = "screen has panicked (on purpose)";
+    assert!(headline.contains(said), "{headline}");
     // Down a ramp, and not at once: somebody is asked once, however often that shows.
     let asked = lab.asked.lock().unwrap();
-    let falling = |volts: f64| volts > 0.0 && volts < 39.0;
-    let fast = asked
-        .iter()
-        .rposition(|demand| matches!(demand, Demand::Voltage(volts) if *volts > 39.0));
+    let volts = |demand: &Demand| match demand {
+        Demand::Voltage(volts) => *volts,
+        _ => 0.0,
+    };
+    let fast = asked.iter().rposition(|demand| volts(demand) > 39.0);
     let ramp = asked[fast.unwrap_or_default()..].iter();
-    let ramp = ramp.filter(|demand| matches!(demand, Demand::Voltage(volts) if falling(*volts)));
+    let ramp = ramp.filter(|demand| volts(demand) > 0.0 && volts(demand) < 39.0);
     assert!(ramp.count() > 3, "{asked:?}");
 }
 
 #[test]
 fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
     let (lab, ended) = left_at_speed(|| Err(io::Error::from_raw_os_error(5)));
-    lab.expect_stopped();
-    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
-    let recorded = recorded(ended.work);
-    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
-    let failure = ended.left.conclude(recorded.failure()).unwrap_err();
-    assert_eq!(failure.status, INTERRUPTED);
+    assert_eq!(interrupted(&lab, ended).status, INTERRUPTED);
 }
 
 /// As one that reads keys from a terminal that is just being closed: the work is over, and the screen is not.
@@ -283,17 +290,22 @@ fn how_a_run_ended_is_said_before_what_happened_to_its_screen() {
     let panicked = || Left::Panicked(failure(INTERNAL));
     let gone = || Left::Gone(failure(INTERRUPTED));
     let closed = || Left::Screen(Exit::Interrupted);
-    for run in [LINK, TRIP] {
-        assert_eq!(status(panicked(), Some(run)), Err(run));
-        assert_eq!(status(gone(), Some(run)), Err(run));
+    for (left, run, expected) in [
+        (panicked(), Some(LINK), Err(LINK)),
+        (gone(), Some(LINK), Err(LINK)),
+        (panicked(), Some(TRIP), Err(TRIP)),
+        (gone(), Some(TRIP), Err(TRIP)),
+        (panicked(), Some(INTERRUPTED), Err(INTERNAL)),
+        (panicked(), None, Err(INTERNAL)),
+        (gone(), Some(INTERRUPTED), Err(INTERRUPTED)),
+        (gone(), Some(INTERNAL), Err(INTERNAL)),
+        (gone(), None, Err(INTERRUPTED)),
+        (closed(), Some(INTERRUPTED), Err(INTERRUPTED)),
+        (closed(), None, Ok(())),
+    ] {
+        let case = format!("{left:?} {run:?}");
+        assert_eq!(status(left, run), expected, "{case}");
     }
-    assert_eq!(status(panicked(), Some(INTERRUPTED)), Err(INTERNAL));
-    assert_eq!(status(panicked(), None), Err(INTERNAL));
-    assert_eq!(status(gone(), Some(INTERRUPTED)), Err(INTERRUPTED));
-    assert_eq!(status(gone(), Some(INTERNAL)), Err(INTERNAL));
-    assert_eq!(status(gone(), None), Err(INTERRUPTED));
-    assert_eq!(status(closed(), Some(INTERRUPTED)), Err(INTERRUPTED));
-    assert_eq!(status(closed(), None), Ok(()));
 }
 
 #[test]
@@ -306,16 +318,13 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let done = headless(lab.work(move || {
         clock.suspend_s(30.0);
         *mark.lock().unwrap() = asked.lock().unwrap().len();
-    }))
-    .unwrap_or_else(|failure| panic!("{failure:?}"));
+    }));
     let recorded = recorded(done);
     let failure = recorded.failure().unwrap();
     assert_eq!(failure.status, LINK);
     let headline = failure.headline();
-    assert!(
-        headline.contains("this computer was suspended for 30.0 s"),
-        "{headline}"
-    );
+    let said = "this computer was suspended for 30.0 s";
+    assert!(headline.contains(said), "{headline}");
     // The command that was on its way, then nothing but stop.
     let asked = lab.asked.lock().unwrap();
     let after = &asked[*before.lock().unwrap() + 1..];
@@ -326,10 +335,9 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let told = format!("{:?}", recorded.summary.notices);
     let events = std::fs::read_to_string(recorded.folder.events()).unwrap();
     for text in [&told, &events] {
-        assert!(
-            !text.contains("stood still") && !text.contains("silent"),
-            "{text}"
-        );
+        for other in ["stood still", "silent"] {
+            assert!(!text.contains(other), "{text}");
+        }
         assert!(text.contains("suspended for 30.0 s"), "{text}");
     }
 }
@@ -354,14 +362,11 @@ fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
         std::fs::rename(&runs, &gone).unwrap();
         std::fs::remove_dir_all(gone).unwrap();
     }));
-    let recorded = recorded(done.unwrap_or_else(|failure| panic!("{failure:?}")));
+    let recorded = recorded(done);
     assert_eq!(recorded.summary.outcome, Outcome::Done);
     assert!(recorded.failure().is_none(), "{:?}", recorded.failure());
-    let error = recorded
-        .summary
-        .recorder_error
-        .as_deref()
-        .unwrap_or_default();
+    let error = recorded.summary.recorder_error.as_deref();
+    let error = error.unwrap_or_default();
     assert!(error.contains("was deleted or renamed"), "{error}");
     expect_whole(recorded.folder.path(), recorded.summary.rows);
 }
@@ -370,8 +375,7 @@ fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
 fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory() {
     let lab = Lab::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
-    let mut rig =
-        lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
+    let mut rig = lab.rig();
     rig.check(&controls).unwrap();
     let first = rig.record("one", 1, &controls).unwrap();
     assert!(first.failure().is_none());
@@ -382,10 +386,8 @@ fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory(
     assert!(second.run_failure().is_none());
     let failure = second.failure().unwrap();
     assert_eq!(failure.status, INTERNAL);
-    assert!(
-        failure.headline().contains("record could not be kept"),
-        "{failure:?}"
-    );
+    let headline = failure.headline();
+    assert!(headline.contains("record could not be kept"), "{headline}");
     let loaded = second.load().unwrap();
     assert_eq!(loaded.run.rows() as u64, second.summary.rows);
     assert!(loaded.run.rows() > 100);

@@ -81,13 +81,11 @@ impl LoopParts {
     fn new(request: &SpeedRequest, bench: &mut BenchFile) -> Result<Self, Failure> {
         let (profile, _) = wired_profile(bench)?;
         let Some(section) = &mut bench.speed else {
-            return Err(Failure::usage(
-                format!(
-                    "the bench {:?} has no [speed]: there is no reference to follow",
-                    bench.name
-                ),
-                "see [speed] in bench-configs/benches/zk-22fc-emulated.toml",
-            ));
+            let name = &bench.name;
+            let headline =
+                format!("the bench {name:?} has no [speed]: there is no reference to follow");
+            let help = "see [speed] in bench-configs/benches/zk-22fc-emulated.toml";
+            return Err(Failure::usage(headline, help));
         };
         section.controller = request.controller.unwrap_or(section.controller);
         section.feed_forward = request.feed_forward.unwrap_or(section.feed_forward);
@@ -124,10 +122,10 @@ impl LoopParts {
         if limits.quadrants < 4
             && let Some(speed) = reference.reverse_rad_s()
         {
+            let quadrants = limits.quadrants;
             return Err(Failure::usage(
                 format!(
-                    "the reference asks for {speed} rad/s, and the drive's converter has {} of 4 quadrants: it goes one way only",
-                    limits.quadrants
+                    "the reference asks for {speed} rad/s, and the drive's converter has {quadrants} of 4 quadrants: it goes one way only"
                 ),
                 "use references that are not negative; see [converter] of the drive's profile",
             ));
@@ -145,18 +143,15 @@ impl LoopParts {
 
     /// The loop for a delay of the link.
     fn regulator(&self, delay_s: f64, noise_rad_s: f64) -> Result<Regulator, RegulatorError> {
+        // A bridge that has just fired takes a command with its next firing only.
+        let delay_s = delay_s + self.limits.dead_time_s;
         Design {
             model: &self.model.model,
             motor: &self.motor,
             limits: &self.limits,
             section: &self.section,
             actuator: self.actuator,
-            // A bridge that has just fired takes a command with its next firing only.
-            timing: loop_timing(
-                &self.model.model,
-                self.period_s,
-                delay_s + self.limits.dead_time_s,
-            ),
+            timing: loop_timing(&self.model.model, self.period_s, delay_s),
             noise_rad_s,
             peak_reference_rad_s: self.reference.peak_rad_s(),
         }
@@ -182,14 +177,11 @@ pub fn speed(
     let report = rig.check(controls)?;
     let delay = rig.measure_delay(controls)?;
     let noise_rad_s = noise(&report);
-    let mut regulator = request.regulator(
-        delay.map_or(request.period_s, |delay| delay.median_s),
-        noise_rad_s,
-    )?;
-    regulator
-        .reasons
-        .extend(unwatched(&report, request.actuator));
-    regulator.reasons.extend(converter(&request.limits));
+    let delay_s = delay.map_or(request.period_s, |delay| delay.median_s);
+    let mut regulator = request.regulator(delay_s, noise_rad_s)?;
+    let reasons = &mut regulator.reasons;
+    reasons.extend(unwatched(&report, request.actuator));
+    reasons.extend(converter(&request.limits));
     let model = match &asked.model {
         Some(path) => path.display().to_string(),
         None => "nameplate".to_owned(),
@@ -211,12 +203,9 @@ pub fn speed(
             "limiter": regulator.limiter,
         }),
     };
+    let (section, limits) = (&request.section, &request.limits);
     let settings = PilotSettings {
-        slew_v_per_s: request.section.slew_v_per_s(
-            &request.motor,
-            &request.limits,
-            request.period_s,
-        ),
+        slew_v_per_s: section.slew_v_per_s(&request.motor, limits, request.period_s),
         silence_s: request.limits.link_silence_s,
         hold: hold(&request),
     };
@@ -261,10 +250,10 @@ fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
 
 /// What the converter does to the loop.
 fn converter(limits: &Limits) -> Option<String> {
-    (limits.dead_time_s > 0.0).then(|| {
+    let dead_ms = 1e3 * limits.dead_time_s;
+    (dead_ms > 0.0).then(|| {
         format!(
-            "thyristor bridge: {:.1} ms of dead time are in the delay that the loop is tuned for",
-            1e3 * limits.dead_time_s
+            "thyristor bridge: {dead_ms:.1} ms of dead time are in the delay that the loop is tuned for"
         )
     })
 }
@@ -282,10 +271,8 @@ fn hold(request: &LoopParts) -> f64 {
 
 /// Noise of the speed sensor, as the checks have found it at rest.
 fn noise(report: &CheckReport) -> f64 {
-    let of_speed = report
-        .noise
-        .iter()
-        .find(|floor| floor.channel == Channel::Speed);
+    let mut floors = report.noise.iter();
+    let of_speed = floors.find(|floor| floor.channel == Channel::Speed);
     of_speed.map_or(LEAST_NOISE_RAD_S, |floor| floor.std.max(LEAST_NOISE_RAD_S))
 }
 
@@ -302,18 +289,14 @@ fn tell(
     if by_nameplate {
         output::message("no --model: the loop is tuned on the nameplate of the bench file");
     }
-    output::message(&match delay {
-        Some(delay) => format!(
-            "{:<18} {}; measured at rest on {} commands",
-            "loop delay",
-            delay_text(delay),
-            delay.measured
-        ),
-        None => format!(
-            "{:<18} 1 cycle is taken: the drive does not say when a command was applied",
-            "loop delay"
-        ),
-    });
+    let text = match delay {
+        Some(delay) => {
+            let (text, commands) = (delay_text(delay), delay.measured);
+            format!("{text}; measured at rest on {commands} commands")
+        }
+        None => "1 cycle is taken: the drive does not say when a command was applied".to_owned(),
+    };
+    output::message(&format!("{:<18} {text}", "loop delay"));
     let controller = regulator.passes.first().map_or("", |(_, first)| first.id());
     for reason in &regulator.reasons {
         output::message(&format!("{controller:<18} {reason}"));

@@ -122,15 +122,15 @@ fn text(result: &SpeedResult<'_>) -> String {
     for step in &report.steps {
         let settling = step.response.settling_s.map(|s| format!("{s:.3}"));
         let settling = settling.unwrap_or_else(|| "never".to_owned());
-        let _ = writeln!(
-            text,
-            "{:>8.2} {:>9.1} {:>9.1} {:>11.1} {settling:>11} {:>9.2} {:>9.0}",
-            step.step.at_s,
-            step.speed_rad_s,
-            step.step.to_rad_s,
+        let (at_s, from, to) = (step.step.at_s, step.speed_rad_s, step.step.to_rad_s);
+        let (overshoot, error) = (
             step.response.overshoot_percent,
             step.response.absolute_error_rad,
-            100.0 * step.limited_share
+        );
+        let limited = 100.0 * step.limited_share;
+        let _ = writeln!(
+            text,
+            "{at_s:>8.2} {from:>9.1} {to:>9.1} {overshoot:>11.1} {settling:>11} {error:>9.2} {limited:>9.0}"
         );
     }
     text

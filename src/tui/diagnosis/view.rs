@@ -234,19 +234,19 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         Over::Curve(..) => (vec!["t add it", "Up Down scroll"], "c Esc back"),
         Over::Help(_) => (vec!["Up Down scroll"], "any other key closes the help"),
         Over::Nothing if state.guessing == Guessing::Choosing => {
-            let keys = "g guess it|Esc show names|Up Down choose|Enter card|e errors";
+            let keys = "g guess it|Esc show names|Up Down choose|Enter card|e map";
             (keys.split('|').collect(), leave)
         }
         Over::Nothing if state.working.is_some() => {
-            let keys = "Up Down select|Enter card|g guess first|e errors";
+            let keys = "Up Down select|Enter card|g guess first|e map";
             (keys.split('|').collect(), leave)
         }
         Over::Nothing if curves > 0 => {
-            let keys = "c curve|t add it|a add|r remove|w write|n next run|e errors";
+            let keys = "c curve|t add it|a add|r remove|w write|n next run|e map";
             (keys.split('|').collect(), leave)
         }
         Over::Nothing => {
-            let keys = "a add|r remove|w write|Enter card|n next run|e errors";
+            let keys = "a add|r remove|w write|Enter card|n next run|e map";
             (keys.split('|').collect(), leave)
         }
     }
