@@ -167,7 +167,7 @@ impl Study {
             _ => answer.class.clone(),
         };
         let rows = distinct(answers.iter().map(|answer| class(answer))).into_iter();
-        let of_class = |of| self.of(|a| a.group == group && class(a) == of);
+        let of_class = |of: &String| self.of(|a| a.group == group && class(a) == *of);
         let mut rows: Vec<Tallied> = rows.map(|of| tallied(&of, &of_class(&of))).collect();
         if rows.len() > 1 {
             rows.push(tallied("all", &answers));
