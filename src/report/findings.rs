@@ -1,4 +1,4 @@
-//! What a diagnosis found, as blocks of a page: cards, curves, candidates, the next run.
+//! Findings of a diagnosis as blocks of a page: cards, curves, candidates, the next run.
 
 use super::page::{Cell, Page, Table};
 use super::plot::AxisChart;

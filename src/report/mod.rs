@@ -1,4 +1,4 @@
-//! What a person reads afterwards: one page that needs nothing but itself, and its plain-text twin.
+//! Reports: one page that needs nothing but itself, and its plain-text twin.
 //!
 //! ```text
 //! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG

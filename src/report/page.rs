@@ -282,9 +282,9 @@ impl Page {
         }
         let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
         for block in &self.blocks {
+            let item = |line: String| format!("- {line}\n");
             let each = |lines: &mut dyn Iterator<Item = String>| {
-                let lines: String = lines.map(|line| format!("- {line}\n")).collect();
-                format!("\n{lines}")
+                format!("\n{}", lines.map(item).collect::<String>())
             };
             let piece = match block {
                 Block::Heading(heading) => format!("\n## {heading}\n"),

@@ -1,4 +1,4 @@
-//! How a value and a sentence look to a person: the same on the screen, on the page, in the terminal and in notes.
+//! Text for people: a value and a sentence look the same on the screen, on the page, in the terminal and in notes.
 //!
 //! ```text
 //! value, standard deviation, unit --> number --> "12.35 ± 0.10 V"   digits as the uncertainty carries them

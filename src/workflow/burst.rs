@@ -1,4 +1,4 @@
-//! What a burst tells that the loop is too slow to see: resistance, inductance, and effects in the circuit.
+//! Identification from a burst, of what the loop is too slow to see: resistance, inductance, effects in the circuit.
 //!
 //! The loop samples at 10 ms and more, and the current has settled within L/R. A burst shows the whole transient.
 
@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use super::result::with_keys;
+use super::commission::with_keys;
 use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
 use crate::identification::output_error::FitError;
 use crate::identification::{start, weak_form};
@@ -33,7 +33,7 @@ pub struct BurstResult {
 impl BurstResult {
     /// Fits the circuit to a burst by itself. Where the burst tells no inductance there is none in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
-        let told = told(nameplate, burst).unwrap_or_else(|error| Self {
+        let found = circuit(nameplate, burst).unwrap_or_else(|error| Self {
             sentence: format!("it tells nothing: {error}"),
             ..Self::default()
         });
@@ -41,7 +41,7 @@ impl BurstResult {
             capture,
             rows: burst.samples(),
             rate_hz: rate_hz(burst),
-            ..told
+            ..found
         }
     }
 
@@ -102,18 +102,18 @@ const EXPLAINS_SHARE: f64 = 0.7;
 
 /// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
 /// and winds up, and a free run would put what its load does into the inductance.
-fn told(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
+fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst)?;
     if let Some(reason) = plain.why_nothing() {
-        return Ok(plain.told(Vec::new(), format!("it tells nothing: {reason}")));
+        return Ok(plain.result(Vec::new(), format!("it tells nothing: {reason}")));
     }
     let leaves = format!("its voltage equation leaves {}", plain.level());
     if plain
         .over_noise
         .is_some_and(|over| over <= HOLDS_TIMES_NOISE)
     {
-        return Ok(plain.told(Vec::new(), leaves));
+        return Ok(plain.result(Vec::new(), leaves));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
     let mut with = diagnosis.model.model;
@@ -123,14 +123,14 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let bears_out = |id: &&str| better.bears_out(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
     if found.is_empty() || better.rms_v > EXPLAINS_SHARE * plain.rms_v {
-        return Ok(plain.told(Vec::new(), leaves));
+        return Ok(plain.result(Vec::new(), leaves));
     }
     let sentence = format!(
         "{leaves}, and with {} {}",
         found.join(" and "),
         better.level()
     );
-    Ok(better.told(found, sentence))
+    Ok(better.result(found, sentence))
 }
 
 /// The voltage equation fitted to a burst by itself.
@@ -192,7 +192,7 @@ impl VoltageBalance {
 
     /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
     /// range of the current a drop builds up is no part of its equation, and goes into both.
-    fn told(self, effects: Vec<&'static str>, sentence: String) -> BurstResult {
+    fn result(self, effects: Vec<&'static str>, sentence: String) -> BurstResult {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
         let doubt = match self.over_noise.filter(|over| *over > HOLDS_TIMES_NOISE) {
             Some(over) => Some(format!(
@@ -318,9 +318,9 @@ mod tests {
             let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
             told.parameters.iter().any(is_settled)
         };
-        assert!(settled(balance().told(Vec::new(), String::new())));
+        assert!(settled(balance().result(Vec::new(), String::new())));
         assert!(!settled(
-            balance().told(vec!["voltage_drop"], String::new())
+            balance().result(vec!["voltage_drop"], String::new())
         ));
     }
 

@@ -1,16 +1,20 @@
-//! The commissioning loop: which task comes next, and the analysis between the tasks.
+//! The commissioning loop: which task comes next, the analysis between the tasks, what a screen shows of it, and what it
+//! leaves behind.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Serialize, Serializer};
 
 use super::burst::BurstResult;
 use super::discovery::Discovery;
 use super::escalate::{EscalationResult, compared};
-use super::progress::{Progress, StepState, StepView};
-use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
 use crate::diagnosis::{
-    self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose_with, recommend,
+    self, Comparison, Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose_with,
+    recommend,
 };
 use crate::identification::output_error::FitError;
-use crate::identification::start;
+use crate::identification::{nameplate, start};
 use crate::plant::{Model, Motor, Scenario};
 use crate::sample::ParameterEstimate;
 
@@ -390,4 +394,110 @@ fn score(mut effects: Vec<String>, diagnosis: &Diagnosis) -> Truth {
         named_correctly: named == effects,
         effects,
     }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepState {
+    Waiting,
+    Active,
+    Done,
+    Failed,
+}
+
+/// One step of the loop with its figure, or its reason.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StepView {
+    pub title: String,
+    pub state: StepState,
+    pub line: String,
+}
+
+/// The loop so far, and the report once it is over.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    pub steps: Vec<StepView>,
+    pub report: Vec<String>,
+    pub finished: bool,
+}
+
+/// The latest progress, shared between the worker and the screen; neither waits for the other.
+#[derive(Clone, Debug, Default)]
+pub struct ProgressCell(Arc<Mutex<Arc<Progress>>>);
+
+impl ProgressCell {
+    pub fn latest(&self) -> Arc<Progress> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub fn publish(&self, progress: Progress) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(progress);
+    }
+}
+
+/// Estimates as a result file lists them: each with its key.
+pub(super) fn with_keys<S: Serializer>(
+    estimates: &[ParameterEstimate],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    struct Keyed<'a> {
+        key: &'a str,
+        #[serde(flatten)]
+        estimate: &'a ParameterEstimate,
+    }
+    serializer.collect_seq(estimates.iter().map(|estimate| Keyed {
+        key: &estimate.key,
+        estimate,
+    }))
+}
+
+/// One recorded run of the loop.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunRecord {
+    pub role: &'static str,
+    /// Run folder; none where nothing is written.
+    pub folder: Option<String>,
+    pub rows: u64,
+    pub rate_hz: f64,
+    pub missed_cycles: u64,
+}
+
+/// What an emulator carried, for scoring the answer; a real drive has none.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Truth {
+    pub effects: Vec<String>,
+    pub named_correctly: bool,
+}
+
+/// The whole loop's outcome.
+#[derive(Clone, Debug, Serialize)]
+pub struct CommissionResult {
+    pub sentence: String,
+    pub diagnosis: Diagnosis,
+    /// The refitted baseline and the model with the named effects, on the confirming run.
+    pub before: Comparison,
+    pub after: Comparison,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters_before: Vec<ParameterEstimate>,
+    #[serde(serialize_with = "with_keys")]
+    pub parameters: Vec<ParameterEstimate>,
+    /// What the on-line estimators had found by the end of the fit run.
+    #[serde(serialize_with = "with_keys")]
+    pub online: Vec<ParameterEstimate>,
+    /// What was found against the plate, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nameplate: Option<nameplate::Comparison>,
+    /// How an unknown motor was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub escalation: Option<EscalationResult>,
+    /// What a burst told, where the loop is slower than the current.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub burst: Option<BurstResult>,
+    /// Errors on the selecting run, one rung for each model.
+    pub ladder: Vec<Rung>,
+    /// Errors on the confirming run: the headline.
+    pub confirmed: [Rung; 2],
+    pub runs: Vec<RunRecord>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<Truth>,
 }

@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use super::result::with_keys;
+use super::commission::with_keys;
 use crate::bench::{BenchFile, Nameplate, Refusal, Scaled, bounds, scale};
 use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
 use crate::identification::nameplate::{self, Comparison};

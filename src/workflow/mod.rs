@@ -16,15 +16,14 @@ mod commission;
 pub mod curve;
 mod discovery;
 mod escalate;
-mod progress;
 pub mod reproduce;
-mod result;
 mod reveal;
 
 pub use burst::BurstResult;
-pub use commission::{Commission, Role, Task};
+pub use commission::{
+    Commission, CommissionResult, Progress, ProgressCell, Role, RunRecord, StepState, StepView,
+    Task, Truth,
+};
 pub use discovery::{Discovery, News, Order, Tell};
 pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
-pub use progress::{Progress, ProgressCell, StepState, StepView};
-pub use result::{CommissionResult, RunRecord, Truth};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

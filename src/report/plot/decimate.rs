@@ -1,4 +1,4 @@
-//! Many samples in few points: the smallest and the largest of each column of the picture, gaps kept.
+//! Decimation of a line to the columns of a picture: the smallest and the largest of each are kept, and so are gaps.
 
 /// A step in time longer than this multiple of the median is a gap: one lost sample makes a step of two.
 const GAP: f64 = 1.8;

@@ -1,5 +1,5 @@
-//! What every scheme of the catalogue makes of one emulated record, and what the paper does not show: how slowly each may
-//! sample, and its error against the noise of the sensors.
+//! Errors of every scheme of the catalogue on one emulated record, and what the paper does not show: these errors against
+//! the sampling period and against the noise of the sensors.
 //!
 //! A scheme is given what the paper gives it and nothing more: schemes 1 the resistance, schemes 2 the torque constant,
 //! every other one nothing at all.

@@ -1,4 +1,4 @@
-//! What probabilities, bounds and sizes are worth, on the page.
+//! Calibration on the page: what probabilities, bounds and sizes are worth.
 
 use super::study::none_as_dot;
 use super::{number, or_dash};

@@ -1,4 +1,4 @@
-//! What a line does to a measurement, on the page.
+//! Page of the study of lines: parameter error and coverage by line and by cause.
 
 use crate::report::reproduce::{Reproduction, Section};
 use crate::text::number::{fixed, significant};

@@ -1,4 +1,4 @@
-//! What probabilities, bounds and sizes are worth: counts over every effect of every answer.
+//! Calibration of probabilities, bounds and sizes: counts over every effect of every answer.
 
 use serde::Serialize;
 

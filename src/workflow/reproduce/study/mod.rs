@@ -1,8 +1,8 @@
-//! How often the diagnosis names the hidden effect: a study on machines whose truth is known.
+//! Study of the diagnosis on machines whose truth is known: how often it names the hidden effect.
 //!
 //! ```text
 //! catalogue of sizes (sizes) -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
-//!                       what is in it, and how large (truth) <---'    of each effect, what was said (finding) <---'
+//!                       what is in it, and how large (truth) <---'    of each effect, what was said <---'
 //!     all outcomes -> counts with bounds, matrix (tally)     all findings -> what probabilities and bounds are worth (calibration)
 //!     motor's parameters -> what their intervals hold (parameters)
 //! ```
@@ -12,7 +12,6 @@
 
 pub(super) mod calibration;
 mod cases;
-mod finding;
 mod judge;
 mod mysteries;
 mod parameters;
@@ -31,8 +30,7 @@ use serde::Serialize;
 
 pub use calibration::{Bin, Calibration, Sizes, sizes};
 pub use cases::{Case, Group};
-pub use finding::Finding;
-pub use judge::{Answer, Outcome};
+pub use judge::{Answer, Finding, Outcome};
 pub use mysteries::MysteryAnswer;
 pub use parameters::{Coverage, ParameterFinding, coverage, coverage_of};
 pub use record::Excitation;

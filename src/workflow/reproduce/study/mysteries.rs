@@ -1,4 +1,4 @@
-//! What the whole program makes of a mystery drive: one answer for each seed.
+//! Mystery drives, commissioned by the whole program: one marked answer for each seed.
 //!
 //! Recorded by whoever starts the program (`cli`): this is the sheet that is filled in, and its marking.
 

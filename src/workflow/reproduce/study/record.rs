@@ -1,4 +1,4 @@
-//! From a case to two recorded runs: the software drive in virtual time, through its registers.
+//! Records of a case: two runs of the software drive in virtual time, through its registers.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

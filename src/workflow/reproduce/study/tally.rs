@@ -1,4 +1,4 @@
-//! Counts, what they bound, and who was taken for whom.
+//! Counts of outcomes with Clopper-Pearson bounds, and the confusion matrix.
 
 use serde::Serialize;
 use statrs::distribution::{Beta, ContinuousCDF};

@@ -1,4 +1,4 @@
-//! What is truly in a machine: under which names, with how many waves in a turn, and how large.
+//! Truth of a machine: each effect with its right names, its waves in a turn and its size.
 //!
 //! The emulator's effects have other forms than the catalogue's, so that a size needs a condition at which both are held
 //! against each other. It is the key's own meaning where that names one (a saturation at rated current, a delay, an
