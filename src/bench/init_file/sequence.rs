@@ -6,7 +6,7 @@ use crate::bench::bench_file::BenchFile;
 use crate::bench::escalate::scale;
 use crate::bench::limits::Nameplate;
 use crate::bench::plan::{Plan, plan};
-use crate::bench::speed::{ControllerKind, ForwardUse, ReferencePart, SpeedSection};
+use crate::bench::speed::{ControllerKind, ReferencePart, SpeedSection};
 use crate::drive::register_map::Quantity;
 use crate::excitation::{self, Dither, Prbs, Segment, Standstill, Steps};
 
@@ -279,23 +279,18 @@ fn speed_section(
     let takes_voltage = request.profile.capabilities.voltage_command;
     let takes_current = request.profile.capabilities.current_command;
     let is_outer = !takes_voltage && !takes_current;
+    let controller = if takes_voltage {
+        ControllerKind::Addc
+    } else {
+        ControllerKind::Pi
+    };
     SpeedSection {
-        controller: if takes_voltage {
-            ControllerKind::Addc
-        } else {
-            ControllerKind::Pi
-        },
-        rule: None,
-        bandwidth_rad_s: None,
-        current_limit_a: None,
-        slew_v_per_s: None,
-        actuator: None,
+        controller,
         drive_lag_s: is_outer.then_some(UNKNOWN_LAG_S),
-        feed_forward: ForwardUse::Off,
-        gains: None,
         reference: vec![ReferencePart::Steps {
             levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),
             hold_s: (2.0 * LEVEL_PERIODS * bench.period_s()).max(LEVEL_S),
         }],
+        ..SpeedSection::default()
     }
 }

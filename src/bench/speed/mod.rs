@@ -10,7 +10,6 @@
 mod delay;
 mod pilot;
 mod reference;
-mod refusal;
 mod regulator;
 mod report;
 mod section;
@@ -20,7 +19,6 @@ mod tests;
 pub use delay::{LoopDelay, measure_delay};
 pub use pilot::{PilotSettings, SpeedPilot};
 pub use reference::{Reference, ReferenceError, ReferencePart, ReferenceStep};
-pub use refusal::RegulatorError;
-pub use regulator::{Design, Regulator, check_kinship, timing};
+pub use regulator::{Design, Regulator, RegulatorError, check_kinship, timing};
 pub use report::{GainChange, SpeedReport, StepFigures, Tracking};
 pub use section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};

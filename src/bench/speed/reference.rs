@@ -75,7 +75,7 @@ pub struct ReferenceStep {
 }
 
 /// A checked reference.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reference {
     lines: Vec<Line>,
     /// Name and end of each part.
@@ -127,11 +127,8 @@ impl ReferencePart {
             let good = (least..=MOST_LEVELS).contains(&number);
             (!good).then_some((key, number as f64, "enough of them, at most 10000"))
         };
-        let not_finite = self
-            .speeds()
-            .into_iter()
-            .find(|(_, speed)| !speed.is_finite());
-        if let Some((key, value)) = not_finite {
+        let mut speeds = self.speeds().into_iter();
+        if let Some((key, value)) = speeds.find(|(_, speed)| !speed.is_finite()) {
             return Some((key, value, "a finite number"));
         }
         match self {
@@ -207,11 +204,7 @@ impl Reference {
         limit_rad_s: f64,
         limit_is: &str,
     ) -> Result<Self, ReferenceError> {
-        let mut reference = Self {
-            lines: Vec::new(),
-            parts: Vec::new(),
-            passes: Vec::new(),
-        };
+        let mut reference = Self::default();
         let mut end_s = 0.0;
         for (index, part) in parts.iter().enumerate() {
             let refuse = |key, value, allowed| ReferenceError {
@@ -224,11 +217,8 @@ impl Reference {
             if let Some((key, value, allowed)) = part.refused() {
                 return Err(refuse(key, value, allowed.to_owned()));
             }
-            let beyond = part
-                .speeds()
-                .into_iter()
-                .find(|(_, speed)| speed.abs() > limit_rad_s);
-            if let Some((key, speed)) = beyond {
+            let mut speeds = part.speeds().into_iter();
+            if let Some((key, speed)) = speeds.find(|(_, speed)| speed.abs() > limit_rad_s) {
                 let allowed = format!("-{limit_rad_s:.4} to {limit_rad_s:.4} rad/s: {limit_is}");
                 return Err(refuse(key, speed, allowed));
             }
@@ -236,11 +226,9 @@ impl Reference {
                 end_s += seconds;
                 reference.lines.push(Line { end_s, from, to });
             }
-            let earlier = parts[..index]
-                .iter()
-                .filter(|other| other.kind() == part.kind())
-                .count();
-            let name = match earlier {
+            let earlier = parts[..index].iter();
+            let alike = earlier.filter(|other| other.kind() == part.kind());
+            let name = match alike.count() {
                 0 => part.kind().to_owned(),
                 n => format!("{} {}", part.kind(), n + 1),
             };
@@ -262,11 +250,7 @@ impl Reference {
     /// The same so many times, each from its first level, which is held for `lead_in_s` before.
     #[must_use]
     pub fn repeated(&self, times: usize, lead_in_s: f64) -> Self {
-        let mut all = Self {
-            lines: Vec::new(),
-            parts: Vec::new(),
-            passes: Vec::new(),
-        };
+        let mut all = Self::default();
         let first = self.value_at(0.0);
         let mut now_s = 0.0;
         for pass in 1..=times {
@@ -375,35 +359,53 @@ impl Reference {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::testing::{has, near};
+
+    fn constant(speed_rad_s: f64) -> ReferencePart {
+        ReferencePart::Constant {
+            speed_rad_s,
+            seconds: 1.0,
+        }
+    }
+
+    fn square(low_rad_s: f64, high_rad_s: f64, half_period_s: f64, periods: u32) -> ReferencePart {
+        ReferencePart::Square {
+            low_rad_s,
+            high_rad_s,
+            half_period_s,
+            periods,
+        }
+    }
+
+    fn ramp(from_rad_s: f64, to_rad_s: f64, seconds: f64) -> ReferencePart {
+        ReferencePart::Ramp {
+            from_rad_s,
+            to_rad_s,
+            seconds,
+        }
+    }
+
+    fn polyline(points: &[[f64; 2]]) -> ReferencePart {
+        let points = points.to_vec();
+        ReferencePart::Polyline { points }
+    }
+
+    fn steps(levels_rad_s: &[f64], hold_s: f64) -> ReferencePart {
+        let levels_rad_s = levels_rad_s.to_vec();
+        ReferencePart::Steps {
+            levels_rad_s,
+            hold_s,
+        }
+    }
 
     fn parts() -> Vec<ReferencePart> {
         vec![
-            ReferencePart::Constant {
-                speed_rad_s: 50.0,
-                seconds: 1.0,
-            },
-            ReferencePart::Constant {
-                speed_rad_s: 50.0,
-                seconds: 1.0,
-            },
-            ReferencePart::Square {
-                low_rad_s: -10.0,
-                high_rad_s: 10.0,
-                half_period_s: 0.5,
-                periods: 2,
-            },
-            ReferencePart::Ramp {
-                from_rad_s: -10.0,
-                to_rad_s: 30.0,
-                seconds: 4.0,
-            },
-            ReferencePart::Polyline {
-                points: vec![[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]],
-            },
-            ReferencePart::Steps {
-                levels_rad_s: vec![5.0, 6.0],
-                hold_s: 1.0,
-            },
+            constant(50.0),
+            constant(50.0),
+            square(-10.0, 10.0, 0.5, 2),
+            ramp(-10.0, 30.0, 4.0),
+            polyline(&[[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]),
+            steps(&[5.0, 6.0], 1.0),
         ]
     }
 
@@ -424,11 +426,10 @@ mod tests {
             (12.5, 6.0),
             (99.0, 6.0),
         ] {
-            let found = reference.value_at(time_s);
-            assert!((found - expected).abs() < 1e-9, "{time_s}: {found}");
+            near(reference.value_at(time_s), expected, 1e-9);
         }
-        assert!((reference.duration_s() - 13.0).abs() < 1e-12);
-        assert!((reference.peak_rad_s() - 50.0).abs() < 1e-12);
+        near(reference.duration_s(), 13.0, 1e-12);
+        near(reference.peak_rad_s(), 50.0, 1e-12);
         assert_eq!(reference.part_name(reference.part_at(1.5)), "constant 2");
         assert_eq!(reference.part_name(reference.part_at(99.0)), "steps");
         let steps = reference.steps();
@@ -458,60 +459,18 @@ mod tests {
             assert_eq!(error.number, 2);
             error.to_string()
         };
+        let beyond = "part 2 (constant): speed_rad_s = 120 is not allowed (expected -100.0000 to 100.0000 rad/s: limits.speed_rad_s)";
+        let back = "points = 1 is not allowed (expected times that grow)";
         for (part, expected) in [
-            (
-                ReferencePart::Constant {
-                    speed_rad_s: 120.0,
-                    seconds: 1.0,
-                },
-                "part 2 (constant): speed_rad_s = 120 is not allowed (expected -100.0000 to 100.0000 rad/s: limits.speed_rad_s)",
-            ),
-            (
-                ReferencePart::Constant {
-                    speed_rad_s: f64::NAN,
-                    seconds: 1.0,
-                },
-                "speed_rad_s = NaN",
-            ),
-            (
-                ReferencePart::Ramp {
-                    from_rad_s: 0.0,
-                    to_rad_s: 1.0,
-                    seconds: 0.0,
-                },
-                "seconds = 0",
-            ),
-            (
-                ReferencePart::Steps {
-                    levels_rad_s: vec![],
-                    hold_s: 1.0,
-                },
-                "number of levels_rad_s = 0",
-            ),
-            (
-                ReferencePart::Square {
-                    low_rad_s: 0.0,
-                    high_rad_s: 1.0,
-                    half_period_s: 1.0,
-                    periods: 0,
-                },
-                "periods = 0",
-            ),
-            (
-                ReferencePart::Polyline {
-                    points: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]],
-                },
-                "points = 1 is not allowed (expected times that grow)",
-            ),
-            (
-                ReferencePart::Polyline {
-                    points: vec![[0.5, 0.0], [1.0, 0.0]],
-                },
-                "points = 0.5",
-            ),
+            (constant(120.0), beyond),
+            (constant(f64::NAN), "speed_rad_s = NaN"),
+            (ramp(0.0, 1.0, 0.0), "seconds = 0"),
+            (steps(&[], 1.0), "number of levels_rad_s = 0"),
+            (square(0.0, 1.0, 1.0, 0), "periods = 0"),
+            (polyline(&[[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]), back),
+            (polyline(&[[0.5, 0.0], [1.0, 0.0]]), "points = 0.5"),
         ] {
-            let text = refused(part);
-            assert!(text.contains(expected), "{text}");
+            has(refused(part), expected);
         }
         assert!(Reference::new(&[], 100.0, "limits").is_err());
     }

@@ -71,61 +71,52 @@ pub struct SpeedReport {
     pub steps: Vec<StepFigures>,
 }
 
-/// The error of each pass that the record reaches the end of.
-pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<Tracking> {
+/// The cycles from one instant to another, s; `None` where the record does not reach the end of it, or has none.
+fn cycles(record: &[Cycle], from_s: f64, until_s: f64) -> Option<&[Cycle]> {
     let end_s = record.last().map_or(0.0, |cycle| cycle.time_s);
     let period_s = end_s / record.len().max(1) as f64;
-    passes
-        .iter()
-        .filter(|(_, (_, until_s))| *until_s <= end_s + 2.0 * period_s)
-        .filter_map(|(feed_forward, (from_s, until_s))| {
-            let from = record.partition_point(|cycle| cycle.time_s < *from_s);
-            let to = record.partition_point(|cycle| cycle.time_s < *until_s);
-            let cycles = record.get(from..to).filter(|cycles| !cycles.is_empty())?;
-            let errors = || {
-                let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
-                cycles.iter().map(error)
-            };
-            let count = cycles.len() as f64;
-            Some(Tracking {
-                feed_forward: *feed_forward,
-                from_s: *from_s,
-                until_s: *until_s,
-                rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
-                peak_rad_s: errors().fold(0.0, f64::max),
-                mean_abs_rad_s: errors().sum::<f64>() / count,
-            })
+    let at = |time_s| record.partition_point(|cycle| cycle.time_s < time_s);
+    let cycles = record.get(at(from_s)..at(until_s))?;
+    (until_s <= end_s + 2.0 * period_s && !cycles.is_empty()).then_some(cycles)
+}
+
+/// The error of each pass that the record reaches the end of.
+pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<Tracking> {
+    let track = |&(feed_forward, (from_s, until_s)): &(bool, (f64, f64))| {
+        let cycles = cycles(record, from_s, until_s)?;
+        let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
+        let errors = || cycles.iter().map(error);
+        let count = cycles.len() as f64;
+        Some(Tracking {
+            feed_forward,
+            from_s,
+            until_s,
+            rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
+            peak_rad_s: errors().fold(0.0, f64::max),
+            mean_abs_rad_s: errors().sum::<f64>() / count,
         })
-        .collect()
+    };
+    passes.iter().filter_map(track).collect()
 }
 
 /// Figures of the steps that the record reaches; a step that a stop cut short has none.
 pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigures> {
-    let end_s = record.last().map_or(0.0, |cycle| cycle.time_s);
-    let period_s = end_s / record.len().max(1) as f64;
-    steps
-        .iter()
-        .filter(|step| step.until_s <= end_s + 2.0 * period_s)
-        .filter_map(|step| {
-            let from = record.partition_point(|cycle| cycle.time_s < step.at_s);
-            let to = record.partition_point(|cycle| cycle.time_s < step.until_s);
-            let cycles = record.get(from..to)?;
-            let speed_rad_s = cycles.first()?.speed_rad_s;
-            let trace: Vec<(f64, f64)> = cycles
-                .iter()
-                .map(|cycle| (cycle.time_s, cycle.speed_rad_s))
-                .collect();
-            let limited = cycles.iter().filter(|cycle| cycle.limited).count();
-            let peak = cycles.iter().map(|cycle| cycle.output.abs());
-            Some(StepFigures {
-                step: *step,
-                speed_rad_s,
-                response: response(&trace, speed_rad_s, step.to_rad_s),
-                peak_output: peak.fold(0.0, f64::max),
-                limited_share: limited as f64 / cycles.len() as f64,
-            })
+    let figure = |step: &ReferenceStep| {
+        let cycles = cycles(record, step.at_s, step.until_s)?;
+        let speed_rad_s = cycles.first()?.speed_rad_s;
+        let trace = cycles.iter().map(|cycle| (cycle.time_s, cycle.speed_rad_s));
+        let trace: Vec<(f64, f64)> = trace.collect();
+        let limited = cycles.iter().filter(|cycle| cycle.limited).count();
+        let peak = cycles.iter().map(|cycle| cycle.output.abs());
+        Some(StepFigures {
+            step: *step,
+            speed_rad_s,
+            response: response(&trace, speed_rad_s, step.to_rad_s),
+            peak_output: peak.fold(0.0, f64::max),
+            limited_share: limited as f64 / cycles.len() as f64,
         })
-        .collect()
+    };
+    steps.iter().filter_map(figure).collect()
 }
 
 #[cfg(test)]

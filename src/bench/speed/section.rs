@@ -104,7 +104,7 @@ pub struct GainsSection {
     pub integral_time_s: f64,
 }
 
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpeedSection {
     #[serde(default)]
@@ -179,29 +179,20 @@ impl SpeedSection {
             Some((key, bad, "a positive number".to_owned()))
         };
         let gains = self.gains.as_ref();
+        let proportional = gains.map(|gains| gains.proportional_v_s_per_rad);
+        let integral_time_s = gains.map(|gains| gains.integral_time_s);
+        let beyond = || {
+            let amps = self.current_limit_a?;
+            let allowed = format!("up to limits.current_a = {} A", limits.current_a);
+            (amps > limits.current_a).then_some(("speed.current_limit_a", amps, allowed))
+        };
         positive("speed.bandwidth_rad_s", self.bandwidth_rad_s)
             .or_else(|| positive("speed.slew_v_per_s", self.slew_v_per_s))
             .or_else(|| positive("speed.current_limit_a", self.current_limit_a))
             .or_else(|| positive("speed.drive_lag_s", self.drive_lag_s))
-            .or_else(|| {
-                let amps = self
-                    .current_limit_a
-                    .filter(|amps| *amps > limits.current_a)?;
-                let allowed = format!("up to limits.current_a = {} A", limits.current_a);
-                Some(("speed.current_limit_a", amps, allowed))
-            })
-            .or_else(|| {
-                positive(
-                    "speed.gains.proportional_v_s_per_rad",
-                    gains.map(|gains| gains.proportional_v_s_per_rad),
-                )
-            })
-            .or_else(|| {
-                positive(
-                    "speed.gains.integral_time_s",
-                    gains.map(|gains| gains.integral_time_s),
-                )
-            })
+            .or_else(beyond)
+            .or_else(|| positive("speed.gains.proportional_v_s_per_rad", proportional))
+            .or_else(|| positive("speed.gains.integral_time_s", integral_time_s))
     }
 
     /// The checked reference, once for each pass. Beyond the speed limit nothing is asked, nor beyond what the voltage
@@ -249,45 +240,42 @@ impl SpeedSection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::testing::{has, near};
 
     fn section(reference: ReferencePart) -> SpeedSection {
         SpeedSection {
-            controller: ControllerKind::Addc,
-            rule: None,
-            bandwidth_rad_s: None,
-            current_limit_a: None,
-            slew_v_per_s: None,
-            actuator: None,
-            drive_lag_s: None,
-            feed_forward: ForwardUse::Off,
-            gains: None,
             reference: vec![reference],
+            ..SpeedSection::default()
         }
+    }
+
+    fn constant(speed_rad_s: f64) -> SpeedSection {
+        section(ReferencePart::Constant {
+            speed_rad_s,
+            seconds: 1.0,
+        })
+    }
+
+    fn plate() -> (Nameplate, Limits) {
+        let motor = Nameplate::zk_22fc();
+        let limits = Limits::for_motor(&motor, 100.0);
+        (motor, limits)
     }
 
     #[test]
     fn a_reference_beyond_the_speed_or_the_voltage_limit_is_refused_with_the_limit() {
-        let motor = Nameplate::zk_22fc();
-        let mut limits = Limits::for_motor(&motor, 100.0);
-        let at = |speed_rad_s| {
-            section(ReferencePart::Constant {
-                speed_rad_s,
-                seconds: 1.0,
-            })
-        };
-        assert!(at(-300.0).reference(&limits, Some(&motor)).is_ok());
+        let (motor, mut limits) = plate();
+        let at = |speed, limits: &Limits| constant(speed).reference(limits, Some(&motor));
+        assert!(at(-300.0, &limits).is_ok());
         // (110 V - 1.1 ohm 0.455 N.m/Kt)/Ke
-        let error = at(320.0).reference(&limits, Some(&motor)).unwrap_err();
-        assert!(error.to_string().contains("306.9"), "{error}");
+        has(at(320.0, &limits).unwrap_err(), "306.9");
         limits.speed_rad_s = 200.0;
-        let error = at(-201.0).reference(&limits, Some(&motor)).unwrap_err();
-        assert!(error.to_string().contains("limits.speed_rad_s"), "{error}");
+        has(at(-201.0, &limits).unwrap_err(), "limits.speed_rad_s");
     }
 
     #[test]
     fn to_compare_the_reference_is_followed_twice_from_the_same_beginning() {
-        let motor = Nameplate::zk_22fc();
-        let limits = Limits::for_motor(&motor, 100.0);
+        let (motor, limits) = plate();
         let mut section = section(ReferencePart::Ramp {
             from_rad_s: 20.0,
             to_rad_s: 80.0,
@@ -295,23 +283,23 @@ mod tests {
         });
         section.feed_forward = ForwardUse::Compare;
         let reference = section.reference(&limits, Some(&motor)).unwrap();
-        assert!((reference.duration_s() - 8.0).abs() < 1e-12);
+        near(reference.duration_s(), 8.0, 1e-12);
         assert_eq!(reference.passes(), [(1.0, 4.0), (5.0, 8.0)]);
         for time_s in [1.0, 2.5, 3.9] {
-            let (first, second) = (reference.value_at(time_s), reference.value_at(time_s + 4.0));
-            assert!((first - second).abs() < 1e-9);
+            near(
+                reference.value_at(time_s + 4.0),
+                reference.value_at(time_s),
+                1e-9,
+            );
         }
-        assert!((reference.value_at(0.3) - 20.0).abs() < 1e-12);
-        assert!((reference.value_at(4.3) - 20.0).abs() < 1e-12);
+        near(reference.value_at(0.3), 20.0, 1e-12);
+        near(reference.value_at(4.3), 20.0, 1e-12);
         assert_eq!(reference.part_name(reference.part_at(6.0)), "ramp, pass 2");
     }
 
     #[test]
     fn a_drive_is_commanded_with_the_first_it_takes_or_with_what_was_asked_for() {
-        let mut section = section(ReferencePart::Constant {
-            speed_rad_s: 10.0,
-            seconds: 1.0,
-        });
+        let mut section = constant(10.0);
         let mut takes = Capabilities {
             voltage_command: false,
             current_command: true,
@@ -326,18 +314,14 @@ mod tests {
 
     #[test]
     fn a_current_beyond_the_guard_is_refused_and_left_out_it_follows_from_the_nameplate() {
-        let motor = Nameplate::zk_22fc();
-        let limits = Limits::for_motor(&motor, 100.0);
-        let mut section = section(ReferencePart::Constant {
-            speed_rad_s: 10.0,
-            seconds: 1.0,
-        });
+        let (_, limits) = plate();
+        let mut section = constant(10.0);
         assert_eq!(section.refused(&limits), None);
-        assert!((section.current_limit_a(5.7, &limits) - 8.55).abs() < 1e-12);
+        near(section.current_limit_a(5.7, &limits), 8.55, 1e-12);
         section.current_limit_a = Some(30.0);
         let (key, value, allowed) = section.refused(&limits).unwrap();
         assert_eq!((key, value), ("speed.current_limit_a", 30.0));
-        assert!(allowed.contains("22.8"), "{allowed}");
+        has(allowed, "22.8");
     }
 
     #[test]
