@@ -51,6 +51,9 @@ pub struct NoiseFloor {
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
 const RARELY_EXCEEDED: f64 = 2.6;
 
+/// Error in units of the floor below which a model explains a run to the noise.
+pub const AT_THE_FLOOR: f64 = 1.1;
+
 /// Samples at rest below which a standard deviation says nothing.
 pub const FEWEST_SAMPLES: usize = 20;
 /// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
@@ -60,6 +63,11 @@ const SCALE_OF_SPREAD: f64 = 0.01;
 const SKIPPED: usize = 2;
 
 impl NoiseFloor {
+    /// Whether an error in units of the floor is one that a model may have that explains the run to the noise.
+    pub fn is_at_the_floor(&self, nrms: f64) -> bool {
+        self.source != FloorSource::None && nrms <= self.tolerance(AT_THE_FLOOR)
+    }
+
     /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
     /// estimated from few samples; at least `least`.
     pub fn tolerance(&self, least: f64) -> f64 {

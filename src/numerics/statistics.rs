@@ -8,6 +8,12 @@ pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
+/// Largest magnitude; what is not a number counts for nothing.
+pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    let finite = values.into_iter().filter(|value| value.is_finite());
+    finite.fold(0.0, |most, value| f64::max(most, value.abs()))
+}
+
 /// Variance with `n - 1`; NaN for fewer than two values.
 pub fn variance(values: &[f64]) -> f64 {
     if values.len() < 2 {
@@ -37,13 +43,6 @@ pub fn median(values: &[f64]) -> f64 {
 pub fn median_step(times: &[f64]) -> f64 {
     let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     median(&steps)
-}
-
-/// Largest size of the values that are numbers; zero where there are none.
-pub fn largest(values: &[f64]) -> f64 {
-    values
-        .iter()
-        .fold(0.0, |most, value| f64::max(most, value.abs()))
 }
 
 /// The values that are finite.
@@ -178,7 +177,7 @@ mod tests {
         assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
         assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
         assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
-        assert!((largest(&[1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest(&[]) < 1e-15);
+        assert!((largest([1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest([]) < 1e-15);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Batch output-error fit: the reference among our methods.
 
 use super::{Data, Identified, IdentifyError, Scheme};
-use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::noise::{AT_THE_FLOOR, FloorSource, NoiseFloor};
 use crate::identification::output_error::{Fit, FitError, fit_delayed};
 use crate::identification::{effect_start, start};
 use crate::plant::{Input, Model, MotorKey, Scenario};
@@ -56,10 +56,8 @@ fn tell_choice(parameters: &mut [ParameterEstimate], key: &str, doubt: Option<St
     }
 }
 
-/// A fit this near to the noise floor is the minimum; another start is not needed.
-const AT_THE_FLOOR: f64 = 1.1;
-
-/// From the values of the model, and where that ends above the floor from the data alone: a nameplate far from the truth,
+/// From the values of the model, and where that ends above the floor, so that it may not be the minimum, from the data
+/// alone: a nameplate far from the truth,
 /// or one distorted by what the model lacks, must not decide in which valley the fit ends.
 fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, IdentifyError> {
     let given = start::complete(data.model, data.scenario)?;
