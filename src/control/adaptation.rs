@@ -149,6 +149,8 @@ mod tests {
     use super::*;
     use crate::control::testing::assert_close;
     use crate::numerics::count::whole;
+    use rand::{Rng as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
 
     /// A shaft under a square wave of current; returns the estimate after each row.
     fn follow(
@@ -161,13 +163,12 @@ mod tests {
         // The shaft begins anew: what came before is no neighbour.
         estimator.push(None, 100.0, period_s);
         let mut speed = 100.0;
-        let mut noise = 1u32;
+        let mut random = ChaCha8Rng::seed_from_u64(1);
         let rows = u32::try_from(whole(seconds / period_s)).unwrap();
         (0..rows)
             .map(|n| {
                 let t = f64::from(n) * period_s;
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let error = 0.3 * (f64::from(noise) / f64::from(u32::MAX) - 0.5);
+                let error = 0.3 * random.random_range(-0.5..0.5);
                 estimator.push(Some(current(t)), speed + error, period_s);
                 let amps = 0.5 * (current(t) + current(t + period_s));
                 speed += period_s * (gain(t) * amps - friction * speed.signum());
@@ -206,15 +207,10 @@ mod tests {
     #[test]
     fn a_minute_at_constant_speed_changes_nothing() {
         let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
-        let before = follow(&mut estimator, |_| 15.0, swinging, 4.0)
-            .last()
-            .unwrap()
-            .1;
-        let held = |_| 20.0 / 15.0;
-        let after = follow(&mut estimator, |_| 15.0, held, 60.0)
-            .last()
-            .unwrap()
-            .1;
+        follow(&mut estimator, |_| 15.0, swinging, 4.0);
+        let before = estimator.load();
+        follow(&mut estimator, |_| 15.0, |_| 20.0 / 15.0, 60.0);
+        let after = estimator.load();
         let drift = after.acceleration_per_a / before.acceleration_per_a - 1.0;
         assert!(drift.abs() < 0.05, "{drift}");
         assert_eq!(estimator.jumps(), 0);

@@ -35,6 +35,19 @@ impl Limiter {
     }
 }
 
+/// Share of an output's size below which a difference is rounding and no limit.
+const ROUNDING: f64 = 1e-9;
+
+/// Sign of the limit between what was wanted and what was given: +1 where more was wanted; zero where nothing was cut.
+pub(super) fn limited(wanted: f64, given: f64) -> f64 {
+    let short = wanted - given;
+    if short.abs() > ROUNDING * wanted.abs().max(1.0) {
+        short.signum()
+    } else {
+        0.0
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

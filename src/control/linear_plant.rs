@@ -8,7 +8,7 @@ use crate::plant::{Model, MotorKey};
 
 /// `dx/dt = A x + b u`, speed = `x[1]`.
 ///
-/// Voltage drive: `x` is current and speed (PHYSICS.md section 2). Current drive: the drive's current loop is a lag.
+/// Voltage drive: `x` is current and speed. Current drive: the drive's current loop is a lag.
 /// Speed drive: the drive's own speed loop is two lags.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearPlant {
@@ -81,14 +81,10 @@ impl LinearPlant {
         let j = positive(model, MotorKey::Inertia, Actuator::Current)?;
         let kt = torque_constant(model, Actuator::Current)?;
         let lag_s = checked("current_lag_s", current_lag_s)?;
+        let braking = -viscous_n_m_s_per_rad.max(0.0) / j;
         Ok(Self {
             actuator: Actuator::Current,
-            a: Matrix2::new(
-                -1.0 / lag_s,
-                0.0,
-                kt / j,
-                -viscous_n_m_s_per_rad.max(0.0) / j,
-            ),
+            a: Matrix2::new(-1.0 / lag_s, 0.0, kt / j, braking),
             b: Vector2::new(1.0 / lag_s, 0.0),
         })
     }
@@ -173,20 +169,24 @@ impl LinearPlant {
 }
 
 fn torque_constant(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
-    let key = MotorKey::TorqueConstant.key();
+    given(
+        MotorKey::TorqueConstant,
+        model.motor.torque_constant(),
+        actuator,
+    )
+}
+
+fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, PlantError> {
+    given(key, model.motor.get(key), actuator)
+}
+
+fn given(key: MotorKey, value: Option<f64>, actuator: Actuator) -> Result<f64, PlantError> {
+    let key = key.key();
     let missing = PlantError::Missing {
         key,
         actuator: actuator.name(),
     };
-    checked(key, model.motor.torque_constant().ok_or(missing)?)
-}
-
-fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, PlantError> {
-    let missing = PlantError::Missing {
-        key: key.key(),
-        actuator: actuator.name(),
-    };
-    checked(key.key(), model.motor.get(key).ok_or(missing)?)
+    checked(key, value.ok_or(missing)?)
 }
 
 fn checked(key: &'static str, value: f64) -> Result<f64, PlantError> {

@@ -7,7 +7,7 @@ use nalgebra::{Complex, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::{LinearPlant, LoopTiming};
-use crate::numerics::linear_map;
+use crate::numerics::{count, linear_map};
 
 /// Longest delay that is looked at, periods.
 const LONGEST_DELAY_PERIODS: f64 = 64.0;
@@ -106,20 +106,11 @@ impl LoopShape {
         Self {
             gains: *gains,
             timing: *timing,
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "between 0 and 65"
-            )]
-            whole: whole as usize,
+            whole: count::whole(whole),
             phi: second * first,
             older: second * pushed,
             newer,
-            filter_share: if timing.filter_s > 0.0 {
-                -(-timing.period_s / timing.filter_s).exp_m1()
-            } else {
-                1.0
-            },
+            filter_share: lag_share(timing.period_s, timing.filter_s),
         }
     }
 
@@ -235,17 +226,8 @@ impl LoopShape {
     /// Response of the linear loop to a unit step of the reference.
     pub fn step_response(&self, duration_s: f64) -> Vec<StepPoint> {
         let mut memory = self.rest();
-        let share = if self.gains.reference_filter_s > 0.0 {
-            -(-self.timing.period_s / self.gains.reference_filter_s).exp_m1()
-        } else {
-            1.0
-        };
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "bounded, and not negative"
-        )]
-        let periods = (duration_s / self.timing.period_s).clamp(0.0, 1e6) as usize;
+        let share = lag_share(self.timing.period_s, self.gains.reference_filter_s);
+        let periods = count::whole((duration_s / self.timing.period_s).clamp(0.0, 1e6));
         (0..=periods)
             .map(|n| {
                 let speed = memory.x[1];
@@ -259,6 +241,15 @@ impl LoopShape {
                 }
             })
             .collect()
+    }
+}
+
+/// Share of the way that a first-order lag goes in a period; all of it without one.
+pub(super) fn lag_share(period_s: f64, lag_s: f64) -> f64 {
+    if lag_s > 0.0 {
+        -(-period_s / lag_s).exp_m1()
+    } else {
+        1.0
     }
 }
 
@@ -283,38 +274,22 @@ fn crossing(mut low: f64, mut high: f64, quantity: impl Fn(f64) -> f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::testing::assert_close;
-    use crate::plant::{Model, Motor, MotorKey};
+    use crate::control::testing::{assert_close, slow_machine, timing};
 
-    fn slow_machine() -> LinearPlant {
-        let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0228);
-        LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap()
-    }
-
-    fn timing(cycles: f64) -> LoopTiming {
-        LoopTiming {
-            period_s: 0.01,
-            delay_s: 0.01 * cycles,
-            filter_s: 0.0,
-        }
-    }
-
-    fn gains(proportional: f64) -> PiGains {
-        PiGains {
+    fn shape(cycles: f64, proportional: f64) -> LoopShape {
+        let gains = PiGains {
             proportional,
             integral_time_s: 0.19,
             reference_filter_s: 0.0,
-        }
+        };
+        LoopShape::new(&slow_machine(), &timing(cycles), &gains)
     }
 
     #[test]
     fn the_gain_margin_is_where_the_radius_is_one() {
         for cycles in [0.0, 0.3, 1.0, 2.0, 2.5] {
-            let shape = LoopShape::new(&slow_machine(), &timing(cycles), &gains(0.8));
-            let margin = shape.margins().gain_margin;
-            let at = |factor: f64| {
-                LoopShape::new(&slow_machine(), &timing(cycles), &gains(0.8 * factor)).radius()
-            };
+            let margin = shape(cycles, 0.8).margins().gain_margin;
+            let at = |factor: f64| shape(cycles, 0.8 * factor).radius();
             assert!(at(0.999 * margin) < 1.0, "{cycles}: {margin}");
             assert!(at(1.001 * margin) > 1.0, "{cycles}: {margin}");
         }
@@ -322,8 +297,7 @@ mod tests {
 
     #[test]
     fn the_step_response_ends_at_one_and_starts_after_the_delay() {
-        let shape = LoopShape::new(&slow_machine(), &timing(2.0), &gains(0.8));
-        let response = shape.step_response(3.0);
+        let response = shape(2.0, 0.8).step_response(3.0);
         assert_close(response.last().unwrap().speed, 1.0, 1e-3);
         assert!(response[..=2].iter().all(|point| point.speed == 0.0));
         assert!(response[3].speed > 0.0);
@@ -332,11 +306,7 @@ mod tests {
     #[test]
     fn a_delay_turns_phase_by_its_share_of_the_period() {
         let w = 5.0;
-        let phase = |cycles| {
-            LoopShape::new(&slow_machine(), &timing(cycles), &gains(0.8))
-                .open(w)
-                .arg()
-        };
+        let phase = |cycles| shape(cycles, 0.8).open(w).arg();
         for cycles in [0.5, 1.0, 1.7] {
             // Holding after a part of a period is exact at the samples: to second order in what happens in a period.
             assert_close(phase(0.0) - phase(cycles), w * 0.01 * cycles, 2e-5);
@@ -345,9 +315,8 @@ mod tests {
 
     #[test]
     fn an_unstable_loop_has_no_margin_left() {
-        let margins = LoopShape::new(&slow_machine(), &timing(2.0), &gains(8.0)).margins();
-        assert!(
-            margins.radius > 1.0 && margins.gain_margin < 1.0 && margins.phase_margin_deg < 0.0
-        );
+        let margins = shape(2.0, 8.0).margins();
+        assert!(margins.radius > 1.0 && margins.gain_margin < 1.0);
+        assert!(margins.phase_margin_deg < 0.0);
     }
 }

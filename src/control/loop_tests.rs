@@ -1,21 +1,24 @@
 //! Controllers of the family on the same machine: what each of them must do, and what sets them apart.
 
-use super::testing::assert_close;
+use super::testing::{self, assert_close, inertia};
 use super::tuning::{Request, tune};
 use super::*;
 use crate::numerics::count::whole;
-use crate::plant::{Model, Motor, MotorKey};
+use crate::plant::Model;
 
 const PERIOD_S: f64 = 0.01;
 const CURRENT_LIMIT_A: f64 = 10.0;
 
-/// Inertia of the paper's motor for a mechanical time constant.
-fn inertia(mechanical_s: f64) -> f64 {
-    mechanical_s * 0.3538 * 0.3538 / 1.1
+fn model() -> Model {
+    testing::model(inertia(0.2))
 }
 
-fn model(mechanical_s: f64) -> Model {
-    Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, inertia(mechanical_s)))
+fn plant() -> LinearPlant {
+    testing::plant(inertia(0.2))
+}
+
+fn timing() -> LoopTiming {
+    testing::timing(2.0)
 }
 
 fn machine(noise: f64) -> TrialMachine {
@@ -31,14 +34,6 @@ fn machine(noise: f64) -> TrialMachine {
         delay_periods: 2,
         speed_noise_rad_s: 0.15 * noise,
         current_noise_a: 0.03 * noise,
-    }
-}
-
-fn timing() -> LoopTiming {
-    LoopTiming {
-        period_s: PERIOD_S,
-        delay_s: 2.0 * PERIOD_S,
-        filter_s: 0.0,
     }
 }
 
@@ -70,17 +65,15 @@ fn figure_6(each_s: f64) -> impl Fn(f64) -> f64 {
 }
 
 fn fixed() -> Pi {
-    let plant = LinearPlant::voltage(&model(0.2), 0.0).unwrap();
-    let tuning = tune(&plant, &timing(), &Request::default()).unwrap();
-    let holding = Holding::of(&model(0.2), Actuator::Voltage, 0.0);
+    let tuning = tune(&plant(), &timing(), &Request::default()).unwrap();
+    let holding = Holding::of(&model(), Actuator::Voltage, 0.0);
     Pi::new(tuning.gains, AntiWindup::Hold, holding)
 }
 
 fn adaptive() -> Addc {
-    let plant = LinearPlant::voltage(&model(0.2), 0.0).unwrap();
-    let holding = Holding::of(&model(0.2), Actuator::Voltage, 0.0);
+    let holding = Holding::of(&model(), Actuator::Voltage, 0.0);
     let settings = AddcSettings::new(holding, 0.15);
-    Addc::new(&model(0.2), &plant, &timing(), &settings).unwrap()
+    Addc::new(&model(), &plant(), &timing(), &settings).unwrap()
 }
 
 /// Responses to each step of a square wave.
@@ -94,6 +87,19 @@ fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
             response(&points, points[0].1, chunk[0].reference_rad_s)
         })
         .collect()
+}
+
+/// A reference of 80 rad/s, and from 3 s on a load of 1 N.m: the speed is there before and after.
+fn held_under_load(controller: &mut dyn SpeedController) -> Vec<TrialPoint> {
+    let course = Course {
+        reference_rad_s: &|_| 80.0,
+        inertia_kg_m2: &|_| inertia(0.2),
+        load_n_m: &|t| if t > 3.0 { 1.0 } else { 0.0 },
+    };
+    let trace = trial(&machine(0.0), &course, controller, &limiter(), 800, 1);
+    assert_close(trace[299].speed_rad_s, 80.0, 0.01);
+    assert_close(trace[799].speed_rad_s, 80.0, 0.01);
+    trace
 }
 
 fn run(controller: &mut dyn SpeedController, noise: f64) -> Vec<TrialPoint> {
@@ -117,38 +123,18 @@ fn figure_6_the_fixed_gains_swing_and_the_adaptive_ones_do_not() {
             );
         }
         // Steps 0..4 at 0.2 s, then (from 24 s) 5..10 at 0.05 s, then 11.. at 1 s; one is let to notice.
-        let light = &adaptive[6..11];
-        assert!(
-            light
-                .iter()
-                .all(|step| step.overshoot_percent < 10.0 && step.settling_s.is_some())
-        );
-        let heavy = &adaptive[12..];
-        assert!(
-            heavy
-                .iter()
-                .all(|step| step.overshoot_percent < 10.0 && step.settling_s.is_some())
-        );
-        assert!(
-            fixed[6..11]
-                .iter()
-                .all(|step| (25.0..55.0).contains(&step.overshoot_percent))
-        );
+        let calm = |step: &Response| step.overshoot_percent < 10.0 && step.settling_s.is_some();
+        let (light, heavy) = (&adaptive[6..11], &adaptive[12..]);
+        assert!(light.iter().all(calm) && heavy.iter().all(calm));
+        let swings = |step: &Response| (25.0..55.0).contains(&step.overshoot_percent);
+        assert!(fixed[6..11].iter().all(swings));
     }
 }
 
 #[test]
 fn a_load_that_comes_on_is_held_without_an_error_that_stays() {
     for controller in [&mut fixed() as &mut dyn SpeedController, &mut adaptive()] {
-        let course = Course {
-            reference_rad_s: &|_| 80.0,
-            inertia_kg_m2: &|_| inertia(0.2),
-            load_n_m: &|t| if t > 3.0 { 1.0 } else { 0.0 },
-        };
-        let trace = trial(&machine(0.0), &course, controller, &limiter(), 800, 1);
-        assert_close(trace[299].speed_rad_s, 80.0, 0.01);
-        assert_close(trace[799].speed_rad_s, 80.0, 0.01);
-        let dip = trace[300..]
+        let dip = held_under_load(controller)[300..]
             .iter()
             .map(|p| 80.0 - p.speed_rad_s)
             .fold(0.0, f64::max);
@@ -157,12 +143,11 @@ fn a_load_that_comes_on_is_held_without_an_error_that_stays() {
 }
 
 fn rival(disconnects: bool) -> Mrac {
-    let plant = LinearPlant::voltage(&model(0.2), 0.0).unwrap();
     let scales = MracScales {
         speed_rad_s: 120.0,
         current_a: CURRENT_LIMIT_A,
     };
-    Mrac::new(&plant, &timing(), scales, disconnects).unwrap()
+    Mrac::new(&plant(), &timing(), scales, disconnects).unwrap()
 }
 
 /// Start and brake cycles from standstill to full speed and back, far into the current limit.
@@ -201,16 +186,8 @@ fn the_rival_fails_in_saturation_unless_it_is_disconnected_there() {
 
 #[test]
 fn the_load_observer_knows_its_load_and_keeps_its_speed() {
-    let plant = LinearPlant::voltage(&model(0.2), 0.0).unwrap();
     let settings = LoadObservingSettings::default();
-    let mut controller = LoadObserving::new(&model(0.2), &plant, &timing(), &settings).unwrap();
-    let course = Course {
-        reference_rad_s: &|_| 80.0,
-        inertia_kg_m2: &|_| inertia(0.2),
-        load_n_m: &|t| if t > 3.0 { 1.0 } else { 0.0 },
-    };
-    let trace = trial(&machine(0.0), &course, &mut controller, &limiter(), 800, 1);
-    assert_close(trace[299].speed_rad_s, 80.0, 0.01);
-    assert_close(trace[799].speed_rad_s, 80.0, 0.01);
+    let mut controller = LoadObserving::new(&model(), &plant(), &timing(), &settings).unwrap();
+    held_under_load(&mut controller);
     assert_close(controller.load_n_m(), 1.0 + 0.455, 0.05);
 }

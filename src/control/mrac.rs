@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
+use super::limiter::limited;
 use super::{LinearPlant, LoopTiming, Measured, SpeedController};
 
 /// Time constant of the reference model, in small time constants.
@@ -22,7 +23,6 @@ const INTEGRAL: f64 = 6.0;
 const PROPORTIONAL: f64 = 0.3;
 /// Largest gain, in those of the start: without identification there is no other bound.
 const LARGEST: f64 = 40.0;
-const ROUNDING: f64 = 1e-9;
 
 /// Sizes that make speed, current and voltage comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,7 +76,6 @@ impl Mrac {
             current * scales.current_a,
             0.0,
         ];
-        let delay = timing.delay_cycles().round().max(0.0);
         Some(Self {
             integral: gains,
             now: gains,
@@ -85,12 +84,7 @@ impl Mrac {
             model_s,
             rate_s: RATE_SMALL_TIMES * small_s,
             model: [0.0; 2],
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "a few cycles"
-            )]
-            late: vec![0.0; delay.min(64.0) as usize].into(),
+            late: vec![0.0; timing.whole_cycles()].into(),
             last_speed: None,
             last_error: 0.0,
             disconnects,
@@ -172,8 +166,7 @@ impl SpeedController for Mrac {
     }
 
     fn applied(&mut self, output: f64) {
-        let rounding = ROUNDING * self.wanted.abs().max(1.0);
-        self.limited = (self.wanted - output).abs() > rounding;
+        self.limited = limited(self.wanted, output) != 0.0;
     }
 
     fn reset(&mut self, now: &Measured, output: f64) {

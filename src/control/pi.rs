@@ -2,10 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::limiter::limited;
+use super::loop_shape::lag_share;
 use super::{Holding, Measured, PiGains, SpeedController};
-
-/// Share of an output's size below which a difference is rounding and no limit.
-const ROUNDING: f64 = 1e-9;
 
 /// What the integral part does while the output is limited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,17 +66,8 @@ impl Pi {
         self.gains = gains;
     }
 
-    /// The holding torque changed, as with a new estimate of the load.
-    pub const fn set_holding(&mut self, holding: Holding) {
-        self.holding = holding;
-    }
-
     fn filtered(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
-        let share = if self.gains.reference_filter_s > 0.0 {
-            -(-period_s / self.gains.reference_filter_s).exp_m1()
-        } else {
-            1.0
-        };
+        let share = lag_share(period_s, self.gains.reference_filter_s);
         // A start from rest or after a stop begins at the speed that is there.
         let before = self.reference_rad_s.unwrap_or(speed_rad_s);
         let after = before + share * (reference_rad_s - before);
@@ -117,13 +107,7 @@ impl SpeedController for Pi {
     }
 
     fn applied(&mut self, output: f64) {
-        let short = self.wanted - output;
-        let rounding = ROUNDING * self.wanted.abs().max(1.0);
-        self.limited = if short.abs() > rounding {
-            short.signum()
-        } else {
-            0.0
-        };
+        self.limited = limited(self.wanted, output);
     }
 
     fn reset(&mut self, now: &Measured, output: f64) {

@@ -5,6 +5,7 @@
 
 use super::tuning::{Request, TuningError, tune};
 use super::{LinearPlant, LoopShape, LoopTiming, PiGains};
+use crate::numerics::count::whole;
 
 /// Points of the grid, and how far it reaches either way from the model's inertia.
 const POINTS: usize = 41;
@@ -12,17 +13,10 @@ const REACH: f64 = 32.0;
 /// Gain margin that is left at the largest gain.
 const LEAST_GAIN_MARGIN: f64 = 1.6;
 
-#[derive(Clone, Copy, Debug)]
-struct Point {
-    gains: PiGains,
-    most_proportional: f64,
-    small_time_s: f64,
-}
-
 /// Gains over the ratio of the inertia to the model's.
 #[derive(Clone, Debug)]
 pub struct Schedule {
-    points: Vec<Point>,
+    points: Vec<Scheduled>,
     /// Logarithm of the lowest ratio and of the step.
     lowest: f64,
     step: f64,
@@ -82,15 +76,10 @@ impl Schedule {
     pub fn at(&self, ratio: f64) -> Scheduled {
         let last = self.points.len() - 1;
         let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "between 0 and the last point"
-        )]
-        let index = (place as usize).min(last.saturating_sub(1));
+        let index = whole(place).min(last.saturating_sub(1));
         let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
         let share = place - index as f64;
-        let between = |of: fn(&Point) -> f64| of(low) + share * (of(high) - of(low));
+        let between = |of: fn(&Scheduled) -> f64| of(low) + share * (of(high) - of(low));
         Scheduled {
             gains: PiGains {
                 proportional: between(|point| point.gains.proportional),
@@ -118,11 +107,11 @@ fn point(
     plant: &LinearPlant,
     timing: &LoopTiming,
     request: &Request,
-) -> Result<Point, TuningError> {
+) -> Result<Scheduled, TuningError> {
     let tuning = tune(plant, timing, request)?;
     let shape = LoopShape::new(plant, timing, &tuning.gains);
     let margin = shape.margins().gain_margin;
-    Ok(Point {
+    Ok(Scheduled {
         gains: tuning.gains,
         most_proportional: tuning.gains.proportional * (margin / LEAST_GAIN_MARGIN).max(1.0),
         small_time_s: tuning.small_time_s,
@@ -132,31 +121,18 @@ fn point(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::testing::assert_close;
-    use crate::plant::{Model, Motor, MotorKey};
+    use crate::control::testing::{assert_close, slow_machine, timing};
 
-    fn plant() -> LinearPlant {
-        let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0228);
-        LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap()
-    }
-
-    fn timing() -> LoopTiming {
-        LoopTiming {
-            period_s: 0.01,
-            delay_s: 0.02,
-            filter_s: 0.0,
-        }
+    fn schedule() -> Schedule {
+        Schedule::new(&slow_machine(), &timing(2.0), &Request::default()).unwrap()
     }
 
     #[test]
     fn between_the_points_it_is_what_tuning_gives() {
-        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        let schedule = schedule();
         for ratio in [0.26, 0.5, 1.0, 1.7, 5.0] {
-            let exact = tune(
-                &plant().with_inertia_ratio(ratio),
-                &timing(),
-                &Request::default(),
-            );
+            let plant = slow_machine().with_inertia_ratio(ratio);
+            let exact = tune(&plant, &timing(2.0), &Request::default());
             let exact = exact.unwrap().gains;
             let found = schedule.at(ratio).gains;
             assert_close(found.proportional / exact.proportional, 1.0, 0.02);
@@ -166,12 +142,12 @@ mod tests {
 
     #[test]
     fn no_gain_of_the_bounds_is_unstable_for_any_inertia_within_them() {
-        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        let schedule = schedule();
         for (low, ratio) in [(0.2, 1.0), (0.8, 1.0), (1.0, 4.0), (0.5, 0.6)] {
             let gains = schedule.within(low, ratio).gains;
             for true_ratio in [low, (low * ratio).sqrt(), ratio, 2.0 * ratio] {
-                let shape =
-                    LoopShape::new(&plant().with_inertia_ratio(true_ratio), &timing(), &gains);
+                let plant = slow_machine().with_inertia_ratio(true_ratio);
+                let shape = LoopShape::new(&plant, &timing(2.0), &gains);
                 assert!(shape.radius() < 1.0, "{low} {ratio} {true_ratio}");
             }
         }
@@ -179,13 +155,10 @@ mod tests {
 
     #[test]
     fn beyond_the_grid_stand_its_ends() {
-        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        let schedule = schedule();
         let (low, high) = schedule.range();
         assert_eq!(schedule.at(1e-9), schedule.at(low));
-        assert_close(
-            schedule.at(1e9).gains.proportional,
-            schedule.at(high).gains.proportional,
-            1e-9,
-        );
+        let [beyond, end] = [1e9, high].map(|ratio| schedule.at(ratio).gains.proportional);
+        assert_close(beyond, end, 1e-9);
     }
 }

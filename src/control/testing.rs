@@ -1,4 +1,7 @@
-//! What the tests of this part share.
+//! What the tests of this room share: closeness, and the machine of paper A in a loop of 10 ms.
+
+use super::{LinearPlant, LoopTiming};
+use crate::plant::{Model, Motor, MotorKey};
 
 /// Equal to `tolerance`, relative to the larger of both where that is above one.
 #[track_caller]
@@ -9,4 +12,31 @@ pub(crate) fn assert_close(found: f64, expected: f64, tolerance: f64) {
         (found - expected).abs() <= within,
         "{found} is not {expected} within {tolerance}"
     );
+}
+
+/// Inertia of the paper's motor for a mechanical time constant.
+pub(super) fn inertia(mechanical_s: f64) -> f64 {
+    mechanical_s * 0.3538 * 0.3538 / 1.1
+}
+
+pub(super) fn model(inertia_kg_m2: f64) -> Model {
+    Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, inertia_kg_m2))
+}
+
+pub(super) fn plant(inertia_kg_m2: f64) -> LinearPlant {
+    LinearPlant::voltage(&model(inertia_kg_m2), 0.0).unwrap()
+}
+
+/// The paper's motor with five times its inertia.
+pub(super) fn slow_machine() -> LinearPlant {
+    plant(0.0228)
+}
+
+/// A loop of 10 ms with so many cycles of delay.
+pub(super) fn timing(cycles: f64) -> LoopTiming {
+    LoopTiming {
+        period_s: 0.01,
+        delay_s: 0.01 * cycles,
+        filter_s: 0.0,
+    }
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::numerics::count::whole;
+
 /// Delays of a sampled loop, s. They are measured on the link, not assumed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoopTiming {
@@ -15,19 +17,14 @@ pub struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// A loop that reads, computes and writes in one exchange per cycle: what it computes from a reply leaves with the
-    /// next request.
-    pub const fn one_cycle(period_s: f64) -> Self {
-        Self {
-            period_s,
-            delay_s: period_s,
-            filter_s: 0.0,
-        }
-    }
-
     /// The delay in sampling periods.
     pub fn delay_cycles(&self) -> f64 {
         self.delay_s / self.period_s
+    }
+
+    /// The delay in whole periods, 64 at most.
+    pub fn whole_cycles(&self) -> usize {
+        whole(self.delay_cycles().round().clamp(0.0, 64.0))
     }
 
     /// Mean age of what the motor gets, s: an output holds for a period, so it is half a period old on top of its delay.

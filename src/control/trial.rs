@@ -7,14 +7,13 @@
 //!
 //! A machine without a back-EMF (`back_emf_v_s_per_rad` zero) is paper B's plant: an integrator behind a lag.
 
+use super::limiter::limited as limited_by;
 use super::sensor::{Direct, SpeedSensor};
 use super::{Limiter, Measured, SpeedController};
-use crate::plant::propagator::LinearPart;
+use crate::numerics::propagator::LinearPart;
 
 /// Parts of a period in which the motor is integrated.
 const PARTS: usize = 20;
-/// Share of an output's size below which a difference is rounding and no limit.
-const ROUNDING: f64 = 1e-9;
 
 /// The machine and its line.
 #[derive(Clone, Copy, Debug)]
@@ -136,7 +135,7 @@ pub fn trial_seen_by(
             current_a: x[0],
             seen_rad_s: now.speed_rad_s,
             output_v: output,
-            limited: (output - wanted).abs() > ROUNDING * wanted.abs().max(1.0),
+            limited: limited_by(wanted, output) != 0.0,
         };
         pipe.push_back(output);
         let applied_v = pipe.pop_front().unwrap_or(output);

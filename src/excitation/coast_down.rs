@@ -21,10 +21,6 @@ impl CoastDown {
 }
 
 impl Excitation for CoastDown {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         duration("seconds", self.seconds)
     }

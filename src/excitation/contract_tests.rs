@@ -85,7 +85,7 @@ fn the_example_of_every_card_is_a_program_of_its_kind() {
     let mut ids = Vec::new();
     for card in Segment::CARDS {
         let bench = bench(&format!("[[sequence]]\n{}\n", card.example)).unwrap();
-        assert_eq!(bench.sequence[0].excitation().card(), *card);
+        assert_eq!(bench.sequence[0].card(), *card);
         Program::new(&bench.sequence, 400.0).unwrap();
         ids.push(card.id);
     }

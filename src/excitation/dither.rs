@@ -19,7 +19,7 @@ pub struct Dither {
 }
 
 impl Dither {
-    pub(super) fn check(&self, seconds: f64) -> Result<(), Refusal> {
+    fn check(&self, seconds: f64) -> Result<(), Refusal> {
         amplitude("dither.amplitude_v", self.amplitude_v)?;
         clock("dither.clock_s", self.clock_s, seconds)
     }
@@ -40,12 +40,8 @@ impl Dither {
                     change_s = f64::from(tick) * self.clock_s;
                 }
                 let end_s = piece.end_s.min(change_s.max(start_s.next_up()));
-                dithered.push(Piece {
-                    start_s,
-                    end_s,
-                    from_v: piece.value(start_s) + volts,
-                    to_v: piece.value(end_s) + volts,
-                });
+                let [from_v, to_v] = [start_s, end_s].map(|at_s| piece.value(at_s) + volts);
+                dithered.push(Piece::line((start_s, from_v), (end_s, to_v)));
                 start_s = end_s;
             }
         }
@@ -59,6 +55,11 @@ impl Dither {
             -self.amplitude_v
         }
     }
+}
+
+/// Refuses a dither that makes none, where there is one.
+pub(super) fn check_dither(dither: Option<&Dither>, seconds: f64) -> Result<(), Refusal> {
+    dither.map_or(Ok(()), |dither| dither.check(seconds))
 }
 
 /// The pieces with the dither, where there is one.
@@ -75,12 +76,7 @@ mod tests {
 
     #[test]
     fn the_dither_stands_on_the_ramp_and_changes_only_at_its_clock() {
-        let ramp = [Piece {
-            start_s: 0.0,
-            end_s: 1.0,
-            from_v: -4.0,
-            to_v: 4.0,
-        }];
+        let ramp = [Piece::line((0.0, -4.0), (1.0, 4.0))];
         let dither = Dither {
             amplitude_v: 0.5,
             clock_s: 0.03,

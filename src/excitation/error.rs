@@ -3,7 +3,8 @@
 use thiserror::Error;
 
 /// A value of one excitation that is not allowed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{key} = {value} is not allowed (allowed: {allowed})")]
 pub struct Refusal {
     pub key: &'static str,
     pub value: f64,
@@ -12,14 +13,12 @@ pub struct Refusal {
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ExcitationError {
-    #[error("sequence part {number} ({kind}): {key} = {value} is not allowed (allowed: {allowed})")]
+    #[error("sequence part {number} ({kind}): {refusal}")]
     Value {
         /// Position in the sequence, from 1.
         number: usize,
         kind: &'static str,
-        key: &'static str,
-        value: f64,
-        allowed: &'static str,
+        refusal: Refusal,
     },
     #[error("slew_v_per_s = {0} is not allowed (allowed: more than 0, finite)")]
     Slew(f64),

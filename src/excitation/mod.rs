@@ -53,8 +53,6 @@ pub struct Card {
 
 /// One kind of excitation: what is asked for, before the slew limit.
 pub trait Excitation {
-    fn card(&self) -> Card;
-
     /// Refuses values that make no program.
     fn check(&self) -> Result<(), Refusal>;
 
@@ -77,6 +75,12 @@ macro_rules! catalogue {
         impl Segment {
             /// Every kind, in the order of the catalogue.
             pub const CARDS: &[Card] = &[$($kind::CARD),*];
+
+            pub const fn card(&self) -> Card {
+                match self {
+                    $(Self::$kind(_) => $kind::CARD,)*
+                }
+            }
 
             pub fn excitation(&self) -> &dyn Excitation {
                 match self {

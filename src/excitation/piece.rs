@@ -10,13 +10,18 @@ pub struct Piece {
 }
 
 impl Piece {
-    pub const fn level(start_s: f64, end_s: f64, volts: f64) -> Self {
+    /// From one `(time, voltage)` to another.
+    pub const fn line((start_s, from_v): (f64, f64), (end_s, to_v): (f64, f64)) -> Self {
         Self {
             start_s,
             end_s,
-            from_v: volts,
-            to_v: volts,
+            from_v,
+            to_v,
         }
+    }
+
+    pub const fn level(start_s: f64, end_s: f64, volts: f64) -> Self {
+        Self::line((start_s, volts), (end_s, volts))
     }
 
     pub fn slope_v_per_s(&self) -> f64 {

@@ -50,10 +50,6 @@ impl Prbs {
 }
 
 impl Excitation for Prbs {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         amplitude("amplitude_v", self.amplitude_v)?;
         duration("seconds", self.seconds)?;

@@ -59,16 +59,14 @@ impl Program {
         let mut start_s = 0.0;
         for (index, segment) in segments.iter().enumerate() {
             let excitation = segment.excitation();
-            let kind = excitation.card().id;
-            excitation
-                .check()
-                .map_err(|refusal| ExcitationError::Value {
-                    number: index + 1,
-                    kind,
-                    key: refusal.key,
-                    value: refusal.value,
-                    allowed: refusal.allowed,
-                })?;
+            let kind = segment.card().id;
+            let number = index + 1;
+            let refused = |refusal| ExcitationError::Value {
+                number,
+                kind,
+                refusal,
+            };
+            excitation.check().map_err(refused)?;
             let end_s = start_s + excitation.duration_s();
             if end_s > LONGEST_S {
                 return Err(ExcitationError::TooLong(end_s));
@@ -88,7 +86,7 @@ impl Program {
             }
             let earlier = segments[..index]
                 .iter()
-                .filter(|other| other.excitation().card().id == kind)
+                .filter(|other| other.card().id == kind)
                 .count();
             spans.push(Span {
                 name: if earlier == 0 {
@@ -104,12 +102,7 @@ impl Program {
         }
         if limit.voltage_v != 0.0 {
             let end_s = start_s + limit.voltage_v.abs() / slew_v_per_s;
-            pieces.push(Piece {
-                start_s,
-                end_s,
-                from_v: limit.voltage_v,
-                to_v: 0.0,
-            });
+            pieces.push(Piece::line((start_s, limit.voltage_v), (end_s, 0.0)));
             spans.push(Span {
                 name: "ramp down".into(),
                 start_s,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::dither::dithered;
+use super::dither::{check_dither, dithered};
 use super::error::{Refusal, duration, finite};
 use super::{Card, Dither, Excitation, Piece, Target};
 
@@ -25,17 +25,11 @@ impl Ramp {
 }
 
 impl Excitation for Ramp {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         finite("from_v", self.from_v)?;
         finite("to_v", self.to_v)?;
         duration("seconds", self.seconds)?;
-        self.dither
-            .as_ref()
-            .map_or(Ok(()), |dither| dither.check(self.seconds))
+        check_dither(self.dither.as_ref(), self.seconds)
     }
 
     fn duration_s(&self) -> f64 {
@@ -43,12 +37,7 @@ impl Excitation for Ramp {
     }
 
     fn target(&self) -> Target {
-        let pieces = vec![Piece {
-            start_s: 0.0,
-            end_s: self.seconds,
-            from_v: self.from_v,
-            to_v: self.to_v,
-        }];
+        let pieces = vec![Piece::line((0.0, self.from_v), (self.seconds, self.to_v))];
         Target::Voltage(dithered(self.dither.as_ref(), pieces))
     }
 }

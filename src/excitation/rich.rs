@@ -6,7 +6,7 @@ use super::{Dither, Prbs, Ramp, Segment, Sine, Standstill, Steps};
 pub const RICH_SECONDS: f64 = 12.0;
 
 /// Standstill, bipolar steps over the full range with dither, a slow ramp through zero, a five-level pseudo-random part
-/// of both signs, a slow sine through zero, standstill (recipe of DISCOVERY.md 2.0).
+/// of both signs, a slow sine through zero, standstill.
 ///
 /// `voltage_v` is the greatest voltage that may be asked for, dither included; `slew_v_per_s` what the program will be
 /// limited to (300 to 500 for a motor of 0.0045 kg.m2). Another seed gives another run of the same kind, for the
@@ -123,7 +123,7 @@ mod tests {
         assert!(differ > 300, "{differ} of 1200 instants differ");
     }
 
-    /// ZK-22FC (PHYSICS.md 2: 110 V, 5.7 A), stepped finely, the voltage held for 10 ms as a 100 Hz host does.
+    /// ZK-22FC (110 V, 5.7 A), stepped finely, the voltage held for 10 ms as a 100 Hz host does.
     #[test]
     fn the_paper_motor_stays_under_four_times_its_rated_current() {
         let (r_ohm, l_h, ke, j_kg_m2, mc_n_m) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);

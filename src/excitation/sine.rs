@@ -29,10 +29,6 @@ impl Sine {
 }
 
 impl Excitation for Sine {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         amplitude("amplitude_v", self.amplitude_v)?;
         duration("seconds", self.seconds)?;
@@ -60,12 +56,10 @@ impl Excitation for Sine {
         let mut pieces: Vec<Piece> = Vec::new();
         let mut start_s = 0.0;
         for end_s in ends {
-            pieces.push(Piece {
-                start_s,
-                end_s,
-                from_v: sine_v(start_s),
-                to_v: sine_v(end_s),
-            });
+            pieces.push(Piece::line(
+                (start_s, sine_v(start_s)),
+                (end_s, sine_v(end_s)),
+            ));
             start_s = end_s;
         }
         Target::Voltage(pieces)

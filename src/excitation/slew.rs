@@ -46,12 +46,7 @@ impl SlewLimit {
     }
 
     fn push(&mut self, start_s: f64, end_s: f64, to_v: f64, pieces: &mut Vec<Piece>) {
-        pieces.push(Piece {
-            start_s,
-            end_s,
-            from_v: self.voltage_v,
-            to_v,
-        });
+        pieces.push(Piece::line((start_s, self.voltage_v), (end_s, to_v)));
         self.voltage_v = to_v;
     }
 }

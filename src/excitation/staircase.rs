@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::dither::dithered;
+use super::dither::{check_dither, dithered};
 use super::error::{Refusal, duration, finite, refuse_unless};
 use super::piece::levels;
 use super::{Card, Dither, Excitation, Target};
@@ -29,10 +29,6 @@ impl Staircase {
 }
 
 impl Excitation for Staircase {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         finite("from_v", self.from_v)?;
         finite("to_v", self.to_v)?;
@@ -43,9 +39,7 @@ impl Excitation for Staircase {
             "2 to 10000",
         )?;
         duration("hold_s", self.hold_s)?;
-        self.dither
-            .as_ref()
-            .map_or(Ok(()), |dither| dither.check(self.duration_s()))
+        check_dither(self.dither.as_ref(), self.duration_s())
     }
 
     fn duration_s(&self) -> f64 {

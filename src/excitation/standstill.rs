@@ -21,10 +21,6 @@ impl Standstill {
 }
 
 impl Excitation for Standstill {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         duration("seconds", self.seconds)
     }

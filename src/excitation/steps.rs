@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::dither::dithered;
+use super::dither::{check_dither, dithered};
 use super::error::{Refusal, duration, finite, refuse_unless};
 use super::piece::levels;
 use super::{Card, Dither, Excitation, Target};
@@ -27,10 +27,6 @@ impl Steps {
 }
 
 impl Excitation for Steps {
-    fn card(&self) -> Card {
-        Self::CARD
-    }
-
     fn check(&self) -> Result<(), Refusal> {
         let count = self.levels_v.len();
         refuse_unless(
@@ -43,9 +39,7 @@ impl Excitation for Steps {
             finite("levels_v", *level_v)?;
         }
         duration("hold_s", self.hold_s)?;
-        self.dither
-            .as_ref()
-            .map_or(Ok(()), |dither| dither.check(self.duration_s()))
+        check_dither(self.dither.as_ref(), self.duration_s())
     }
 
     fn duration_s(&self) -> f64 {

@@ -280,7 +280,7 @@ fn full_duty(run: &Run) -> bool {
     if run.side(Channel::Voltage) == Some(Side::Supply) {
         return false;
     }
-    let largest = largest(voltage);
+    let largest = largest(voltage.iter().copied());
     let energised: Vec<bool> = bus
         .iter()
         .zip(voltage)

@@ -63,12 +63,11 @@ fn counted(number: usize) -> String {
 mod tests {
     use super::*;
     use crate::identification::noise::NoiseFloor;
-    use crate::identification::output_error;
-    use crate::identification::sanity;
     use crate::identification::scheme::{self, Data};
-    use crate::identification::start;
-    use crate::plant::testing::{record, with_rows_lost};
-    use crate::plant::{Model, Motor, MotorKey};
+    use crate::identification::testing::{KEYS, PAPER, of, paper, record};
+    use crate::identification::{output_error, sanity, start};
+    use crate::plant::Model;
+    use crate::plant::testing::with_rows_lost;
 
     /// Steps of some volts every 10 ms over a slow swing, as a record of 1 kHz; `lost` says which rows are.
     fn run(lost: impl Fn(usize) -> bool) -> Run {
@@ -81,20 +80,11 @@ mod tests {
                 }
                 let time_s = 1e-3 * f64::from(row);
                 let swing = 60.0 * (1.3 * (time_s - 0.3)).sin();
-                Some((
-                    time_s,
-                    if row < 300 {
-                        0.0
-                    } else {
-                        (20.0 * (swing + *dither)).round() / 20.0
-                    },
-                ))
+                let volts = (20.0 * (swing + *dither)).round() / 20.0;
+                Some((time_s, if row < 300 { 0.0 } else { volts }))
             })
             .collect();
-        with_rows_lost(
-            &record(&Model::baseline(Motor::zk_22fc()), events, 1e-3, 6.0, 5),
-            lost,
-        )
+        with_rows_lost(&record(&paper(), events, 1e-3, 6.0, 5), lost)
     }
 
     fn one_in_ten_and_a_long_hole(row: usize) -> bool {
@@ -124,10 +114,7 @@ mod tests {
         let lossy = run(one_in_ten_and_a_long_hole);
         let scenario = Scenario::from_run(&lossy).unwrap();
         let findings = sanity::examine(&lossy, &scenario, &Model::default());
-        assert!(
-            !findings.iter().any(|finding| finding.refuses),
-            "{findings:?}"
-        );
+        assert!(!findings.iter().any(|found| found.refuses), "{findings:?}");
     }
 
     #[test]
@@ -138,10 +125,7 @@ mod tests {
         let begin = start::complete(&Model::default(), &scenario).unwrap();
         let fit = output_error::fit(&[begin], &scenario, &noise).unwrap();
         assert!(fit.nrms < 1.1, "{}", fit.nrms);
-        for parameter in &fit.parameters {
-            let truth = MotorKey::from_key(&parameter.key)
-                .and_then(|key| Motor::zk_22fc().get(key))
-                .unwrap();
+        for (parameter, truth) in fit.parameters.iter().zip(PAPER) {
             let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
             assert!(
                 (value - truth).abs() < 3.5 * std && std < 0.01 * truth,
@@ -161,21 +145,11 @@ mod tests {
                 model: &Model::default(),
             };
             let found = scheme::find(id).unwrap().identify(&data).unwrap();
-            for key in [
-                MotorKey::Resistance,
-                MotorKey::Inductance,
-                MotorKey::BackEmf,
-                MotorKey::Inertia,
-            ] {
-                let truth = Motor::zk_22fc().get(key).unwrap();
-                let parameter = found
-                    .parameters
-                    .iter()
-                    .find(|found| found.key == key.key())
-                    .unwrap();
-                let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
+            for (key, truth) in KEYS.into_iter().zip(PAPER).take(4) {
+                let parameter = of(&found.parameters, key.key());
+                let off = (parameter.value.unwrap() - truth).abs();
                 assert!(
-                    (value - truth).abs() < 4.0 * std,
+                    off < 4.0 * parameter.std.unwrap(),
                     "{id} {parameter:?}: {truth}"
                 );
             }

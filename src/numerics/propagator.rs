@@ -156,9 +156,7 @@ impl Propagator {
             p[1][0] * x[0] + p[1][1] * x[1] + q[1][0] * g[0] + q[1][1] * g[1],
         ]
     }
-}
 
-impl Propagator {
     /// This interval and another one after it, the forcing constant over both.
     pub(crate) fn then(&self, next: &Self) -> Self {
         let mut gamma = multiply(&next.phi, &self.gamma);
@@ -236,7 +234,16 @@ mod tests {
 
     #[test]
     fn agrees_with_small_steps_for_real_complex_double_and_nilpotent_eigenvalues() {
-        let cases: [M2; 6] = [
+        // A motor with its poles real, a pair (small inertia) and equal (`TM = 4 Ta`), and with viscous friction.
+        let motor = |j: f64, b: f64| -> M2 {
+            let (r, l, k) = (1.1, 0.0099, 0.3538);
+            [[-r / l, -k / l], [k / j, -b / j]]
+        };
+        let cases: [M2; 10] = [
+            motor(0.0045, 0.0),
+            motor(0.0005, 0.0),
+            motor(4.0 * 0.0099 * 0.3538 * 0.3538 / (1.1 * 1.1), 0.0),
+            motor(0.0045, 0.02),
             [[-111.0, -35.7], [78.6, 0.0]],
             [[-20.0, -35.7], [78.6, 0.0]],
             [[-2.0, -1.0], [1.0, 0.0]],
@@ -263,6 +270,19 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn two_intervals_make_the_whole() {
+        let linear = LinearPart::new(&[[-111.0, -35.7], [88.9, -0.2]]);
+        let (whole, parts) = (
+            linear.over(0.01),
+            linear.over(0.003).then(&linear.over(0.007)),
+        );
+        for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            assert!((whole.phi[row][column] - parts.phi[row][column]).abs() < 1e-12);
+            assert!((whole.gamma[row][column] - parts.gamma[row][column]).abs() < 1e-12);
         }
     }
 

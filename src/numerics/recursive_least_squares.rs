@@ -213,11 +213,6 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         self.least_news = Self::LEAST_NEWS * (1.0 - self.forgetting);
     }
 
-    /// Moves the parameters, as a limit of physics may demand; covariance and noise stay.
-    pub fn set_parameters(&mut self, parameters: &[f64; N]) {
-        self.scaled = std::array::from_fn(|j| parameters[j] / self.scale[j]);
-    }
-
     /// Variance of one sample's error; `None` before more rows than parameters have spoken of it.
     pub fn noise_variance(&self) -> Option<f64> {
         (self.rows > N as u64 && self.noise_weight > 1.0)

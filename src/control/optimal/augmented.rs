@@ -10,13 +10,13 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::PaperBError;
+use crate::control::limiter::limited;
 use crate::control::{LinearPlant, LoopTiming, Measured, SpeedController};
 use crate::numerics::riccati;
 use crate::plant::{Model, MotorKey};
 
 /// Change of a gain at which its iteration ends.
 const TOLERANCE: f64 = 1e-10;
-const ROUNDING: f64 = 1e-9;
 
 /// What the regulator weighs; the noises are standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -111,7 +111,7 @@ impl LoadObserving {
             TOLERANCE,
         )
         .ok_or(PaperBError::Iteration("feedback's gain"))?;
-        let delay_periods = whole(timing.delay_cycles());
+        let delay_periods = timing.whole_cycles();
         Ok(Self {
             phi,
             gamma,
@@ -150,15 +150,6 @@ fn with_load(plant: &LinearPlant, period_s: f64, inertia: f64) -> (Matrix3<f64>,
     )
 }
 
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "between 0 and 64"
-)]
-fn whole(cycles: f64) -> usize {
-    cycles.round().clamp(0.0, 64.0) as usize
-}
-
 impl SpeedController for LoadObserving {
     fn id(&self) -> &'static str {
         Self::ID
@@ -182,12 +173,7 @@ impl SpeedController for LoadObserving {
     }
 
     fn applied(&mut self, output: f64) {
-        let short = self.wanted - output;
-        self.limited = if short.abs() > ROUNDING * self.wanted.abs().max(1.0) {
-            short.signum()
-        } else {
-            0.0
-        };
+        self.limited = limited(self.wanted, output);
         self.on_their_way.push_back(output);
         let acting = self.on_their_way.pop_front().unwrap_or(output);
         self.x = self.phi * self.x + self.gamma * acting;

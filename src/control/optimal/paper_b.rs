@@ -1,6 +1,6 @@
 //! Paper B: Kalman filter, optimal state feedback by dynamic programming, adaptive compensation.
 //!
-//! Corrections to the scan (PHYSICS.md section 4): `u* = -gamma G (x - [r, r])`; the predictor works on measured speeds and
+//! Corrections to the scan: `u* = -gamma G (x - [r, r])`; the predictor works on measured speeds and
 //! is fed `u*`, not `u* + u0`. Symbols: n is the speed, here in rad/s; A, B, D, F are the coefficients of eq. (9).
 
 use nalgebra::{Matrix2, Vector2};

@@ -1,16 +1,10 @@
 //! From a plant and its delays to the gains of a PI regulator, with reasons.
 //!
 //! ```text
-//! LinearPlant + LoopTiming + Request --(one file per rule)--> PiGains --> LoopShape: margins, predicted step
+//! LinearPlant + LoopTiming + Request --(rule)--> PiGains --> LoopShape: margins, predicted step
 //!                                                               |
 //!                                  refused, with what is reachable, where the margins do not hold
 //! ```
-
-mod modulus_optimum;
-mod pole_placement;
-mod symmetrical_optimum;
-#[cfg(test)]
-mod tests;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -144,6 +138,21 @@ struct Found {
     reasons: Vec<String>,
 }
 
+impl Found {
+    fn new(kp_tn_filter: [f64; 3], small_time_s: f64, reason: String) -> Self {
+        let [proportional, integral_time_s, reference_filter_s] = kp_tn_filter;
+        Self {
+            gains: PiGains {
+                proportional,
+                integral_time_s,
+                reference_filter_s,
+            },
+            small_time_s,
+            reasons: vec![reason],
+        }
+    }
+}
+
 /// Gains by a rule, checked on the sampled loop with its delay.
 ///
 /// # Errors
@@ -207,9 +216,9 @@ fn by_rule(
     slower: f64,
 ) -> Result<Found, TuningError> {
     match rule {
-        Rule::ModulusOptimum => modulus_optimum::gains(plant, timing, slower),
-        Rule::SymmetricalOptimum => symmetrical_optimum::gains(plant, timing, slower),
-        Rule::PolePlacement => Ok(pole_placement::gains(plant, timing, slower)),
+        Rule::ModulusOptimum => modulus_optimum(plant, timing, slower),
+        Rule::SymmetricalOptimum => symmetrical_optimum(plant, timing, slower),
+        Rule::PolePlacement => Ok(pole_placement(plant, timing, slower)),
     }
 }
 
@@ -293,3 +302,137 @@ fn is_safe(margins: &Margins) -> bool {
         && margins.phase_margin_deg >= LEAST_PHASE_MARGIN_DEG
         && margins.gain_margin >= LEAST_GAIN_MARGIN
 }
+
+/// Least Tn of a motor that swings, in dead times.
+const LEAST_PROPORTIONAL: f64 = 0.5;
+
+/// Modulus optimum (Kessler 1955): the large time constant is cancelled, the gain set by the sum of the small ones.
+fn modulus_optimum(
+    plant: &LinearPlant,
+    timing: &LoopTiming,
+    slower: f64,
+) -> Result<Found, TuningError> {
+    let rule = "modulus optimum";
+    let integrates = TuningError::Integrates { rule };
+    let Some(dominant) = plant.dominant() else {
+        return swinging(plant, timing, slower).ok_or(integrates);
+    };
+    let large_s = dominant.large_s.ok_or(integrates)?;
+    let small_time_s = slower * (dominant.small_s + timing.small_time_s());
+    let proportional = 1.0 / (2.0 * dominant.rate * small_time_s);
+    let reason = format!(
+        "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
+        1e3 * small_time_s
+    );
+    Ok(Found::new(
+        [proportional, large_s, 0.0],
+        small_time_s,
+        reason,
+    ))
+}
+
+/// The plant's own poles swing: nothing can be cancelled by a real zero. The same condition, gain one up to the fourth
+/// power of the frequency, solved for the series of the whole plant with its dead time.
+fn swinging(plant: &LinearPlant, timing: &LoopTiming, slower: f64) -> Option<Found> {
+    let (sum, product) = plant.denominator()?;
+    let gain = plant.gain()?;
+    let late = timing.small_time_s();
+    // (1 + sum s + product s^2) exp(late s) / gain = c0 + c1 s + c2 s^2 + c3 s^3 + ..
+    let c0 = 1.0 / gain;
+    let c1 = (sum + late) / gain;
+    let c2 = (product + sum * late + late * late / 2.0) / gain;
+    let c3 = (product * late + sum * late * late / 2.0 + late.powi(3) / 6.0) / gain;
+    let integral = (c1 * c1 - c0 * c2) / (2.0 * (c1 * c2 / c0 - c3)) / slower;
+    let best = integral * c1 / c0 - 0.5 * c0;
+    // A plant that swings hard wants an integrator alone; a little proportional part keeps the form of the regulator.
+    let proportional = best.max(LEAST_PROPORTIONAL * integral * late);
+    let integral_time_s = proportional / integral;
+    let reason = format!(
+        "modulus optimum for a motor that swings by itself (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
+    );
+    let small_time_s = slower * (late + product / sum);
+    let gains = [proportional, integral_time_s, 0.0];
+    (integral > 0.0).then(|| Found::new(gains, small_time_s, reason))
+}
+
+const DAMPING: f64 = 0.9;
+/// Natural frequency times small time constant: what the neglected small time constant leaves of the damping.
+const FREQUENCY_TIMES_SMALL: f64 = 0.35;
+
+/// Pole placement: the two slow poles of the loop by natural frequency and damping; the reference's filter takes the zero.
+fn pole_placement(plant: &LinearPlant, timing: &LoopTiming, slower: f64) -> Found {
+    // The slow part as one time constant (none: an integrator), whatever is quicker as the small one.
+    let (rate, decay, small_s) = if let Some(dominant) = plant.dominant() {
+        (
+            dominant.rate,
+            dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s),
+            dominant.small_s,
+        )
+    } else {
+        let (sum, product) = plant.denominator().unwrap_or((1.0, 1.0));
+        (plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
+    };
+    let small_time_s = slower * (small_s + timing.small_time_s());
+    let natural = FREQUENCY_TIMES_SMALL / small_time_s;
+    if decay > DAMPING * natural {
+        return quick_motor(rate, decay, natural, small_time_s);
+    }
+    let integral = natural * natural / rate;
+    let proportional = (2.0 * DAMPING * natural - decay) / rate;
+    let integral_time_s = proportional / integral;
+    let reason = format!(
+        "pole placement: natural frequency {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms), damping {DAMPING}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
+        1e3 * small_time_s
+    );
+    let gains = [proportional, integral_time_s, integral_time_s];
+    Found::new(gains, small_time_s, reason)
+}
+
+/// A motor that is quicker than the loop would have to be slowed down by a negative gain: its own pole is left to it, and
+/// one pole is placed.
+fn quick_motor(rate: f64, decay: f64, natural: f64, small_time_s: f64) -> Found {
+    let (proportional, integral_time_s) = (natural / rate, 1.0 / decay);
+    let reason = format!(
+        "pole placement for a motor that is quicker than the loop: Tn = {integral_time_s:.4} s leaves it its own pole, Kp = {proportional:.4} places one at {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms)",
+        1e3 * small_time_s
+    );
+    Found::new([proportional, integral_time_s, 0.0], small_time_s, reason)
+}
+
+/// Kessler's choice: Tn over the small time constant is its square; a phase margin of 37 degrees at `a` = 2 on a pure
+/// integrator. The overshoot of the reference comes from the zero, and the filter takes it.
+const A: f64 = 2.4;
+
+/// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
+fn symmetrical_optimum(
+    plant: &LinearPlant,
+    timing: &LoopTiming,
+    slower: f64,
+) -> Result<Found, TuningError> {
+    let integrating = plant.dominant().filter(|dominant| {
+        let integral_time_s = A * A * (dominant.small_s + timing.small_time_s());
+        dominant
+            .large_s
+            .is_none_or(|large_s| large_s > integral_time_s)
+    });
+    let Some(dominant) = integrating else {
+        let mut found = modulus_optimum(plant, timing, slower)?;
+        found.reasons.insert(
+            0,
+            "the motor is quicker than the Tn of the symmetrical optimum: to the loop it is no integrator, and the modulus optimum serves".to_owned(),
+        );
+        return Ok(found);
+    };
+    let small_time_s = slower * (dominant.small_s + timing.small_time_s());
+    let proportional = 1.0 / (A * dominant.rate * small_time_s);
+    let integral_time_s = A * A * small_time_s;
+    let reason = format!(
+        "symmetrical optimum with a = {A}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
+        1e3 * small_time_s
+    );
+    let gains = [proportional, integral_time_s, integral_time_s];
+    Ok(Found::new(gains, small_time_s, reason))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,20 +1,10 @@
 use super::*;
-use crate::control::testing::assert_close;
-use crate::plant::{Model, Motor, MotorKey};
+use crate::control::testing::{self, *};
+use crate::plant::{Model, Motor};
 
 /// The paper's motor with the inertia that gives a mechanical time constant, s.
 fn plant(mechanical_s: f64) -> LinearPlant {
-    let inertia = mechanical_s * 0.3538 * 0.3538 / 1.1;
-    let motor = Motor::zk_22fc().with(MotorKey::Inertia, inertia);
-    LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap()
-}
-
-fn timing(cycles: f64) -> LoopTiming {
-    LoopTiming {
-        period_s: 0.01,
-        delay_s: cycles * 0.01,
-        filter_s: 0.0,
-    }
+    testing::plant(inertia(mechanical_s))
 }
 
 fn request(rule: Rule) -> Request {
@@ -33,16 +23,12 @@ fn the_modulus_optimum_is_the_textbooks() {
     let expected = 0.3538 * (0.2 - small_s) / (2.0 * (small_s + 0.025));
     assert_close(tuning.gains.proportional, expected, 1e-9);
     // 4.3 % of a second-order loop; the dead time is a lag only to first order.
+    let (response, margins) = (&tuning.response, &tuning.margins);
     assert!(
-        (2.0..8.0).contains(&tuning.response.overshoot_percent),
-        "{:?}",
-        tuning.response
+        (2.0..8.0).contains(&response.overshoot_percent),
+        "{response:?}"
     );
-    assert!(
-        tuning.margins.phase_margin_deg > 55.0,
-        "{:?}",
-        tuning.margins
-    );
+    assert!(margins.phase_margin_deg > 55.0, "{margins:?}");
 }
 
 #[test]
@@ -54,14 +40,10 @@ fn every_rule_holds_its_margins_over_motors_and_delays() {
                 let tuning = tuning.unwrap_or_else(|error| {
                     panic!("{rule:?} TM {mechanical_s} s, {cycles} cycles: {error}")
                 });
+                let response = &tuning.response;
                 assert!(
-                    tuning.response.overshoot_percent < 12.0,
-                    "{rule:?} {mechanical_s} {cycles} {:?}",
-                    tuning.response
-                );
-                assert!(
-                    tuning.response.settling_s.is_some(),
-                    "{rule:?} {mechanical_s} {cycles}"
+                    response.overshoot_percent < 12.0 && response.settling_s.is_some(),
+                    "{rule:?} {mechanical_s} {cycles} {response:?}"
                 );
             }
         }
@@ -81,12 +63,8 @@ fn a_cycle_of_delay_that_is_left_out_costs_what_the_issue_says() {
             .collect();
         response(&trace, 0.0, 1.0).overshoot_percent
     };
-    assert!(
-        overshoot(0.0) < 10.0 && overshoot(2.0) > 40.0,
-        "{} {}",
-        overshoot(0.0),
-        overshoot(2.0)
-    );
+    let (none, two) = (overshoot(0.0), overshoot(2.0));
+    assert!(none < 10.0 && two > 40.0, "{none} {two}");
 }
 
 #[test]
@@ -114,11 +92,8 @@ fn a_drive_that_takes_current_gets_a_rule_for_integrators() {
     assert!(matches!(error, TuningError::Integrates { .. }));
     for rule in [Rule::SymmetricalOptimum, Rule::PolePlacement] {
         let tuning = tune(&plant, &timing(1.0), &request(rule)).unwrap();
-        assert!(
-            tuning.response.overshoot_percent < 12.0,
-            "{rule:?} {:?}",
-            tuning.response
-        );
+        let response = &tuning.response;
+        assert!(response.overshoot_percent < 12.0, "{rule:?} {response:?}");
     }
 }
 
@@ -126,8 +101,7 @@ fn a_drive_that_takes_current_gets_a_rule_for_integrators() {
 fn a_timing_that_is_none_is_refused() {
     let nonsense = LoopTiming {
         period_s: f64::NAN,
-        delay_s: 0.0,
-        filter_s: 0.0,
+        ..timing(0.0)
     };
     let error = tune(&plant(0.2), &nonsense, &Request::default()).unwrap_err();
     assert!(matches!(error, TuningError::Timing { .. }));

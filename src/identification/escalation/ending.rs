@@ -1,6 +1,7 @@
 //! How an escalation ends: a motor, or a reason with its numbers.
 
 use serde::Serialize;
+use thiserror::Error;
 
 use super::{Bounds, RestWinding, Seen};
 use crate::plant::{Motor, MotorKey};
@@ -30,23 +31,31 @@ pub struct Found {
 impl Found {
     /// Estimate of one key.
     pub fn get(&self, key: MotorKey) -> Option<&ParameterEstimate> {
-        self.parameters.iter().find(|p| p.key == key.key())
+        ParameterEstimate::find(&self.parameters, key.key())
     }
 }
 
 /// Why no motor was found. Every number is what was measured.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Error, PartialEq, Serialize)]
 #[serde(tag = "finding", rename_all = "snake_case")]
 pub enum Ending {
+    #[error(
+        "open phase, or the motor is not connected: {voltage_v:.2} V applied for {:.0} ms, current below {below_a:.3} A",
+        1e3 * seconds
+    )]
     OpenPhase {
         voltage_v: f64,
         seconds: f64,
         below_a: f64,
     },
-    NoOutput {
-        commanded_v: f64,
-        measured_v: f64,
-    },
+    #[error(
+        "the drive puts out no voltage: {commanded_v:.2} V commanded, {measured_v:.2} V measured, and no current"
+    )]
+    NoOutput { commanded_v: f64, measured_v: f64 },
+    #[error(
+        "locked rotor, or a load beyond the rated torque: {current_a:.2} A (rated {rated_current_a:.2} A) at {voltage_v:.2} V for {:.0} ms, speed below {below_rad_s:.2} rad/s",
+        1e3 * seconds
+    )]
     LockedRotor {
         current_a: f64,
         voltage_v: f64,
@@ -55,28 +64,29 @@ pub enum Ending {
         rated_current_a: f64,
     },
     /// The current tells that the shaft turns, the speed does not.
+    #[error(
+        "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, which a turning shaft does, but the speed stays below {below_rad_s:.2} rad/s"
+    )]
     SpeedSignalDead {
         ohm_at_rest: f64,
         ohm_now: f64,
         below_rad_s: f64,
     },
     /// The voltage limit was reached before the rated current.
+    #[error(
+        "the shaft stands still and the voltage limit keeps the current low: {current_a:.2} A of {rated_current_a:.2} A rated at {voltage_v:.2} V"
+    )]
     VoltageLimit {
         current_a: f64,
         voltage_v: f64,
         rated_current_a: f64,
     },
-    CurrentSign {
-        voltage_v: f64,
-        current_a: f64,
-    },
-    SpeedSign {
-        voltage_v: f64,
-        speed_rad_s: f64,
-    },
-    NotIdentified {
-        reason: String,
-    },
+    #[error("the current has the wrong sign: {current_a:.3} A at {voltage_v:.3} V")]
+    CurrentSign { voltage_v: f64, current_a: f64 },
+    #[error("the speed has the wrong sign: {speed_rad_s:.2} rad/s at {voltage_v:.3} V")]
+    SpeedSign { voltage_v: f64, speed_rad_s: f64 },
+    #[error("the motor could not be identified: {reason}")]
+    NotIdentified { reason: String },
 }
 
 impl Ending {
@@ -94,59 +104,7 @@ impl Ending {
     }
 
     pub fn sentence(&self) -> String {
-        match self {
-            Self::OpenPhase {
-                voltage_v,
-                seconds,
-                below_a,
-            } => format!(
-                "open phase, or the motor is not connected: {voltage_v:.2} V applied for {:.0} ms, current below {below_a:.3} A",
-                1e3 * seconds
-            ),
-            Self::NoOutput {
-                commanded_v,
-                measured_v,
-            } => format!(
-                "the drive puts out no voltage: {commanded_v:.2} V commanded, {measured_v:.2} V measured, and no current"
-            ),
-            Self::LockedRotor {
-                current_a,
-                voltage_v,
-                seconds,
-                below_rad_s,
-                rated_current_a,
-            } => format!(
-                "locked rotor, or a load beyond the rated torque: {current_a:.2} A (rated {rated_current_a:.2} A) at {voltage_v:.2} V for {:.0} ms, speed below {below_rad_s:.2} rad/s",
-                1e3 * seconds
-            ),
-            Self::SpeedSignalDead {
-                ohm_at_rest,
-                ohm_now,
-                below_rad_s,
-            } => format!(
-                "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, which a turning shaft does, but the speed stays below {below_rad_s:.2} rad/s"
-            ),
-            Self::VoltageLimit {
-                current_a,
-                voltage_v,
-                rated_current_a,
-            } => format!(
-                "the shaft stands still and the voltage limit keeps the current low: {current_a:.2} A of {rated_current_a:.2} A rated at {voltage_v:.2} V"
-            ),
-            Self::CurrentSign {
-                voltage_v,
-                current_a,
-            } => format!("the current has the wrong sign: {current_a:.3} A at {voltage_v:.3} V"),
-            Self::SpeedSign {
-                voltage_v,
-                speed_rad_s,
-            } => {
-                format!("the speed has the wrong sign: {speed_rad_s:.2} rad/s at {voltage_v:.3} V")
-            }
-            Self::NotIdentified { reason } => {
-                format!("the motor could not be identified: {reason}")
-            }
-        }
+        self.to_string()
     }
 
     pub const fn help(&self) -> &'static str {

@@ -21,14 +21,11 @@
 //! is no larger than what the lowest resistance that the data still allow turns into the wanted current.
 
 mod ending;
-mod fit;
-mod rest;
-mod seen;
+mod observation;
 mod stage;
 
 pub use ending::{Ending, Found, Outcome};
-pub use rest::RestWinding;
-pub use seen::Seen;
+pub use observation::{RestWinding, Seen};
 pub use stage::{Stage, StageKind};
 
 use serde::Serialize;
@@ -36,7 +33,7 @@ use serde::Serialize;
 use crate::plant::{MotorKey, Scenario, ScenarioError};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
 use ending::NoMotion;
-use fit::Turned;
+use observation::Turned;
 
 /// Current of the first look, in rated currents.
 const FEEL_CURRENT: f64 = 0.3;
@@ -236,7 +233,7 @@ impl Escalation {
 
     fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Seen) -> (Next, String) {
         if let Some(ending) = ending::wrong_sign(seen) {
-            return (over(ending.clone()), ending.sentence());
+            return ended(ending);
         }
         match stage.kind {
             StageKind::Feel => self.felt(scenario, seen),
@@ -264,7 +261,7 @@ impl Escalation {
         }
         if self.last_v >= safe_v * 0.999 {
             let ending = ending::no_current(seen, NO_CURRENT * rated_a);
-            return (over(ending.clone()), ending.sentence());
+            return ended(ending);
         }
         // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
         let wanted_v =
@@ -303,7 +300,7 @@ impl Escalation {
         let bounds = &self.bounds;
         let reached_a = REACHED * bounds.rated_current_a;
         match ending::no_motion(seen, before, reached_a, bounds) {
-            NoMotion::Named(ending) => (over(ending.clone()), ending.sentence()),
+            NoMotion::Named(ending) => ended(ending),
             NoMotion::TooSlowToSee => {
                 let line = format!("it may turn too slowly to be seen, {}", seen.text());
                 let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
@@ -325,7 +322,7 @@ impl Escalation {
 
     fn turned(&mut self, kind: StageKind, scenario: &Scenario, seen: &Seen) -> (Next, String) {
         self.rounds += 1;
-        let found = fit::turned(scenario, self.rest);
+        let found = observation::turned(scenario, self.rest);
         let line = match &found {
             Ok(found) => found.text(),
             Err(reason) => format!("{}: {reason}", seen.text()),
@@ -344,16 +341,11 @@ impl Escalation {
             }
             self.turned = Some(found);
         }
-        let within = |most| {
-            self.turned
-                .as_ref()
-                .is_some_and(|turned| turned.is_within(most))
-        };
+        let is_within =
+            |found: &Option<Turned>, most| found.as_ref().is_some_and(|it| it.is_within(most));
+        let within = |most| is_within(&self.turned, most);
         // Only a sweep has shown more than a corner of what the motor will be used for.
-        let best_is_usable = self
-            .best
-            .as_ref()
-            .is_some_and(|best| best.is_within(USABLE));
+        let best_is_usable = is_within(&self.best, USABLE);
         if (within(GOOD) && kind == StageKind::Sweep) || (best_is_usable && self.rounds >= ROUNDS) {
             return (self.found(), line);
         }
@@ -375,7 +367,7 @@ impl Escalation {
     }
 
     fn learn_rest(&mut self, scenario: &Scenario, seen: &Seen) {
-        let found = rest::at_rest(scenario, seen);
+        let found = observation::at_rest(scenario, seen);
         self.rest = match (self.rest, found) {
             (Some(old), Some(new)) if old.relative() < new.relative() => Some(old),
             (old, new) => new.or(old),
@@ -480,7 +472,7 @@ impl Escalation {
             peak_v,
             slew_v_per_s,
             winding_v: bounds.current_limit_a * lowest_ohm,
-            back_emf_v_s_per_rad: turned.motor().get(MotorKey::BackEmf)?,
+            back_emf_v_s_per_rad: turned.motor.get(MotorKey::BackEmf)?,
             mechanical_s,
             stop_current_a: (1.5 * (accelerating_a + friction_a)).min(0.9 * bounds.current_limit_a),
         };
@@ -520,10 +512,16 @@ impl Escalation {
             });
         };
         Next::Over(Box::new(Outcome::Found(Found {
-            motor: turned.motor(),
-            parameters: turned.parameters().to_vec(),
+            motor: turned.motor.clone(),
+            parameters: turned.parameters.clone(),
         })))
     }
+}
+
+/// The end, with its sentence.
+fn ended(ending: Ending) -> (Next, String) {
+    let sentence = ending.sentence();
+    (over(ending), sentence)
 }
 
 fn over(ending: Ending) -> Next {
@@ -532,7 +530,7 @@ fn over(ending: Ending) -> Next {
 
 /// Relative standard deviation of an estimate that has a value.
 fn relative(parameters: &[ParameterEstimate], key: MotorKey) -> Option<f64> {
-    let found = parameters.iter().find(|p| p.key == key.key())?;
+    let found = ParameterEstimate::find(parameters, key.key())?;
     Some((found.std? / found.value?).abs())
 }
 

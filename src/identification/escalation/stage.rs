@@ -131,7 +131,45 @@ pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stag
     }
 }
 
-/// Forward, back to zero, backward, back to zero. `winding_v` is what the guard allows across the winding.
+/// What a sweep is made of: the motor as far as it is known.
+pub(super) struct Sweep {
+    pub(super) peak_v: f64,
+    pub(super) slew_v_per_s: f64,
+    pub(super) winding_v: f64,
+    pub(super) back_emf_v_s_per_rad: f64,
+    pub(super) mechanical_s: f64,
+    pub(super) stop_current_a: f64,
+}
+
+/// Forward, back to zero, backward, back to zero, each level held for so long.
+fn both_ways(
+    bounds: &Bounds,
+    kind: StageKind,
+    sweep: &Sweep,
+    hold_s: f64,
+    reason: String,
+) -> Stage {
+    Stage {
+        kind,
+        segments: vec![
+            standstill(bounds),
+            Segment::Steps(Steps {
+                levels_v: vec![sweep.peak_v, 0.0, -sweep.peak_v, 0.0],
+                hold_s,
+                dither: None,
+            }),
+        ],
+        slew_v_per_s: sweep.slew_v_per_s,
+        peak_v: sweep.peak_v,
+        stop_current_a: sweep.stop_current_a,
+        stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
+        winding_v: Some(sweep.winding_v),
+        back_emf_v_s_per_rad: sweep.back_emf_v_s_per_rad,
+        reason,
+    }
+}
+
+/// Steps in both directions. `winding_v` is what the guard allows across the winding.
 pub(super) fn turn(
     bounds: &Bounds,
     volts: f64,
@@ -145,35 +183,16 @@ pub(super) fn turn(
             (3.0 * constant_s).clamp(STEP_S.0, STEP_S.1)
         })
         .max(30.0 * bounds.period_s);
-    Stage {
-        kind: StageKind::Turn,
-        segments: vec![
-            standstill(bounds),
-            Segment::Steps(Steps {
-                levels_v: vec![volts, 0.0, -volts, 0.0],
-                hold_s,
-                dither: None,
-            }),
-        ],
+    let steps = Sweep {
+        peak_v: volts,
         // Within one period: a step.
         slew_v_per_s: volts / bounds.period_s.min(0.01),
-        peak_v: volts,
-        stop_current_a: (1.5 * wanted_a).min(0.9 * bounds.current_limit_a),
-        stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
-        winding_v: Some(winding_v),
+        winding_v,
         back_emf_v_s_per_rad: 0.0,
-        reason,
-    }
-}
-
-/// What a sweep is made of: the motor as far as it is known.
-pub(super) struct Sweep {
-    pub(super) peak_v: f64,
-    pub(super) slew_v_per_s: f64,
-    pub(super) winding_v: f64,
-    pub(super) back_emf_v_s_per_rad: f64,
-    pub(super) mechanical_s: f64,
-    pub(super) stop_current_a: f64,
+        mechanical_s: 0.0,
+        stop_current_a: (1.5 * wanted_a).min(0.9 * bounds.current_limit_a),
+    };
+    both_ways(bounds, StageKind::Turn, &steps, hold_s, reason)
 }
 
 /// Up to a speed, to rest, and the same backward, with a slew that the acceleration current bounds.
@@ -182,22 +201,5 @@ pub(super) fn sweep(bounds: &Bounds, sweep: &Sweep, reason: String) -> Stage {
     let settle_s = (2.0 * sweep.mechanical_s)
         .clamp(0.1, 0.5)
         .max(10.0 * bounds.period_s);
-    Stage {
-        kind: StageKind::Sweep,
-        segments: vec![
-            standstill(bounds),
-            Segment::Steps(Steps {
-                levels_v: vec![sweep.peak_v, 0.0, -sweep.peak_v, 0.0],
-                hold_s: slope_s + settle_s,
-                dither: None,
-            }),
-        ],
-        slew_v_per_s: sweep.slew_v_per_s,
-        peak_v: sweep.peak_v,
-        stop_current_a: sweep.stop_current_a,
-        stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
-        winding_v: Some(sweep.winding_v),
-        back_emf_v_s_per_rad: sweep.back_emf_v_s_per_rad,
-        reason,
-    }
+    both_ways(bounds, StageKind::Sweep, sweep, slope_s + settle_s, reason)
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::plant::testing::record;
+use crate::identification::testing::{changed, put, record, run_of};
 use crate::plant::{Model, Motor};
 
 fn bounds() -> Bounds {
@@ -27,35 +27,20 @@ fn answer(stage: &Stage, motor: &Motor, distort: impl Fn(&mut Run)) -> Run {
         })
         .collect();
     let volts = events.iter().map(|event| event.1).collect();
-    let scenario = record(
-        &Model::baseline(motor.clone()),
-        events,
-        0.01,
-        program.duration_s(),
-        7,
-    );
-    let mut run = Run::new("stage", scenario.sample_time_s.clone()).unwrap();
-    for (channel, cells) in [
+    let model = Model::baseline(motor.clone());
+    let scenario = record(&model, events, 0.01, program.duration_s(), 7);
+    let columns = [
         (Channel::VoltageCmd, volts),
         (Channel::Current, scenario.current_a),
         (Channel::Speed, scenario.speed_rad_s),
-    ] {
-        run.set_column(channel, cells, Origin::Measured).unwrap();
-    }
+    ];
+    let mut run = run_of(scenario.sample_time_s, columns);
     distort(&mut run);
     run
 }
 
 fn scaled(channel: Channel, factor: f64) -> impl Fn(&mut Run) {
-    move |run: &mut Run| {
-        let cells = run
-            .column(channel)
-            .unwrap()
-            .iter()
-            .map(|v| v * factor)
-            .collect();
-        run.set_column(channel, cells, Origin::Measured).unwrap();
-    }
+    move |run: &mut Run| *run = changed(run, channel, |_, value| value * factor)
 }
 
 fn ending(distort: impl Fn(&mut Run)) -> Ending {
@@ -114,8 +99,7 @@ fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
         scaled(Channel::Current, 0.0)(run);
         scaled(Channel::Speed, 0.0)(run);
         let nothing = vec![0.01; run.rows()];
-        run.set_column(Channel::Voltage, nothing, Origin::Measured)
-            .unwrap();
+        put(run, Channel::Voltage, nothing);
     });
     assert!(
         matches!(found, Ending::NoOutput { commanded_v, .. } if (commanded_v - 27.5).abs() < 0.1),

@@ -15,6 +15,7 @@ use super::track::{Block, SampleNoise, Track};
 use super::winding::{self, Interval, Winding};
 use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
 use crate::plant::{Motor, MotorKey};
+use crate::signal::holding_since;
 
 const LONGEST_BLOCK_S: f64 = 0.01;
 /// A voltage this small is what a start without a bump leaves behind, V; it counts as none.
@@ -245,8 +246,8 @@ impl Scheme3 {
             self.take_block(begin_s, time_s);
             self.readings.clear();
             self.readings.push(reading);
-            let held = self.voltage.partition_point(|event| event.0 <= time_s);
-            self.voltage.drain(..held.saturating_sub(1));
+            let kept = holding_since(&self.voltage, time_s).len();
+            self.voltage.drain(..self.voltage.len() - kept);
         }
     }
 
@@ -278,14 +279,13 @@ impl Scheme3 {
         let acceleration = self.acceleration.unwrap_or(0.0);
         self.readings.windows(2).map(move |pair| {
             let (a, b) = (&pair[0], &pair[1]);
-            let held = self.voltage.partition_point(|event| event.0 <= a.time_s);
             let moving = a.direction != 0 || b.direction != 0;
             let interval = Interval {
                 begin_s: a.time_s,
                 length_s: b.time_s - a.time_s,
                 speed: [a.speed_rad_s, b.speed_rad_s],
                 acceleration_per_ampere: if moving { acceleration } else { 0.0 },
-                voltage: &self.voltage[held.saturating_sub(1)..],
+                voltage: holding_since(&self.voltage, a.time_s),
             };
             (a, b, interval)
         })
@@ -350,10 +350,9 @@ impl Scheme3 {
     /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
     fn is_at_rest(&self) -> bool {
         let begin_s = self.readings[0].time_s;
-        let held = self.voltage.partition_point(|event| event.0 <= begin_s);
         let noise = self.current_noise_a().unwrap_or(0.0);
         let least = (CURRENT_NOISE * noise).max(CURRENT_SHARE * self.largest_current_a);
-        self.voltage[held.saturating_sub(1)..]
+        holding_since(&self.voltage, begin_s)
             .iter()
             .all(|event| event.1.abs() <= NEARLY_ZERO_V)
             && self

@@ -4,7 +4,8 @@
 //! and load) is the one that brings the speed from its measured begin to its measured end. Where the shaft is held, or
 //! Kt/J is not known, Kt/J = 0 makes the speed a straight line. No assumption on T against L/R or on the speed's shape.
 
-use crate::plant::propagator::LinearPart;
+use crate::numerics::propagator::LinearPart;
+use crate::signal::{Point, integral, pieces};
 
 /// R, L, Ke.
 pub(super) type Winding = [f64; 3];
@@ -19,25 +20,13 @@ pub(super) struct Interval<'a> {
     /// Kt/J, rad/(A.s^2); 0: the speed is a straight line.
     pub(super) acceleration_per_ampere: f64,
     /// `(absolute time, volts)`, in order, holding until the next; the first at or before `begin_s`.
-    pub(super) voltage: &'a [(f64, f64)],
+    pub(super) voltage: &'a [Point],
 }
 
 impl Interval<'_> {
     /// `(length, volts)` of the held pieces inside the interval.
-    fn pieces(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
-        let end_s = self.begin_s + self.length_s;
-        self.voltage
-            .iter()
-            .enumerate()
-            .take_while(move |(_, event)| event.0 < end_s)
-            .filter_map(move |(index, &(at_s, volts))| {
-                let to = self
-                    .voltage
-                    .get(index + 1)
-                    .map_or(end_s, |next| next.0.min(end_s));
-                let length_s = to - at_s.max(self.begin_s);
-                (length_s > 0.0).then_some((length_s, volts))
-            })
+    fn pieces(&self) -> impl Iterator<Item = Point> + '_ {
+        pieces(self.voltage, self.begin_s, self.begin_s + self.length_s)
     }
 }
 
@@ -76,8 +65,6 @@ pub(super) fn propagate(
 
 /// Integral of the held voltage over the interval, V.s.
 pub(super) fn voltage_integral(interval: &Interval<'_>) -> f64 {
-    interval
-        .pieces()
-        .map(|(length_s, volts)| length_s * volts)
-        .sum()
+    let end_s = interval.begin_s + interval.length_s;
+    integral(interval.voltage, interval.begin_s, end_s)
 }

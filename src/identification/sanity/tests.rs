@@ -1,8 +1,8 @@
 //! Good records pass without a word; each kind of bad one is named.
 
 use super::*;
+use crate::identification::testing::{put, record, run_of};
 use crate::plant::Motor;
-use crate::plant::testing::record;
 use crate::sample::{Channel, Origin};
 
 const LEVELS: [(f64, f64); 9] = [
@@ -28,48 +28,54 @@ struct Columns {
 
 fn columns(period_s: f64, seed: u64) -> Columns {
     let model = Model::baseline(Motor::zk_22fc());
-    let scenario = record(&model, LEVELS.to_vec(), period_s, 4.5, seed);
-    let voltage = Table::new(&scenario).voltage_v;
-    let mut turned = 0.0;
-    let speed = &scenario.speed_rad_s;
-    let angle = speed
-        .iter()
-        .enumerate()
-        .map(|(row, w)| {
-            if row > 0 {
-                turned += 0.5 * period_s * (w + speed[row - 1]);
-            }
-            turned
-        })
-        .collect();
-    Columns {
-        time_s: scenario.sample_time_s,
-        voltage,
-        current: scenario.current_a,
-        speed: scenario.speed_rad_s,
-        angle,
+    let mut columns = Columns::of(record(&model, LEVELS.to_vec(), period_s, 4.5, seed));
+    let (mut turned, mut before) = (0.0, None);
+    for w in &columns.speed {
+        turned += before.map_or(0.0, |before| 0.5 * period_s * (w + before));
+        before = Some(w);
+        columns.angle.push(turned);
     }
+    columns
 }
 
 impl Columns {
+    /// Those of a scenario, without an angle.
+    fn of(scenario: Scenario) -> Self {
+        Self {
+            voltage: Table::new(&scenario).voltage_v,
+            time_s: scenario.sample_time_s,
+            current: scenario.current_a,
+            speed: scenario.speed_rad_s,
+            angle: Vec::new(),
+        }
+    }
+
     fn run(&self) -> Run {
-        let mut run = Run::new("r", self.time_s.clone()).unwrap();
-        for (channel, values) in [
-            (Channel::Voltage, &self.voltage),
-            (Channel::Current, &self.current),
-            (Channel::Speed, &self.speed),
-        ] {
-            run.set_column(channel, values.clone(), Origin::Unknown)
-                .unwrap();
+        let columns = [
+            (Channel::Voltage, self.voltage.clone()),
+            (Channel::Current, self.current.clone()),
+            (Channel::Speed, self.speed.clone()),
+        ];
+        let mut run = run_of(self.time_s.clone(), columns);
+        for channel in [Channel::Voltage, Channel::Current, Channel::Speed] {
+            run.set_origin(channel, Origin::Unknown);
         }
         run
     }
 
     fn with_angle(&self) -> Run {
         let mut run = self.run();
-        run.set_column(Channel::Angle, self.angle.clone(), Origin::Unknown)
-            .unwrap();
+        put(&mut run, Channel::Angle, self.angle.clone());
+        run.set_origin(Channel::Angle, Origin::Unknown);
         run
+    }
+
+    /// Voltage, current, speed.
+    fn signal(&mut self, index: usize) -> &mut Vec<f64> {
+        [&mut self.voltage, &mut self.current, &mut self.speed]
+            .into_iter()
+            .nth(index)
+            .unwrap()
     }
 }
 
@@ -120,17 +126,10 @@ fn signals_in_each_others_columns_are_named_whatever_the_pair() {
         (0, 2, "voltage and speed are swapped"),
     ] {
         for period_s in [0.002, 0.01] {
-            let good = columns(period_s, 3);
-            let mut bad = [good.voltage, good.current, good.speed];
-            bad.swap(a, b);
-            let [voltage, current, speed] = bad;
-            let bad = Columns {
-                voltage,
-                current,
-                speed,
-                time_s: good.time_s,
-                angle: good.angle,
-            };
+            let mut bad = columns(period_s, 3);
+            let first = std::mem::take(bad.signal(a));
+            let second = std::mem::replace(bad.signal(b), first);
+            *bad.signal(a) = second;
             refused(&bad.run(), unknown(), Kind::Swapped, &[names, "--map"]);
         }
     }
@@ -140,12 +139,7 @@ fn signals_in_each_others_columns_are_named_whatever_the_pair() {
 fn a_reversed_sign_is_named_for_each_signal() {
     for (signal, name) in ["voltage", "current", "speed"].into_iter().enumerate() {
         let mut bad = columns(0.005, 5);
-        let column = match signal {
-            0 => &mut bad.voltage,
-            1 => &mut bad.current,
-            _ => &mut bad.speed,
-        };
-        *column = scaled(column, -1.0);
+        *bad.signal(signal) = scaled(bad.signal(signal), -1.0);
         let says = format!("the sign of the {name} is reversed");
         refused(&bad.run(), unknown(), Kind::Reversed, &[&says, "*-1"]);
     }
@@ -172,29 +166,17 @@ fn other_units_are_named_with_their_factor() {
     let good = || columns(0.005, 2);
     let mut bad = good();
     bad.current = scaled(&bad.current, 1e3);
-    refused(
-        &bad.run(),
-        Motor::zk_22fc(),
-        Kind::Unit,
-        &["mA", "1000", "*0.001"],
-    );
+    let parts = ["mA", "1000", "*0.001"];
+    refused(&bad.run(), Motor::zk_22fc(), Kind::Unit, &parts);
     refused(&bad.run(), unknown(), Kind::Unit, &["mA", "*0.001"]);
     let mut bad = good();
     bad.time_s = scaled(&bad.time_s, 1e3);
-    refused(
-        &bad.run(),
-        unknown(),
-        Kind::Unit,
-        &["ms", "time_s=COLUMN*0.001"],
-    );
+    let parts = ["ms", "time_s=COLUMN*0.001"];
+    refused(&bad.run(), unknown(), Kind::Unit, &parts);
     let mut bad = good();
     bad.speed = scaled(&bad.speed, 180.0 / std::f64::consts::PI);
-    refused(
-        &bad.with_angle(),
-        unknown(),
-        Kind::Unit,
-        &["deg/s", "57.29"],
-    );
+    let parts = ["deg/s", "57.29"];
+    refused(&bad.with_angle(), unknown(), Kind::Unit, &parts);
     let mut odd = good();
     odd.angle = scaled(&odd.angle, 180.0 / std::f64::consts::PI);
     let findings = examined(&odd.with_angle(), unknown());
@@ -235,35 +217,23 @@ fn what_does_not_move_is_told_apart() {
         speed: noise(&good.speed, 63.8),
         ..still
     };
-    refused(
-        &steady.run(),
-        unknown(),
-        Kind::Steady,
-        &["24", "operating point"],
-    );
+    let parts = ["24", "operating point"];
+    refused(&steady.run(), unknown(), Kind::Steady, &parts);
     let dead = Columns {
         current: vec![1.5; rows],
         voltage: good.voltage.clone(),
         speed: good.speed.clone(),
         ..steady
     };
-    refused(
-        &dead.run(),
-        unknown(),
-        Kind::Frozen,
-        &["1.5 A in all 900 rows"],
-    );
+    let parts = ["1.5 A in all 900 rows"];
+    refused(&dead.run(), unknown(), Kind::Frozen, &parts);
     let blind = Columns {
         current: good.current.clone(),
         speed: vec![0.0; rows],
         ..dead
     };
-    refused(
-        &blind.run(),
-        unknown(),
-        Kind::Frozen,
-        &["speed is not measured"],
-    );
+    let parts = ["speed is not measured"];
+    refused(&blind.run(), unknown(), Kind::Frozen, &parts);
     let stuck = Columns {
         speed: vec![30.0; rows],
         ..blind
@@ -275,14 +245,7 @@ fn what_does_not_move_is_told_apart() {
 fn a_locked_rotor_keeps_resistance_and_inductance() {
     let motor = Motor::zk_22fc().with(MotorKey::LoadTorque, 1e4);
     let scenario = record(&Model::baseline(motor), LEVELS.to_vec(), 0.002, 4.5, 4);
-    let locked = Columns {
-        voltage: Table::new(&scenario).voltage_v,
-        time_s: scenario.sample_time_s,
-        current: scenario.current_a,
-        speed: scenario.speed_rad_s,
-        angle: Vec::new(),
-    };
-    let findings = examined(&locked.run(), unknown());
+    let findings = examined(&Columns::of(scenario).run(), unknown());
     assert_eq!(findings.len(), 1, "{findings:#?}");
     assert!(!findings[0].refuses && findings[0].kind == Kind::Standstill);
     assert!(!findings[0].doubts.contains(&MotorKey::Resistance));
@@ -292,9 +255,7 @@ fn a_locked_rotor_keeps_resistance_and_inductance() {
 fn a_signal_that_contradicts_itself_is_named() {
     let good = || columns(0.002, 9);
     let mut bad = good();
-    for value in &mut bad.current {
-        *value = value.clamp(-8.0, 8.0);
-    }
+    bad.current.iter_mut().for_each(|i| *i = i.clamp(-8.0, 8.0));
     refused(
         &bad.run(),
         unknown(),
@@ -312,14 +273,7 @@ fn a_signal_that_contradicts_itself_is_named() {
     );
     for signal in 0..3 {
         let mut bad = good();
-        let column = match signal {
-            0 => &mut bad.voltage,
-            1 => &mut bad.current,
-            _ => &mut bad.speed,
-        };
-        for value in column {
-            *value = value.abs();
-        }
+        bad.signal(signal).iter_mut().for_each(|x| *x = x.abs());
         refused(&bad.run(), unknown(), Kind::Unsigned, &["lost its sign"]);
     }
 }
@@ -335,12 +289,8 @@ fn a_coast_down_with_open_terminals_is_no_shorted_one() {
         angle: Vec::new(),
         time_s: times,
     };
-    refused(
-        &open.run(),
-        unknown(),
-        Kind::OpenCircuit,
-        &["terminals are open"],
-    );
+    let parts = ["terminals are open"];
+    refused(&open.run(), unknown(), Kind::OpenCircuit, &parts);
 }
 
 #[test]
@@ -355,24 +305,13 @@ fn a_stretch_with_open_terminals_is_seen_within_a_record() {
         bad.current[row] = bad.current[row % 200];
         bad.speed[row] = begin * (1.0 - 0.4 * time_s);
     }
-    refused(
-        &bad.run(),
-        unknown(),
-        Kind::OpenCircuit,
-        &["terminals are open", "2.600 s"],
-    );
+    let parts = ["terminals are open", "2.600 s"];
+    refused(&bad.run(), unknown(), Kind::OpenCircuit, &parts);
     // A shorted one brakes, and that is a record like any other: the levels hold zero volt at speed.
     let mut levels = LEVELS.to_vec();
     levels.push((4.2, 0.0));
     let scenario = record(&Model::baseline(Motor::zk_22fc()), levels, 0.002, 4.6, 6);
-    let shorted = Columns {
-        voltage: Table::new(&scenario).voltage_v,
-        time_s: scenario.sample_time_s,
-        current: scenario.current_a,
-        speed: scenario.speed_rad_s,
-        angle: Vec::new(),
-    };
-    assert!(examined(&shorted.run(), unknown()).is_empty());
+    assert!(examined(&Columns::of(scenario).run(), unknown()).is_empty());
 }
 
 #[test]
@@ -387,29 +326,17 @@ fn a_frozen_encoder_is_named_and_neither_open_terminals_nor_rest() {
     ];
     let truth = Model::baseline(Motor::zk_22fc());
     let scenario = record(&truth, events.to_vec(), 0.001, 4.0, 5);
-    let frozen = |at: f64| Columns {
-        voltage: Table::new(&scenario).voltage_v,
-        time_s: scenario.sample_time_s.clone(),
-        current: scenario.current_a.clone(),
-        speed: (scenario.sample_time_s.iter().zip(&scenario.speed_rad_s))
-            .map(|(time_s, speed)| if *time_s < 1.4 { *speed } else { at })
-            .collect(),
-        angle: Vec::new(),
+    let frozen = |at: f64| {
+        let mut columns = Columns::of(scenario.clone());
+        let row = columns.time_s.partition_point(|time_s| *time_s < 1.4);
+        columns.speed[row..].fill(at);
+        columns
     };
-    let whole = frozen(97.125);
-    refused(
-        &whole.run(),
-        Motor::zk_22fc(),
-        Kind::Frozen,
-        &["speed_rad_s repeats 97.125"],
-    );
-    let dead = frozen(0.0);
-    refused(
-        &dead.run(),
-        Motor::zk_22fc(),
-        Kind::Frozen,
-        &["exactly 0 from 1.4", "its sensor is dead"],
-    );
+    let (whole, dead) = (frozen(97.125).run(), frozen(0.0).run());
+    let parts = ["speed_rad_s repeats 97.125"];
+    refused(&whole, Motor::zk_22fc(), Kind::Frozen, &parts);
+    let parts = ["exactly 0 from 1.4", "its sensor is dead"];
+    refused(&dead, Motor::zk_22fc(), Kind::Frozen, &parts);
     // A shaft that sticks under a small voltage reads exactly zero too, rightly.
     let mut sticks = columns(0.001, 7);
     for (row, speed) in sticks.speed.iter_mut().enumerate() {

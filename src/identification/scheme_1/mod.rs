@@ -245,7 +245,7 @@ impl Scheme1Rejection {
 }
 
 impl Dynamics {
-    /// Paper A below eq. (17), or the exact inverse of eq. (13) after PHYSICS section 3.
+    /// Paper A below eq. (17), or the exact inverse of eq. (13).
     pub fn from_coefficients(
         form: Form,
         coefficients: &Coefficients,

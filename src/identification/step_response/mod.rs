@@ -12,7 +12,6 @@
 //! by areas: `int (1 - y) dt = TM`, `int t (1 - y) dt = TM^2 - Ta TM`. Where the two disagree, the curve is not that of
 //! the model, and the disagreement is the uncertainty.
 
-mod curve;
 mod reading;
 
 pub use reading::{Reading, Step, read};
@@ -71,14 +70,7 @@ pub fn estimates(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>,
         .into_iter()
         .zip(values)
         .map(|((key, unit), value)| match given(key) {
-            Some(value) => ParameterEstimate {
-                key: key.to_owned(),
-                value: Some(value),
-                std: Some(0.0),
-                unit,
-                verdict: Verdict::Fixed,
-                reason: None,
-            },
+            Some(value) => ParameterEstimate::fixed(key, unit, value),
             None => judged(key, unit, value),
         })
         .collect();

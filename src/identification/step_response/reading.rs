@@ -3,7 +3,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Read;
-use super::curve::{MEETING, height, meeting_time, ratio};
 use crate::numerics::statistics;
 use crate::plant::{Input, Scenario};
 
@@ -104,13 +103,9 @@ pub fn read(scenario: &Scenario) -> Result<Reading, String> {
 
 /// Steps from zero voltage and standstill, in the order of time.
 fn steps(scenario: &Scenario) -> Vec<Step> {
-    let largest = |values: &mut dyn Iterator<Item = f64>| {
-        values
-            .filter(|v| v.is_finite())
-            .fold(0.0, |most, v| f64::max(most, v.abs()))
-    };
-    let most_v = largest(&mut scenario.events.iter().map(|event| event.1));
-    let most_rad_s = largest(&mut scenario.speed_rad_s.iter().copied());
+    let volts: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
+    let most_v = statistics::largest(volts.iter().copied());
+    let most_rad_s = statistics::largest(scenario.speed_rad_s.iter().copied());
     let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
     // Levels: begin and voltage; a held value that is written on every row is one level.
     let mut levels: Vec<(f64, f64)> = Vec::new();
@@ -126,13 +121,8 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
         let (before, level) = (pair[0], pair[1]);
         let until_s = levels.get(index + 2).map_or(end_s, |next| next.0);
         let step_sample = scenario.sample_time_s.partition_point(|t| *t <= level.0);
-        let rest: Vec<f64> = scenario.speed_rad_s[..step_sample]
-            .iter()
-            .rev()
-            .take(*REST.end())
-            .copied()
-            .filter(|w| w.is_finite())
-            .collect();
+        let first = step_sample.saturating_sub(*REST.end());
+        let rest = statistics::finite(&scenario.speed_rad_s[first..step_sample]);
         let still =
             rest.len() >= *REST.start() && statistics::median(&rest).abs() <= AT_REST * most_rad_s;
         if before.1.abs() <= ZERO * most_v
@@ -485,4 +475,91 @@ fn line(points: &[(f64, f64)], at: f64) -> Option<(f64, f64)> {
     }
     let slope = if power > 0.0 { product / power } else { 0.0 };
     Some((level + slope * (at - centre), slope))
+}
+
+// The normalised step response `1/(r s^2 + s + 1)`: time in units of TM, `r = Ta/TM`.
+
+/// Height at which all these curves nearly meet, and the largest ratio that a reading can tell: beyond, the response
+/// oscillates for longer than any step is held.
+const MEETING: f64 = 0.73;
+const LARGEST_RATIO: f64 = 10.0;
+
+/// Height at time `x`.
+fn height(x: f64, r: f64) -> f64 {
+    let discriminant = 1.0 - 4.0 * r;
+    if r < 1e-9 {
+        1.0 - (-x).exp()
+    } else if discriminant.abs() < 1e-9 {
+        1.0 - (1.0 + 2.0 * x) * (-2.0 * x).exp()
+    } else if discriminant > 0.0 {
+        let root = discriminant.sqrt();
+        let (slow, fast) = ((1.0 - root) / (2.0 * r), (1.0 + root) / (2.0 * r));
+        1.0 - (fast * (-slow * x).exp() - slow * (-fast * x).exp()) / (fast - slow)
+    } else {
+        let (damping, turning) = (1.0 / (2.0 * r), (-discriminant).sqrt() / (2.0 * r));
+        let angle = turning * x;
+        1.0 - (-damping * x).exp() * (angle.cos() + damping / turning * angle.sin())
+    }
+}
+
+/// Time at which the curve first reaches [`MEETING`].
+fn meeting_time(r: f64) -> f64 {
+    // The first rise is over before half a turn of the oscillation, and monotonic.
+    let end = if r > 0.25 {
+        std::f64::consts::PI * 2.0 * r / (4.0 * r - 1.0).sqrt()
+    } else {
+        20.0
+    };
+    bisect(0.0, end.min(20.0), |x| height(x, r) - MEETING)
+}
+
+/// Ratio of the curve whose height at half of TM is `half`; `None` for a height that none of them has.
+fn ratio(half: f64) -> Option<f64> {
+    let within = half < height(0.5, 0.0) && half > height(0.5, LARGEST_RATIO);
+    within.then(|| bisect(0.0, LARGEST_RATIO, |r| half - height(0.5, r)))
+}
+
+/// Root of a function that rises through zero.
+fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if f(middle) < 0.0 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_curve_solves_its_differential_equation_in_every_regime() {
+        for r in [0.0, 0.05, 0.2499, 0.25, 0.2501, 0.6, 3.0] {
+            for x in [0.3, 1.0, 2.5] {
+                let h = 1e-4;
+                let [before, at, after] = [x - h, x, x + h].map(|x| height(x, r));
+                let first = (after - before) / (2.0 * h);
+                let second = (after - 2.0 * at + before) / (h * h);
+                assert!((r * second + first + at - 1.0).abs() < 1e-5, "{r} {x}");
+            }
+        }
+    }
+
+    #[test]
+    fn harriotts_rule_holds_and_the_chart_is_read_back() {
+        // Harriott 1964: 73 % at 1.3 (T1 + T2) for all over-damped curves, within a few per cent.
+        for r in [0.0, 0.1, 0.2, 0.25] {
+            assert!((meeting_time(r) / 1.3 - 1.0).abs() < 0.03, "{r}");
+        }
+        for r in [0.02, 0.23, 0.25, 0.4, 1.5] {
+            assert!((ratio(height(0.5, r)).unwrap() - r).abs() < 1e-6, "{r}");
+            assert!((height(meeting_time(r), r) - MEETING).abs() < 1e-9);
+        }
+        assert_eq!(ratio(0.45), None);
+        assert_eq!(ratio(f64::NAN), None);
+    }
 }

@@ -1,17 +1,13 @@
 use super::*;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
+use crate::identification::testing::{of, paper, record, unknown};
 use crate::plant::Motor;
-use crate::plant::testing::record;
 
 fn step(volts: f64, period_s: f64, held_s: f64, seed: u64) -> Scenario {
     let events = vec![(0.0, 0.0), (0.3, volts), (0.3 + held_s, 0.0)];
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     record(&truth, events, period_s, 0.6 + held_s, seed)
-}
-
-fn of<'a>(parameters: &'a [ParameterEstimate], key: &str) -> &'a ParameterEstimate {
-    parameters.iter().find(|p| p.key == key).unwrap()
 }
 
 const TRUTH: [(&str, f64, f64); 7] = [
@@ -30,7 +26,7 @@ fn one_step_of_the_paper_motor_gives_crude_values_with_intervals_that_hold() {
     for seed in 0..20 {
         let volts = [60.0, -40.0, 25.0, -90.0][usize::try_from(seed % 4).unwrap()];
         let run = step(volts, 0.001, 0.5, seed);
-        let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+        let (parameters, notes) = estimates(&unknown(), &run);
         for (key, truth, within) in TRUTH {
             let parameter = of(&parameters, key);
             assert_eq!(parameter.verdict, Verdict::Searching, "{parameter:?}");
@@ -55,7 +51,7 @@ fn the_free_run_fit_beats_the_reading_on_the_same_record() {
     let (mut read, mut fitted) = (0.0, 0.0);
     for seed in 0..6 {
         let run = step(40.0, 0.001, 0.5, seed);
-        let (parameters, _) = estimates(&Model::baseline(Motor::new("?")), &run);
+        let (parameters, _) = estimates(&unknown(), &run);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let start = Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.006));
         let fit = output_error::fit(&[start], &run, &noise).unwrap();
@@ -73,7 +69,7 @@ fn the_free_run_fit_beats_the_reading_on_the_same_record() {
 fn without_a_current_only_the_time_constants_are_told() {
     let mut run = step(60.0, 0.001, 0.5, 3);
     run.current_a.fill(f64::NAN);
-    let mut model = Model::baseline(Motor::zk_22fc());
+    let mut model = paper();
     model.fixed.push("resistance_ohm".into());
     let (parameters, _) = estimates(&model, &run);
     assert!(
@@ -94,7 +90,7 @@ fn without_a_current_only_the_time_constants_are_told() {
 #[test]
 fn coarse_samples_lose_the_electrical_half_and_say_so() {
     let run = step(60.0, 0.01, 0.8, 4);
-    let (parameters, _) = estimates(&Model::baseline(Motor::new("?")), &run);
+    let (parameters, _) = estimates(&unknown(), &run);
     let tm = of(&parameters, "mechanical_time_constant_s");
     assert!((tm.value.unwrap() / 0.039_54 - 1.0).abs() < 0.15, "{tm:?}");
     let resistance = of(&parameters, "resistance_ohm");
@@ -103,8 +99,8 @@ fn coarse_samples_lose_the_electrical_half_and_say_so() {
 
 #[test]
 fn no_step_no_rest_and_no_steady_state_are_told_apart() {
-    let model = Model::baseline(Motor::new("?"));
-    let truth = Model::baseline(Motor::zk_22fc());
+    let model = unknown();
+    let truth = paper();
     let moving = record(&truth, vec![(0.0, 40.0), (0.5, 60.0)], 0.001, 1.0, 1);
     let cases = [
         (moving, "out of rest"),
@@ -131,9 +127,9 @@ fn a_random_voltage_holds_no_step() {
         let t = 0.2 + 0.005 * f64::from(k);
         events.push((t, 30.0 * (5.0 * t).sin() + 10.0 * (17.0 * t).cos()));
     }
-    let truth = Model::baseline(Motor::zk_22fc());
+    let truth = paper();
     let run = record(&truth, events, 0.001, 3.2, 5);
-    let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+    let (parameters, notes) = estimates(&unknown(), &run);
     assert!(notes.is_empty(), "{notes:?}");
     assert!(parameters.iter().all(|p| p.value.is_none()));
 }
