@@ -57,12 +57,7 @@ fn placebo(id: &'static str, period_s: f64, values: Vec<f64>) -> &'static dyn Ef
         id,
         name: id,
         enters: Enters::Torque,
-        equation: "",
-        causes: "",
-        looks_like: "",
-        excite: "",
-        remedy: "",
-        needs_angle: false,
+        ..Card::PLAIN
     };
     let kept: &'static Placebo = Box::leak(Box::new(Placebo {
         card,
