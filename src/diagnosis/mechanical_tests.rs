@@ -411,12 +411,7 @@ mod placebo {
             id,
             name: id,
             enters: Enters::Torque,
-            equation: "",
-            causes: "",
-            looks_like: "",
-            excite: "",
-            remedy: "",
-            needs_angle: false,
+            ..Card::PLAIN
         };
         let kept: &'static Placebo = Box::leak(Box::new(Placebo {
             card,

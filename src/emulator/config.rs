@@ -7,52 +7,26 @@ use super::truth::effect::{HiddenEffect, flux_saturation};
 use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
 
-/// Embedded configurations: name and text.
-const EMBEDDED: [(&str, &str); 11] = [
-    (
-        "zk-22fc-hidden",
-        include_str!("../../bench-configs/emulators/zk-22fc-hidden.toml"),
-    ),
-    (
-        "zk-22fc-plain",
-        include_str!("../../bench-configs/emulators/zk-22fc-plain.toml"),
-    ),
-    (
-        "zk-22fc-viscous",
-        include_str!("../../bench-configs/emulators/zk-22fc-viscous.toml"),
-    ),
-    (
-        "zk-22fc-fan",
-        include_str!("../../bench-configs/emulators/zk-22fc-fan.toml"),
-    ),
-    (
-        "zk-22fc-brushes",
-        include_str!("../../bench-configs/emulators/zk-22fc-brushes.toml"),
-    ),
-    (
-        "zk-22fc-warming",
-        include_str!("../../bench-configs/emulators/zk-22fc-warming.toml"),
-    ),
-    (
-        "zk-22fc-locked",
-        include_str!("../../bench-configs/emulators/zk-22fc-locked.toml"),
-    ),
-    (
-        "zk-22fc-open",
-        include_str!("../../bench-configs/emulators/zk-22fc-open.toml"),
-    ),
-    (
-        "zk-22fc-changing",
-        include_str!("../../bench-configs/emulators/zk-22fc-changing.toml"),
-    ),
-    (
-        "small-servo-behind-zk-22fc",
-        include_str!("../../bench-configs/emulators/small-servo-behind-zk-22fc.toml"),
-    ),
-    (
-        "large-motor-behind-zk-22fc",
-        include_str!("../../bench-configs/emulators/large-motor-behind-zk-22fc.toml"),
-    ),
+/// Names and texts of files under `bench-configs/emulators`.
+macro_rules! embedded {
+    ($($name:literal),+ $(,)?) => {
+        [$(($name, include_str!(concat!("../../bench-configs/emulators/", $name, ".toml")))),+]
+    };
+}
+
+/// Embedded configurations, the default first.
+const EMBEDDED: [(&str, &str); 11] = embedded![
+    "zk-22fc-hidden",
+    "zk-22fc-plain",
+    "zk-22fc-viscous",
+    "zk-22fc-fan",
+    "zk-22fc-brushes",
+    "zk-22fc-warming",
+    "zk-22fc-locked",
+    "zk-22fc-open",
+    "zk-22fc-changing",
+    "small-servo-behind-zk-22fc",
+    "large-motor-behind-zk-22fc",
 ];
 
 /// A configuration that no drive can have.
@@ -292,9 +266,57 @@ impl EmulatorConfig {
         EMBEDDED.iter().map(|(name, _)| *name)
     }
 
-    #[expect(clippy::too_many_lines, reason = "one entry per key: a table")]
+    /// The first value outside of the hidden effects that no drive can have, as `(key, value, what is allowed)`.
+    fn impossible(&self) -> Option<(&'static str, f64, &'static str)> {
+        const LIMIT: &str = "above 0; at most what a register carries, or 1000 C";
+        const OPTION: &str = "above 0; at most 1 F, or 10 s";
+        if let Some((key, value)) = self.motor.impossible() {
+            return Some((key, value, "a positive number, for load_torque_n_m also 0"));
+        }
+        let to = |most: f64| f64::MIN_POSITIVE..=most;
+        let (limits, noise, step) = (&self.limits, &self.noise, &self.quantisation);
+        let capacitance_f = limits.bus_capacitance_f.unwrap_or(1.0);
+        let (release_s, apply_s) = self.brake.map_or((1.0, 1.0), |b| (b.release_s, b.apply_s));
+        let carried = [
+            ("current_limit_a", limits.current_limit_a),
+            ("bus_v", limits.bus_v),
+        ];
+        let speed = [("speed_limit_rad_s", limits.speed_limit_rad_s)];
+        let winding = [("winding_limit_c", limits.winding_limit_c)];
+        let brake = [("brake.release_s", release_s), ("brake.apply_s", apply_s)];
+        let sensors = [
+            ("noise.voltage_v", noise.voltage_v),
+            ("noise.current_a", noise.current_a),
+            ("noise.speed_rad_s", noise.speed_rad_s),
+            ("noise.bus_v", noise.bus_v),
+            ("quantisation.voltage_v", step.voltage_v),
+            ("quantisation.current_a", step.current_a),
+            ("quantisation.speed_rad_s", step.speed_rad_s),
+            ("quantisation.angle_rad", step.angle_rad),
+            ("line.turnaround_ms", self.line.turnaround_ms),
+            ("line.gap_us", self.line.gap_us.unwrap_or(0.0)),
+        ];
+        let watchdog = [("watchdog_ms", self.watchdog_ms.into())];
+        let bits = [("line.bits_per_char", self.line.bits_per_char.into())];
+        let groups: [(&[(&'static str, f64)], _, _); 9] = [
+            (&[("tolerance", self.tolerance)], 0.0..=0.5, "0 to 0.5"),
+            (&watchdog, 20.0..=5000.0, "20 to 5000"),
+            (&carried, to(655.0), LIMIT),
+            (&speed, to(1310.0), LIMIT),
+            (&winding, to(1000.0), LIMIT),
+            (&[("bus_capacitance_f", capacitance_f)], to(1.0), OPTION),
+            (&brake, to(10.0), OPTION),
+            (&sensors, 0.0..=f64::MAX, "0 or more"),
+            (&bits, 10.0..=12.0, "10 to 12"),
+        ];
+        groups.into_iter().find_map(|(rows, range, allowed)| {
+            let (key, value) = rows.iter().find(|row| !range.contains(&row.1))?;
+            Some((*key, *value, allowed))
+        })
+    }
+
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {
-        let refuse = |key, value, allowed| {
+        let refuse = |(key, value, allowed)| {
             Err(EmulatorConfigError::Value {
                 file: file.to_owned(),
                 key,
@@ -302,69 +324,8 @@ impl EmulatorConfig {
                 allowed,
             })
         };
-        if let Some((key, value)) = self.motor.impossible() {
-            return refuse(key, value, "a positive number, for load_torque_n_m also 0");
-        }
-        if !(0.0..=0.5).contains(&self.tolerance) {
-            return refuse("tolerance", self.tolerance, "0 to 0.5");
-        }
-        if !(20..=5000).contains(&self.watchdog_ms) {
-            return refuse("watchdog_ms", self.watchdog_ms.into(), "20 to 5000");
-        }
-        let limits = [
-            ("current_limit_a", self.limits.current_limit_a, 655.0),
-            ("bus_v", self.limits.bus_v, 655.0),
-            ("speed_limit_rad_s", self.limits.speed_limit_rad_s, 1310.0),
-            ("winding_limit_c", self.limits.winding_limit_c, 1000.0),
-        ];
-        for (key, value, highest) in limits {
-            if !(value > 0.0 && value <= highest) {
-                return refuse(
-                    key,
-                    value,
-                    "above 0; at most what a register carries, or 1000 C",
-                );
-            }
-        }
-        let optional = [
-            ("bus_capacitance_f", self.limits.bus_capacitance_f, 1.0),
-            (
-                "brake.release_s",
-                self.brake.map(|brake| brake.release_s),
-                10.0,
-            ),
-            ("brake.apply_s", self.brake.map(|brake| brake.apply_s), 10.0),
-        ];
-        for (key, value, highest) in optional {
-            if let Some(value) = value
-                && !(value > 0.0 && value <= highest)
-            {
-                return refuse(key, value, "above 0; at most 1 F, or 10 s");
-            }
-        }
-        let sensors = [
-            ("noise.voltage_v", self.noise.voltage_v),
-            ("noise.current_a", self.noise.current_a),
-            ("noise.speed_rad_s", self.noise.speed_rad_s),
-            ("noise.bus_v", self.noise.bus_v),
-            ("quantisation.voltage_v", self.quantisation.voltage_v),
-            ("quantisation.current_a", self.quantisation.current_a),
-            ("quantisation.speed_rad_s", self.quantisation.speed_rad_s),
-            ("quantisation.angle_rad", self.quantisation.angle_rad),
-            ("line.turnaround_ms", self.line.turnaround_ms),
-            ("line.gap_us", self.line.gap_us.unwrap_or(0.0)),
-        ];
-        for (key, value) in sensors {
-            if !(value.is_finite() && value >= 0.0) {
-                return refuse(key, value, "0 or more");
-            }
-        }
-        if !(10..=12).contains(&self.line.bits_per_char) {
-            return refuse(
-                "line.bits_per_char",
-                self.line.bits_per_char.into(),
-                "10 to 12",
-            );
+        if let Some(impossible) = self.impossible() {
+            return refuse(impossible);
         }
         for effect in &self.hidden {
             if let Some((key, value, allowed)) = effect.refused() {
@@ -377,10 +338,9 @@ impl EmulatorConfig {
                 });
             }
         }
-        if let Some((key, value, allowed)) =
-            Change::refused(&self.changes).or_else(|| self.faults.refused())
-        {
-            return refuse(key, value, allowed);
+        let refused = Change::refused(&self.changes).or_else(|| self.faults.refused());
+        if let Some(refused) = refused {
+            return refuse(refused);
         }
         let current_limit_a = self.limits.current_limit_a;
         let most = flux_saturation::largest_stable(&self.motor, current_limit_a, self.tolerance);
@@ -391,16 +351,9 @@ impl EmulatorConfig {
             let file = file.to_owned();
             return Err(EmulatorConfigError::RunsAway { file, value, most });
         }
-        if self
-            .hidden
-            .iter()
-            .filter(|effect| effect.is_shaft())
-            .count()
-            > 1
-        {
-            return Err(EmulatorConfigError::TwoShafts {
-                file: file.to_owned(),
-            });
+        if self.hidden.iter().filter(|e| e.is_shaft()).count() > 1 {
+            let file = file.to_owned();
+            return Err(EmulatorConfigError::TwoShafts { file });
         }
         Ok(())
     }

@@ -16,7 +16,6 @@ mod foreign;
 mod memory;
 pub mod mystery;
 mod pace;
-mod port;
 #[cfg(target_os = "linux")]
 mod pty;
 mod server;

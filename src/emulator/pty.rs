@@ -27,7 +27,7 @@ use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::sys::time::TimeSpec;
 
-use super::port::{Gone, Port};
+use super::session::{Gone, Port};
 
 /// Where the kernel keeps the slaves.
 const SLAVES: &str = "/dev/pts";

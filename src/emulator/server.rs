@@ -16,9 +16,9 @@ use thiserror::Error;
 use super::config::LineConfig;
 use super::dialogue::{Answering, Dialogue, LinkKind, UNIT};
 use super::pace::Pace;
-use super::port::Port;
 #[cfg(target_os = "linux")]
 use super::pty::{Claim, PtyPort};
+use super::session::Port;
 use super::session::{Commander, Counters, FarEnd, Session, Turn};
 use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use super::dialogue::{Answering, Dialogue};
 use super::pace::Pace;
-use super::port::Port;
 
 /// The drive is brought up to date at least this often, s.
 const LONGEST_WAIT_S: f64 = 0.01;
@@ -16,6 +15,19 @@ const LONGEST_QUEUE: usize = 4096;
 /// A host that has commanded nothing for so long is not in command any more, s: longer than the watchdog of the drives that
 /// matter, so that the motor stands when the command changes hands.
 pub(super) const HAND_OVER_S: f64 = 2.0;
+
+/// The host has gone; what it wrote before was read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Gone;
+
+/// One connection to a host.
+pub(super) trait Port {
+    /// Waits at most `timeout` for bytes; 0: none came.
+    fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone>;
+
+    /// Hands over what the host has room for; returns the bytes that were taken.
+    fn write(&mut self, bytes: &[u8]) -> usize;
+}
 
 /// What a server has done so far.
 #[derive(Debug, Default)]

@@ -4,7 +4,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::Duration;
 
-use super::port::{Gone, Port};
+use super::session::{Gone, Port};
 
 /// Shorter waits are slept: the kernel rounds a socket's timeout up to its own tick.
 const SHORTEST_SOCKET_WAIT: Duration = Duration::from_millis(5);

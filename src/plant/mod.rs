@@ -6,7 +6,7 @@
 //!   |  model.toml (model_file)                            |  voltage as applied, true sample times
 //! ```
 //!
-//! Baseline, PHYSICS.md section 2: `L di/dt = u - R i - Ke w`, `J dw/dt = Kt i - Mc sgn(w)`, with true stiction.
+//! Baseline: `L di/dt = u - R i - Ke w`, `J dw/dt = Kt i - Mc sgn(w)`, with true stiction.
 //! An effect is one file under `effect/` and one line in its catalogue.
 
 pub mod effect;

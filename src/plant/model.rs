@@ -180,7 +180,7 @@ impl Model {
     }
 
     /// Slots that a fit may change. A given torque constant is never fitted: the torque balance fixes only the ratios
-    /// of torque constant, inertia and load (DISCOVERY.md 2.2). Neither is what is chosen from a grid.
+    /// of torque constant, inertia and load. Neither is what is chosen from a grid.
     pub fn free_slots(&self) -> Vec<Slot> {
         let mut slots = self.slots();
         slots.retain(|slot| {

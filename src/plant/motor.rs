@@ -22,26 +22,24 @@ impl MotorKey {
         Self::LoadTorque,
     ];
 
-    pub const fn key(self) -> &'static str {
+    /// Key in a model file and unit.
+    const fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Resistance => "resistance_ohm",
-            Self::Inductance => "inductance_h",
-            Self::BackEmf => "back_emf_v_s_per_rad",
-            Self::TorqueConstant => "torque_n_m_per_a",
-            Self::Inertia => "inertia_kg_m2",
-            Self::LoadTorque => "load_torque_n_m",
+            Self::Resistance => ("resistance_ohm", "ohm"),
+            Self::Inductance => ("inductance_h", "H"),
+            Self::BackEmf => ("back_emf_v_s_per_rad", "V.s/rad"),
+            Self::TorqueConstant => ("torque_n_m_per_a", "N.m/A"),
+            Self::Inertia => ("inertia_kg_m2", "kg.m2"),
+            Self::LoadTorque => ("load_torque_n_m", "N.m"),
         }
     }
 
+    pub const fn key(self) -> &'static str {
+        self.names().0
+    }
+
     pub const fn unit(self) -> &'static str {
-        match self {
-            Self::Resistance => "ohm",
-            Self::Inductance => "H",
-            Self::BackEmf => "V.s/rad",
-            Self::TorqueConstant => "N.m/A",
-            Self::Inertia => "kg.m2",
-            Self::LoadTorque => "N.m",
-        }
+        self.names().1
     }
 
     pub const fn is_electrical(self) -> bool {
@@ -130,7 +128,7 @@ mod tests {
     fn time_constants_of_the_paper_motor() {
         let motor = Motor::zk_22fc();
         assert!((motor.electrical_time_constant_s().unwrap() - 0.009).abs() < 1e-12);
-        // PHYSICS.md: 37 ms with the catalogue inertia 0.00425; 39.5 ms with 0.0045.
+        // 37 ms with the catalogue inertia 0.00425; 39.5 ms with 0.0045.
         assert!((motor.mechanical_time_constant_s().unwrap() - 0.039_54).abs() < 1e-4);
     }
 }

@@ -331,7 +331,7 @@ impl Scenario {
     }
 
     /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts
-    /// anywhere and drifts. Never the simulated one, whose phase is lost within seconds (DISCOVERY.md 2.1).
+    /// anywhere and drifts. Never the simulated one, whose phase is lost within seconds.
     pub fn shaft_angle(&self) -> Cow<'_, [(f64, f64)]> {
         if !self.angle.is_empty() {
             return Cow::Borrowed(&self.angle);

@@ -7,24 +7,19 @@
 //! Between events the linear part is propagated exactly. Effects enter as a forcing that is evaluated at the middle of
 //! a sub-step (exponential midpoint rule, second order), so that a stiff armature circuit needs no small steps.
 
-mod angle_track;
 mod commands;
 mod equations;
 mod sensors;
-mod shaft_flow;
-mod state;
 mod steep;
 mod steps;
 mod two_mass;
 
 use std::borrow::Cow;
 
-use angle_track::AngleTrack;
 pub use commands::starts_from_rest;
-use equations::Equations;
+pub use equations::State;
+use equations::{Equations, Mode};
 use sensors::{Reading, Sensors};
-use state::Mode;
-pub use state::State;
 use steep::Steep;
 use steps::Steps;
 use two_mass::TwoMass;
@@ -463,6 +458,40 @@ impl Plant {
         }
         [next.current_a, next.speed_rad_s] = step.whole.apply(start, forcing);
         next
+    }
+}
+
+/// Linear interpolation of the measured angle, walked forward only.
+struct AngleTrack<'a> {
+    points: &'a [(f64, f64)],
+    next: usize,
+}
+
+impl<'a> AngleTrack<'a> {
+    const fn new(points: &'a [(f64, f64)]) -> Self {
+        Self { points, next: 0 }
+    }
+
+    const fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    fn at(&mut self, time_s: f64) -> Option<f64> {
+        let last = self.points.last()?;
+        while self.next < self.points.len() && self.points[self.next].0 <= time_s {
+            self.next += 1;
+        }
+        Some(
+            match (self.next.checked_sub(1), self.points.get(self.next)) {
+                (Some(before), Some(after)) => {
+                    let before = self.points[before];
+                    let share = (time_s - before.0) / (after.0 - before.0);
+                    before.1 + share * (after.1 - before.1)
+                }
+                (None, Some(first)) => first.1,
+                (_, None) => last.1,
+            },
+        )
     }
 }
 

@@ -8,7 +8,7 @@ use super::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
-/// Standard deviations of the sensors: 30 mA and 0.15 rad/s, as in DISCOVERY.md.
+/// Standard deviations of the sensors: 30 mA and 0.15 rad/s.
 pub(crate) const CURRENT_NOISE_A: f64 = 0.03;
 pub(crate) const SPEED_NOISE_RAD_S: f64 = 0.15;
 

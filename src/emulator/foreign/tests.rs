@@ -38,6 +38,21 @@ impl Table {
         Self::mixed(profile, profile, watchdog_s)
     }
 
+    /// A drive of the profile `name` with `changes` that the host has identified.
+    fn identified(name: &str, changes: &[(&str, &str)]) -> Self {
+        let mut table = Self::of(&profile_with(name, changes), None);
+        table.link.identify().unwrap();
+        table
+    }
+
+    /// The same, running with this reference for half a second.
+    fn running(name: &str, changes: &[(&str, &str)], reference: Option<(&str, f64)>) -> Self {
+        let mut table = Self::identified(name, changes);
+        table.enable(reference);
+        table.hold(reference, 0.5);
+        table
+    }
+
     /// A host with one profile at a drive of another.
     fn mixed(host: &DriveProfile, far: &DriveProfile, watchdog_s: Option<f64>) -> Self {
         let guise = Guise {
@@ -113,6 +128,12 @@ impl Table {
             }
         }
     }
+}
+
+#[track_caller]
+fn assert_says(error: &impl std::fmt::Display, part: &str) {
+    let error = error.to_string();
+    assert!(error.contains(part), "{error}, without {part:?}");
 }
 
 /// A set-point of each drive and the speed of the emulated motor with it, rad/s; one pole pair.
@@ -252,8 +273,7 @@ fn a_trip_is_a_fault_and_enable_is_not_repeated(name: &str) {
 
 #[test]
 fn a_status_that_never_comes_names_the_step_and_the_drive_is_stopped() {
-    let mut table = Table::new("schneider-atv312");
-    table.link.identify().unwrap();
+    let mut table = Table::identified("schneider-atv312", &[]);
     table.far().force("status", Some(0x0021));
     let error = (0..200)
         .find_map(|_| table.run(Some(("speed_ref", 500.0))).err())
@@ -278,15 +298,14 @@ fn a_status_that_never_comes_names_the_step_and_the_drive_is_stopped() {
 
 #[test]
 fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
-    let mut table = Table::new("abb-dcs-gateway");
-    table.link.identify().unwrap();
+    let mut table = Table::identified("abb-dcs-gateway", &[]);
     table.enable(Some(("speed_ref", 100.0)));
     table.far().ignore(Some("speed_ref"));
     let mut speeds = (1..20).map(|k| 100.0 + f64::from(k));
     let error = speeds
         .find_map(|rpm| table.run(Some(("speed_ref", rpm))).err())
         .unwrap();
-    assert!(error.to_string().contains("3 times in a row"), "{error}");
+    assert_says(&error, "3 times in a row");
     for _ in 0..5 {
         table.demand(Demand::Disable).unwrap();
     }
@@ -322,8 +341,7 @@ fn codes_and_values_that_cannot_be_are_missing_and_never_zero() {
 
 #[test]
 fn a_sign_in_the_control_word_turns_the_other_way() {
-    let mut table = Table::new("siemens-v20");
-    table.link.identify().unwrap();
+    let mut table = Table::identified("siemens-v20", &[]);
     table.enable(Some(("speed_ref", 20.0)));
     table.hold(Some(("speed_ref", 20.0)), 2.0);
     assert!(table.far().speed_rad_s() > 40.0);
@@ -361,8 +379,7 @@ fn limits_and_slew_hold_a_set_point_back_and_say_so() {
 
 #[test]
 fn demands_are_taken_in_si_where_the_profile_gives_them_and_refused_with_a_reason_elsewhere() {
-    let mut table = Table::new("epulse50-dc");
-    table.link.identify().unwrap();
+    let mut table = Table::identified("epulse50-dc", &[]);
     assert_eq!(table.link.zero(), Demand::Speed(0.0));
     for _ in 0..200 {
         table.demand(Demand::Speed(50.0)).unwrap();
@@ -370,18 +387,14 @@ fn demands_are_taken_in_si_where_the_profile_gives_them_and_refused_with_a_reaso
     assert!((table.far().speed_rad_s() - 50.0).abs() < 2.0);
     let error = table.demand(Demand::Voltage(5.0)).unwrap_err();
     assert!(matches!(error, LinkError::Refused { .. }), "{error}");
-    assert!(
-        error.to_string().contains("takes no voltage command"),
-        "{error}"
-    );
+    assert_says(&error, "takes no voltage command");
     let error = table.demand(Demand::Speed(f64::NAN)).unwrap_err();
     assert!(matches!(error, LinkError::Refused { .. }), "{error}");
 }
 
 #[test]
 fn a_lost_reply_costs_one_exchange() {
-    let mut table = Table::new("vacon10");
-    table.link.identify().unwrap();
+    let mut table = Table::identified("vacon10", &[]);
     let reference = Some(("speed_ref", 20.0));
     table.enable(reference);
     table.link.bus_mut().lose(1);
@@ -419,7 +432,7 @@ fn a_profile_for_another_drive_is_refused_before_anything_is_written() {
     // The emulated motor is rated 2800 rpm, and its profile does not ask who it is.
     let mut table = Table::mixed(&host, &profile_with("abb-efb", &[]), None);
     let error = table.link.identify().unwrap_err();
-    assert!(error.to_string().contains("this is not ABB"), "{error}");
+    assert_says(&error, "this is not ABB");
     // The registers of one make do not exist at another.
     let other = profile_with("siemens-v20", &[]);
     let mut table = Table::mixed(&host, &other, None);
@@ -445,15 +458,11 @@ fn a_memory_that_wears_out_is_not_written_in_a_loop() {
         "quantity = \"duty\"\nlimits = [-100, 100]\nrefresh_ms = 100.0",
         "quantity = \"duty\"\nlimits = [-100, 100]\nnvm = true",
     )];
-    let mut table = Table::of(&profile_with("roboteq-dc", &changes), None);
-    table.link.identify().unwrap();
+    let mut table = Table::identified("roboteq-dc", &changes);
     let error = (0..100)
         .find_map(|k| table.run(Some(("power_ref", f64::from(k) * 0.1))).err())
         .unwrap();
-    assert!(
-        error.to_string().contains("memory that wears out"),
-        "{error}"
-    );
+    assert_says(&error, "memory that wears out");
 }
 
 #[test]

@@ -123,7 +123,8 @@ fn a_broken_seal_is_refused() {
     ));
 }
 
-/// The published scores stand on these machines: the order in which sizes are drawn must not change.
+/// The published scores stand on these machines: the order in which sizes are drawn must not change. Who adds an effect to
+/// the draw changes them, and publishes new scores.
 #[test]
 fn the_machines_of_the_published_seeds_stay_as_they_are() {
     let mut all = String::new();
@@ -132,5 +133,5 @@ fn the_machines_of_the_published_seeds_stay_as_they_are() {
         all += &toml::to_string(&config).unwrap();
         all += &serde_json::to_string(&truth).unwrap();
     }
-    assert_eq!(seal::checksum(all.as_bytes()), 0);
+    assert_eq!(seal::checksum(all.as_bytes()), 0x66ac_132a_59b3_8a2d);
 }

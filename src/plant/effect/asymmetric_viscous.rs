@@ -1,6 +1,6 @@
 //! Viscous friction that differs by direction.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -20,6 +20,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             second each; nothing shows in one direction only",
         remedy: "compare both flanks, seals and the preload; compensate by a feed-forward with one \
             slope per direction",
+        curve: Some((Balance::Torque, Axis::Speed)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient(

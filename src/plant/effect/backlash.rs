@@ -16,6 +16,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         excite: "small and large torque reversals about zero; motion in one direction keeps the \
             teeth in contact",
         remedy: "preload or replace the worn part; reverse the torque gently in the loop",
+        alternatives: &["elastic_coupling"],
         ..Card::PLAIN
     },
     parameters: &[

@@ -1,6 +1,6 @@
 //! Torque of position, a whole number of times per turn and independent of the current.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, WAVE_ORDERS, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, WAVE_ORDERS, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -21,6 +21,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         remedy: "feed-forward of the torque over the angle; skewed slots or magnets; avoid long \
             holds at the resonant speed; check the alignment of the coupling where N is 1 or 2",
         needs_angle: true,
+        curve: Some((Balance::Torque, Axis::Angle)),
+        ..Card::PLAIN
     },
     parameters: &[
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),

@@ -1,6 +1,6 @@
 //! Load of one sign, whatever the direction of motion.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -17,6 +17,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             direction changes",
         excite: "the same speeds in both directions",
         remedy: "balance the load, or compensate by a constant feed-forward",
+        curve: Some((Balance::Torque, Axis::Speed)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("constant_n_m", "N.m", 0.05)],

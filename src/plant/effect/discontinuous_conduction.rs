@@ -1,6 +1,6 @@
 //! Extra resistance at small currents, where a converter's current has gaps.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, voltage};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, voltage};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -19,6 +19,9 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             the boundary",
         remedy: "a choke or a higher switching frequency lowers the boundary; an adaptive current \
             controller with another gain inside it",
+        takes_power: true,
+        curve: Some((Balance::Voltage, Axis::Current)),
+        alternatives: &["voltage_drop"],
         ..Card::PLAIN
     },
     parameters: &[

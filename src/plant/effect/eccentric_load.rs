@@ -1,6 +1,6 @@
 //! Load of position, once per turn.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -20,6 +20,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         remedy: "balance the mass, or feed forward s sin(theta) + c cos(theta); straighten or \
             align what rubs",
         needs_angle: true,
+        curve: Some((Balance::Torque, Axis::Angle)),
+        ..Card::PLAIN
     },
     parameters: &[
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),

@@ -1,6 +1,6 @@
 //! Flux that drifts in the course of a run: back-EMF and torque constant together.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, voltage_and_torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, voltage_and_torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -19,6 +19,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             of a second at high speed without load in both",
         remedy: "name the temperature with every Ke; let the machine come to its working \
             temperature; control the field current",
+        curve: Some((Balance::Torque, Axis::Time)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec {

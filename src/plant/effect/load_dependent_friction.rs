@@ -20,6 +20,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             load shows only a constant friction",
         remedy: "lubricant for the load, gear of better efficiency; feed forward m |Kt i| sgn(w); \
             count the gear's efficiency into the torque limit",
+        takes_power: true,
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("ratio", "-", 0.05)],

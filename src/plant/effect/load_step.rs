@@ -1,6 +1,6 @@
 //! Friction-like load that is there from some moment on.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, begun, friction};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, begun, friction};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -15,6 +15,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         looks_like: "torque error that is zero before a moment and constant after it",
         excite: "let the load come and go within one run, at steady speed",
         remedy: "a load observer; feed-forward where the load announces itself",
+        curve: Some((Balance::Torque, Axis::Time)),
         ..Card::PLAIN
     },
     parameters: &[

@@ -118,6 +118,16 @@ pub enum Enters {
     Path,
 }
 
+impl Balance {
+    /// As it stands in a model file.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Voltage => "voltage",
+            Self::Torque => "torque",
+        }
+    }
+}
+
 impl Enters {
     /// Whether it adds a term to this balance.
     pub const fn includes(self, balance: Balance) -> bool {
@@ -142,11 +152,20 @@ pub struct Card {
     pub remedy: &'static str,
     /// Whether its terms depend on the angle of the shaft.
     pub needs_angle: bool,
+    /// Whether it takes power, so that a size below zero is no machine: a fit that asks for one leans on something else (a
+    /// Stribeck curve of the wrong sign, gaps of a converter that would give power). A voltage drop may be
+    /// over-compensated by the drive, so that it is not among them.
+    pub takes_power: bool,
+    /// Equation and axis of the curve that it is; `None` where it is more than a curve.
+    pub curve: Option<(Balance, Axis)>,
+    /// Effects that say the same thing, of which a model holds one: simple ones that this one contains, or nearly, and
+    /// ones that are this one to first order.
+    pub alternatives: &'static [&'static str],
 }
 
 impl Card {
     /// A card without texts, for what most effects have in common.
-    const PLAIN: Self = Self {
+    pub const PLAIN: Self = Self {
         id: "",
         name: "",
         enters: Enters::Path,
@@ -156,6 +175,9 @@ impl Card {
         excite: "",
         remedy: "",
         needs_angle: false,
+        takes_power: false,
+        curve: None,
+        alternatives: &[],
     };
 }
 

@@ -1,6 +1,6 @@
 //! Load of a fan, pump or propeller.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -14,6 +14,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         looks_like: "torque error grows with the square of speed, odd in the direction",
         excite: "holds at five or more speeds up to the highest, both directions",
         remedy: "expected where a fan or pump is coupled; compensate by feed-forward k w |w|",
+        takes_power: true,
+        curve: Some((Balance::Torque, Axis::Speed)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient(

@@ -18,6 +18,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         excite: "start from rest more than once in a run: with one start it is a start delay",
         remedy: "take the delay out of the drive's parameters; keep the output stage enabled \
             between starts; count the time into the cycle",
+        alternatives: &["start_delay"],
         ..Card::PLAIN
     },
     parameters: &[LATE_START],

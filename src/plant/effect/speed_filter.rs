@@ -16,6 +16,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         excite: "fast dither of the voltage about zero speed; slow ramps do not show it",
         remedy: "lower the drive's filter, or declare it in the profile; count it into the loop's \
             small time constant",
+        alternatives: &["speed_delay"],
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 3e-3).up_to(0.5)],

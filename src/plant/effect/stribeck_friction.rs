@@ -1,6 +1,6 @@
 //! Extra friction near standstill.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, friction};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, friction};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -17,6 +17,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             creeping",
         excite: "repeated slow passages through zero speed in both directions",
         remedy: "lubrication, dither or friction feed-forward at low speed",
+        takes_power: true,
+        curve: Some((Balance::Torque, Axis::Speed)),
         ..Card::PLAIN
     },
     parameters: &[

@@ -20,6 +20,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             small and at full duty",
         remedy: "a stiffer supply, thicker or shorter cable, bus capacitors; feed the measured bus \
             voltage forward in the drive's modulator",
+        takes_power: true,
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("sag_ohm", "ohm", 0.4)],

@@ -18,7 +18,7 @@ pub(super) const CARD: Card = Card {
     looks_like: "the error follows one axis, and no effect of the catalogue has this form",
     excite: "slowly over the whole range of the axis, both ways",
     remedy: "look at the curve: its form is the way to its cause; compensate by feed-forward from the table",
-    needs_angle: false,
+    ..Card::PLAIN
 };
 
 const FEWEST_KNOTS: usize = 2;
@@ -43,25 +43,24 @@ impl Axis {
         Self::Voltage,
     ];
 
-    /// As it stands in a model file.
-    pub const fn key(self) -> &'static str {
+    /// Key in a model file and unit.
+    const fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Speed => "speed_rad_s",
-            Self::Current => "current_a",
-            Self::Angle => "angle_rad",
-            Self::Time => "time_s",
-            Self::Voltage => "voltage_v",
+            Self::Speed => ("speed_rad_s", "rad/s"),
+            Self::Current => ("current_a", "A"),
+            Self::Angle => ("angle_rad", "rad"),
+            Self::Time => ("time_s", "s"),
+            Self::Voltage => ("voltage_v", "V"),
         }
     }
 
+    /// As it stands in a model file.
+    pub const fn key(self) -> &'static str {
+        self.names().0
+    }
+
     pub const fn unit(self) -> &'static str {
-        match self {
-            Self::Speed => "rad/s",
-            Self::Current => "A",
-            Self::Angle => "rad",
-            Self::Time => "s",
-            Self::Voltage => "V",
-        }
+        self.names().1
     }
 
     pub fn from_key(key: &str) -> Option<Self> {
@@ -230,13 +229,9 @@ impl Effect for Table {
     }
 
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
-        let equation = match self.balance {
-            Balance::Torque => "torque",
-            Balance::Voltage => "voltage",
-        };
         let knots = self.knots.iter().copied().map(toml::Value::from).collect();
         vec![
-            ("equation", equation.into()),
+            ("equation", self.balance.key().into()),
             ("axis", self.axis.key().into()),
             ("knots", toml::Value::Array(knots)),
         ]

@@ -21,6 +21,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         remedy: "zero and match the current sensors, check the angle sensor's mounting and the \
             commutation angle; feed forward the ripple over the angle; replace worn brushes",
         needs_angle: true,
+        ..Card::PLAIN
     },
     parameters: &[
         ParameterSpec::coefficient("sin_ratio", "-", 0.03),

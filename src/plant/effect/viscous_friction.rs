@@ -1,6 +1,6 @@
 //! Drag proportional to speed.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -16,6 +16,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         looks_like: "torque error grows in proportion to speed, odd in the direction",
         excite: "long holds at several speeds over the full range, both directions",
         remedy: "check grease quantity and temperature; compensate by feed-forward B w",
+        takes_power: true,
+        curve: Some((Balance::Torque, Axis::Speed)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient(

@@ -1,6 +1,6 @@
 //! Drop across brushes or switches: its size hardly depends on the current, its sign does.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, voltage};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, voltage};
 
 /// Current over which the drop builds up, A; the sign of the current, smoothed.
 const SMOOTHING_A: f64 = 0.1;
@@ -19,6 +19,7 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         looks_like: "voltage error that jumps when the current changes its sign",
         excite: "current reversals, and small currents as well as large ones",
         remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
+        curve: Some((Balance::Voltage, Axis::Current)),
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],

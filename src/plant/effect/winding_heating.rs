@@ -1,6 +1,6 @@
 //! Resistance that rises as the winding takes up its own loss.
 
-use super::{Card, CatalogueEffect, Enters, Instant, ParameterSpec, Terms};
+use super::{Axis, Balance, Card, CatalogueEffect, Enters, Instant, ParameterSpec, Terms};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -15,6 +15,8 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         excite: "a hard part first, then repeat the first part: hot against cold",
         remedy: "name the temperature with every resistance; let the winding cool between runs: \
             what is left of the heat of one run is in the resistance of the next",
+        takes_power: true,
+        curve: Some((Balance::Voltage, Axis::Time)),
         ..Card::PLAIN
     },
     parameters: &[

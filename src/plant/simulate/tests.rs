@@ -26,6 +26,17 @@ pub(super) fn model(effects: &[(&str, &[f64])]) -> Model {
     model
 }
 
+/// The motor of paper A with these effects under these voltages, from rest.
+pub(super) fn simulated(
+    effects: &[(&str, &[f64])],
+    events: Vec<(f64, f64)>,
+    period_s: f64,
+    samples: usize,
+) -> Trajectory {
+    let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
+    plant.simulate(&scenario(events, period_s, samples), State::default())
+}
+
 /// Independent formulation: small Runge-Kutta steps, friction regularised over a very narrow band of speed.
 fn reference(
     events: &[(f64, f64)],
@@ -64,9 +75,7 @@ fn reference(
 #[test]
 fn a_locked_start_rises_with_the_electrical_time_constant() {
     // 1 V drives 0.9 A: 0.32 N.m, below the Coulomb level, so the shaft stays and i = u/R (1 - exp(-t R/L)).
-    let out = Plant::new(&model(&[]), Input::Voltage)
-        .unwrap()
-        .simulate(&scenario(vec![(0.0, 1.0)], 0.003, 10), State::default());
+    let out = simulated(&[], vec![(0.0, 1.0)], 0.003, 10);
     for (k, current) in out.current_a.iter().enumerate() {
         let expected = (1.0 - (-(k as f64) * 0.003 / 0.009).exp()) / 1.1;
         assert!(
@@ -79,9 +88,7 @@ fn a_locked_start_rises_with_the_electrical_time_constant() {
 
 #[test]
 fn steady_speed_under_voltage_is_the_closed_form() {
-    let out = Plant::new(&model(&[]), Input::Voltage)
-        .unwrap()
-        .simulate(&scenario(vec![(0.0, 60.0)], 0.01, 200), State::default());
+    let out = simulated(&[], vec![(0.0, 60.0)], 0.01, 200);
     let current = 0.455 / 0.3538;
     assert!((out.current_a[199] - current).abs() < 1e-9);
     assert!((out.speed_rad_s[199] - (60.0 - 1.1 * current) / 0.3538).abs() < 1e-8);
@@ -118,12 +125,7 @@ fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
     ] {
         for period_s in [0.001, 0.01] {
             let samples = whole(1.1 / period_s);
-            let out = Plant::new(&model(&effects), Input::Voltage)
-                .unwrap()
-                .simulate(
-                    &scenario(events.clone(), period_s, samples),
-                    State::default(),
-                );
+            let out = simulated(&effects, events.clone(), period_s, samples);
             for until in [0.3, 0.54, 0.66, 0.79, 1.0] {
                 let k = whole(until / period_s + 0.5);
                 let (i, w) = reference(&events, k as f64 * period_s, drag, stribeck, drop_v);
@@ -146,12 +148,7 @@ fn sampling_more_often_changes_nothing() {
         (0.8, 0.5),
         (0.9, 0.0),
     ];
-    let run = |period_s: f64, samples| {
-        Plant::new(&model(&[]), Input::Voltage).unwrap().simulate(
-            &scenario(events.clone(), period_s, samples),
-            State::default(),
-        )
-    };
+    let run = |period_s: f64, samples| simulated(&[], events.clone(), period_s, samples);
     let (coarse, fine) = (run(0.01, 101), run(0.001, 1001));
     for k in 0..101 {
         let (speed, current) = (coarse.speed_rad_s[k], coarse.current_a[k]);
@@ -181,10 +178,8 @@ fn a_mechanical_run_integrates_the_torque() {
 #[test]
 fn heating_raises_the_resistance_as_its_state_says() {
     // Locked (current below breakaway): x' = i^2 - x/tau with i nearly constant.
-    let heated = model(&[("winding_heating", &[0.05, 5.0][..])]);
-    let out = Plant::new(&heated, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario(vec![(0.0, 1.0)], 0.01, 3000), State::default());
+    let heated = [("winding_heating", &[0.05, 5.0][..])];
+    let out = simulated(&heated, vec![(0.0, 1.0)], 0.01, 3000);
     let i = out.current_a[2999];
     let heat = 5.0 * i * i * (1.0 - (-30.0f64 / 5.0).exp());
     // The current moved by a few per cent on the way, so the closed form holds to a per mille.

@@ -95,12 +95,7 @@ fn kept(id: &'static str, into: Into, form: Form) -> &'static dyn Effect {
             Into::Voltage => Enters::Voltage,
             Into::Torque => Enters::Torque,
         },
-        equation: "",
-        causes: "",
-        looks_like: "",
-        excite: "",
-        remedy: "",
-        needs_angle: false,
+        ..Card::PLAIN
     };
     let placebo = Box::leak(Box::new(Placebo { card, into, form }));
     Box::leak(Box::new(Kept(placebo)))

@@ -13,9 +13,7 @@ const ONE_BLOCK: (&str, &str) = (
 const FIRST: &str = "[signals.enabled]";
 
 fn servo(changes: &[(&str, &str)]) -> Table {
-    let mut table = Table::of(&profile_with("epulse50-dc", changes), None);
-    table.link.identify().unwrap();
-    table
+    Table::identified("epulse50-dc", changes)
 }
 
 /// What its own clock shows, in front of the first signal.
@@ -135,25 +133,22 @@ fn a_clock_that_cannot_be_followed_is_refused_with_its_turn() {
             .to_string()
     };
     let error = parse(&with_clock("u16", "us", "1.0"));
-    assert!(
-        error.contains("comes round every 0.066 s (expected 2 s or more"),
-        "{error}"
-    );
+    assert_says(&error, "comes round every 0.066 s (expected 2 s or more");
     let error = parse(&with_clock("i16", "ms", "1.0"));
-    assert!(error.contains("expected type u16 or u32"), "{error}");
+    assert_says(&error, "expected type u16 or u32");
     let error = parse(&with_clock("u32", "rpm", "1.0"));
-    assert!(
-        error.contains("does not fit quantity \"clock\" (expected us, ms or s)"),
-        "{error}"
+    assert_says(
+        &error,
+        "does not fit quantity \"clock\" (expected us, ms or s)",
     );
     let error = parse(&with_clock("u32", "us", "1.0").replace("\"fast\"", "\"slow\""));
-    assert!(error.contains("a clock stamps every sample"), "{error}");
+    assert_says(&error, "a clock stamps every sample");
     let twice = with_clock("u32", "us", "1.0")
         .replace("uptime", "second")
         .replace("0x1219", "0x1240")
         .replace(FIRST, &with_clock("u32", "us", "1.0"));
     let error = parse(&twice);
-    assert!(error.contains("are both clocks"), "{error}");
+    assert_says(&error, "are both clocks");
 }
 
 /// The servo amplifier at 19200 baud, with or without function code 23.
@@ -292,21 +287,15 @@ fn counts_without_a_turn_and_positions_that_go_round_too_fast_are_refused() {
             .to_string()
     };
     let error = parse(&[(FIRST, &position(""))]);
-    assert!(
-        error.contains("unit \"counts\" needs counts_per_turn, here or in [device]"),
-        "{error}"
+    assert_says(
+        &error,
+        "unit \"counts\" needs counts_per_turn, here or in [device]",
     );
     let error = parse(&[(FIRST, &position("counts_per_turn = 0\n"))]);
-    assert!(
-        error.contains("counts_per_turn 0 is not allowed"),
-        "{error}"
-    );
+    assert_says(&error, "counts_per_turn 0 is not allowed");
     let rpm = "unit = \"rpm\"\nquantity = \"shaft_speed\"";
     let error = parse(&[(rpm, &format!("counts_per_turn = 4096\n{rpm}"))]);
-    assert!(
-        error.contains("counts_per_turn does not fit unit \"rpm\""),
-        "{error}"
-    );
+    assert_says(&error, "counts_per_turn does not fit unit \"rpm\"");
     let error = parse(&[
         (
             FIRST,
@@ -323,8 +312,5 @@ fn counts_without_a_turn_and_positions_that_go_round_too_fast_are_refused() {
         ),
         ("[rates]", "[limits]\nspeed_rpm = 3000\n\n[rates]"),
     ]);
-    assert!(
-        error.contains("which way cannot be told (expected less than 50 %"),
-        "{error}"
-    );
+    assert_says(&error, "which way cannot be told (expected less than 50 %");
 }

@@ -9,10 +9,7 @@ const WITH_STATES: &str = "[state]\n\
     sto = { signal = \"enabled\", mask = 0x04, not_equals = 0x00 }\n";
 
 fn table() -> Table {
-    Table::of(
-        &profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]),
-        None,
-    )
+    Table::identified("epulse50-dc", &[(RUNNING, WITH_STATES)])
 }
 
 const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 400.0));
@@ -20,7 +17,6 @@ const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 400.0));
 #[test]
 fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_point() {
     let mut table = table();
-    table.link.identify().unwrap();
     table.enable(REFERENCE);
     let sample = table.hold(REFERENCE, 0.5);
     assert_eq!(sample.hindrance, None);
@@ -34,7 +30,7 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
         assert_eq!(table.far().told_last("enable_word"), Some(0));
     }
     let error = table.run(REFERENCE).unwrap_err().to_string();
-    assert!(error.contains("under local control"), "{error}");
+    assert_says(&error, "under local control");
     // Given back it runs only after somebody asked for zero first.
     table.far().take_local(false);
     for _ in 0..20 {
@@ -47,13 +43,16 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
 
 #[test]
 fn safe_torque_off_refuses_the_start_and_ends_a_run() {
-    let mut table = table();
+    let mut table = Table::of(
+        &profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]),
+        None,
+    );
     table.far().switch_torque_off(true);
     table.link.identify().unwrap();
     let rest = table.demand(Demand::Disable).unwrap();
     assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
     let error = table.run(REFERENCE).unwrap_err().to_string();
-    assert!(error.contains("safe torque off (STO) is active"), "{error}");
+    assert_says(&error, "safe torque off (STO) is active");
     assert_eq!(table.far().told_last("enable_word"), None);
     table.far().switch_torque_off(false);
     table.demand(Demand::Disable).unwrap();
@@ -68,7 +67,6 @@ fn safe_torque_off_refuses_the_start_and_ends_a_run() {
 #[test]
 fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
     let mut table = table();
-    table.link.identify().unwrap();
     table.far().refuse(Some(2));
     let error = table.demand(Demand::Disable).unwrap_err();
     let text = error.to_string();
@@ -87,7 +85,6 @@ fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
 #[test]
 fn a_busy_drive_is_asked_less_often_keeps_its_set_point_and_is_stopped_at_once_when_asked() {
     let mut table = table();
-    table.link.identify().unwrap();
     table.enable(REFERENCE);
     table.hold(REFERENCE, 0.5);
     table.period_s = 0.01;
@@ -195,10 +192,7 @@ const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
 
 #[test]
 fn a_set_point_whose_acknowledgement_was_lost_is_written_again_whatever_is_asked_next() {
-    let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
-    table.link.identify().unwrap();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
     let before = table.far().told_last("speed_ref");
     table.link.bus_mut().lose_replies(1);
     let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
@@ -215,8 +209,7 @@ fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
         "limits = [-3000, 3000]",
         "limits = [-3000, 3000]\nslew_per_s = 100.0",
     );
-    let mut table = Table::of(&profile_with("epulse50-dc", &[slow, NO_REFRESH]), None);
-    table.link.identify().unwrap();
+    let mut table = Table::identified("epulse50-dc", &[slow, NO_REFRESH]);
     table.enable(Some(("speed_ref", 0.0)));
     table.hold(Some(("speed_ref", 0.0)), 8.0);
     let sample = table.run(Some(("speed_ref", 500.0))).unwrap();
@@ -255,8 +248,7 @@ fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
 
 #[test]
 fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
-    let mut table = Table::of(&profile_with("schneider-atv312", &[]), None);
-    table.link.identify().unwrap();
+    let mut table = Table::identified("schneider-atv312", &[]);
     let reference = Some(("speed_ref", 900.0));
     table.enable(reference);
     table.far().trip();
@@ -273,14 +265,13 @@ fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
 #[test]
 fn a_busy_drive_that_takes_no_word_of_its_enable_command_is_the_reason_that_is_told() {
     let mut table = table();
-    table.link.identify().unwrap();
     table.demand(Demand::Disable).unwrap();
     table.far().refuse_writes(Some(6));
     let mut errors = (0..200).filter_map(|_| table.run(REFERENCE).err());
     let last = errors.find(|error| matches!(error, LinkError::Sequence { .. }));
     let text = last.unwrap().to_string();
-    assert!(text.contains("enable, step"), "{text}");
-    assert!(text.contains("exception 0x06"), "{text}");
+    assert_says(&text, "enable, step");
+    assert_says(&text, "exception 0x06");
 }
 
 /// The converter whose stop ends with a word behind a wait.
@@ -314,10 +305,7 @@ fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
 #[test]
 fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
     for lost in 1..=2 {
-        let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
-        table.link.identify().unwrap();
-        table.enable(REFERENCE);
-        table.hold(REFERENCE, 0.5);
+        let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
         table.next_cycle();
         let began_s = table.link.bus().now_s();
         table.link.bus_mut().lose_replies(lost);
@@ -339,10 +327,7 @@ fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
 
 #[test]
 fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over() {
-    let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
-    table.link.identify().unwrap();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
     table.link.bus_mut().lose(1);
     assert!(table.demand(Demand::Stop).unwrap_err().is_transient());
     // The first of both was lost, the second has come.
@@ -354,25 +339,21 @@ fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over
 #[test]
 fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
     let readback = ("refresh_ms = 100.0", "readback = true");
-    let mut table = Table::of(&profile_with("epulse50-dc", &[readback]), None);
-    table.link.identify().unwrap();
+    let mut table = Table::identified("epulse50-dc", &[readback]);
     table.enable(REFERENCE);
     table.hold(REFERENCE, 3.0);
     let ours = table.far().told_last("speed_ref").unwrap();
     table.far().overwrite("speed_ref", ours / 2);
     let error = (0..200).find_map(|_| table.run(REFERENCE).err()).unwrap();
     let text = error.to_string();
-    assert!(text.contains("somebody else writes it"), "{text}");
+    assert_says(&text, "somebody else writes it");
     assert!(!text.contains("ignores"), "{text}");
     assert_eq!(table.far().told_last("enable_word"), Some(0));
     // One that takes nothing keeps what it had.
-    let mut table = Table::of(&profile_with("epulse50-dc", &[readback]), None);
-    table.link.identify().unwrap();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE);
     table.far().ignore(Some("speed_ref"));
     let mut speeds = (1..20).map(|k| 100.0 + f64::from(k));
     let error = speeds.find_map(|rpm| table.run(Some(("speed_ref", rpm))).err());
     let text = error.unwrap().to_string();
-    assert!(text.contains("so it ignores what is written"), "{text}");
+    assert_says(&text, "so it ignores what is written");
 }

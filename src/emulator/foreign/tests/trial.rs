@@ -121,10 +121,10 @@ fn a_drive_at_rest_does_not_show_that_it_runs() {
     table.link.identify().unwrap();
     let error = first_error(&profile, &mut table).to_string();
     let line = 1 + acme_line(&profile, "wait = \"status\", mask");
-    assert!(error.contains("enable, step 1 of 3: not ready"), "{error}");
-    assert!(
-        error.contains("status is 0x0000 after 1 s (expected 0x0004 under mask 0x0004"),
-        "{error}"
+    assert_says(&error, "enable, step 1 of 3: not ready");
+    assert_says(
+        &error,
+        "status is 0x0000 after 1 s (expected 0x0004 under mask 0x0004",
     );
     assert!(
         error.contains(&format!("line {line} of the profile")),
@@ -159,9 +159,9 @@ fn a_drive_that_does_not_run_after_its_enable_command_names_condition_and_word()
     let mut table = Table::mixed(&host, &far, None);
     table.link.identify().unwrap();
     let error = first_error(&host, &mut table).to_string();
-    assert!(
-        error.contains("the drive does not run after it: status is 0x0005 where [state] running is looked for (expected 0x0100 under mask 0x0100"),
-        "{error}"
+    assert_says(
+        &error,
+        "the drive does not run after it: status is 0x0005 where [state] running is looked for (expected 0x0100 under mask 0x0100",
     );
     // It did run, and was told to stop.
     let _ = table.link.stop();
@@ -175,9 +175,6 @@ fn a_drive_that_trips_while_it_is_enabled_is_said_to_be_in_fault() {
     table.run(None).unwrap();
     table.far().trip();
     let error = first_error(&acme_with(&[]), &mut table).to_string();
-    assert!(
-        error.contains("it is in fault: status is 0x0008"),
-        "{error}"
-    );
-    assert!(error.contains("which may be the cause"), "{error}");
+    assert_says(&error, "it is in fault: status is 0x0008");
+    assert_says(&error, "which may be the cause");
 }

@@ -33,7 +33,7 @@ pub(super) const CARD: Card = Card {
                  needs a guess; sgn(w) in a torque is friction with true stiction, another jump at standstill chatters",
     excite: "over the range of the variables that stand in it",
     remedy: "as the expression says",
-    needs_angle: false,
+    ..Card::PLAIN
 };
 
 /// Characters of an expression; longer ones are data rather than an equation.

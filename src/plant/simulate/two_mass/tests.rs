@@ -16,16 +16,8 @@ const EVENTS: [(f64, f64); 8] = [
 ];
 
 fn run(effects: &[(&str, &[f64])], period_s: f64, until_s: f64) -> Trajectory {
-    Plant::new(&model(effects), Input::Voltage)
-        .unwrap()
-        .simulate(
-            &scenario(
-                EVENTS.to_vec(),
-                period_s,
-                whole((until_s / period_s).round()) + 1,
-            ),
-            State::default(),
-        )
+    let samples = whole((until_s / period_s).round()) + 1;
+    super::super::tests::simulated(effects, EVENTS.to_vec(), period_s, samples)
 }
 
 /// Frequency, inertia ratio, damping ratio, friction split, gap.
@@ -131,21 +123,19 @@ fn difference(one: &Trajectory, other: &Trajectory) -> f64 {
         .fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()))
 }
 
+#[track_caller]
+fn assert_near(one: &Trajectory, other: &Trajectory, within: f64) {
+    let apart = difference(one, other);
+    assert!(apart < within, "{apart}");
+}
+
 #[test]
 fn a_stiff_shaft_and_a_load_without_inertia_are_the_single_mass() {
     let single = run(&[], 0.001, 1.1);
     let stiff = simulated(&[1500.0, 0.5, 0.3, 0.4, 0.0], 0.0, 0.001, 1.1);
-    assert!(
-        difference(&single, &stiff) < 0.02,
-        "{}",
-        difference(&single, &stiff)
-    );
+    assert_near(&single, &stiff, 0.02);
     let light = simulated(&[20.0, 1e-6, 0.05, 0.0, 0.0], 0.0, 0.001, 1.1);
-    assert!(
-        difference(&single, &light) < 1e-3,
-        "{}",
-        difference(&single, &light)
-    );
+    assert_near(&single, &light, 1e-3);
     // The comparison can fail.
     let soft = simulated(&[20.0, 0.5, 0.05, 0.4, 0.0], 0.0, 0.001, 1.1);
     assert!(difference(&single, &soft) > 1.0);
@@ -157,11 +147,7 @@ fn backlash_without_a_gap_is_an_elastic_coupling() {
     let elastic = run(&[("elastic_coupling", &[30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
     assert!(difference(&without, &elastic) < 1e-9);
     let hair = run(&[("backlash", &[1e-6, 30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
-    assert!(
-        difference(&hair, &elastic) < 1e-2,
-        "{}",
-        difference(&hair, &elastic)
-    );
+    assert_near(&hair, &elastic, 1e-2);
 }
 
 /// A motor without friction under a torque pulse, behind it the load.
@@ -282,21 +268,13 @@ fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     measured.speed_rad_s.clone_from(&free.speed_rad_s);
     let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
     let ahead = plant.predict_ahead(&measured, State::default(), 1);
-    assert!(
-        difference(&free, &ahead) < 1e-6,
-        "{}",
-        difference(&free, &ahead)
-    );
+    assert_near(&free, &ahead, 1e-6);
     // Noise on the anchors stays of its size: the load does not run away from the motor.
     for (sample, speed) in measured.speed_rad_s.iter_mut().enumerate() {
         *speed += if sample % 2 == 0 { 0.1 } else { -0.1 };
     }
     let noisy = plant.predict_ahead(&measured, State::default(), 1);
-    assert!(
-        difference(&free, &noisy) < 0.8,
-        "{}",
-        difference(&free, &noisy)
-    );
+    assert_near(&free, &noisy, 0.8);
 }
 
 #[test]

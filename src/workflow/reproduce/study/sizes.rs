@@ -83,6 +83,6 @@ mod tests {
                 }
             }
         }
-        assert_eq!(hash, 0);
+        assert_eq!(hash, 0x9ef4_0200_9859_0ad9);
     }
 }
