@@ -51,9 +51,6 @@ pub struct NoiseFloor {
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
 const RARELY_EXCEEDED: f64 = 2.6;
 
-/// Error in units of the floor below which a model explains a run to the noise.
-pub const AT_THE_FLOOR: f64 = 1.1;
-
 /// Samples at rest below which a standard deviation says nothing.
 pub const FEWEST_SAMPLES: usize = 20;
 /// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
