@@ -1,4 +1,5 @@
 //! The repository's own rules: the plan of its rooms, and files of the user that are read or refused with words.
 
 mod architecture;
+mod citations;
 mod text_files;
