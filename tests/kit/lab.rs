@@ -115,7 +115,7 @@ impl Desk {
             let mut run = start();
             let turns = wait_for("a motor that turns", || {
                 let is_over = run.0.try_wait().expect("a child").is_some();
-                (is_over || self.turns(60.0)).then_some(!is_over)
+                (is_over || self.turns(80.0)).then_some(!is_over)
             });
             if turns {
                 (Done::default(), Some(run))
