@@ -99,13 +99,31 @@ impl Desk {
         drivebench(self.on_bench(command, bench, port, options))
     }
 
-    /// Starts a run and returns once its record shows that the motor turns fast.
+    /// A run on a bench file, once its record shows that the motor turns fast.
     #[track_caller]
     pub(crate) fn until_turning(&self, bench: &str, port: &str, options: &str) -> Process {
         let options = format!("--headless --json {options}");
-        let run = Process::start(&self.on_bench("run", bench, port, &options));
-        wait_for("a motor that turns", || self.turns(60.0).then_some(()));
-        run
+        self.turning(|| Process::start(&self.on_bench("run", bench, port, &options)))
+    }
+
+    /// What is started, once its record shows that the motor turns fast. Where the machine stands still the checks refuse
+    /// the run.
+    #[track_caller]
+    pub(crate) fn turning(&self, start: impl Fn() -> Process) -> Process {
+        let (done, run) = in_real_time(|| {
+            let _ = fs::remove_dir_all(self.out());
+            let mut run = start();
+            let turns = wait_for("a motor that turns", || {
+                let is_over = run.0.try_wait().expect("a child").is_some();
+                (is_over || self.turns(80.0)).then_some(!is_over)
+            });
+            if turns {
+                (Done::default(), Some(run))
+            } else {
+                (run.end(), None)
+            }
+        });
+        run.unwrap_or_else(|| panic!("no run began: {}", done.stderr))
     }
 
     /// The record of the newest run shows a speed beyond this.

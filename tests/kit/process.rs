@@ -174,9 +174,9 @@ impl KeptWaiting {
     }
 }
 
-/// A machine that kept a thread of a test's processes from running for this long has stood still, s: less than any silence
-/// that a drive's watchdog or a bench file allows here, more than a busy machine takes to give everybody a turn.
-const STOOD_STILL_S: f64 = 0.1;
+/// A machine that kept a thread of a test's processes from running for this long has stood still, s: the least time in which
+/// a reply has to be there, so that shorter waits lose nothing.
+const STOOD_STILL_S: f64 = 0.02;
 /// Statuses of a link that was lost and of a trip: what a machine that stands still ends in, as it must.
 const LOST: [i32; 2] = [3, 4];
 const ATTEMPTS: u32 = 3;
@@ -206,7 +206,7 @@ fn watched<T>(work: impl FnOnce() -> T) -> (T, f64) {
         let watch = scope.spawn(move || {
             let (mut kept, mut longest_s, mut before) = (KeptWaiting::default(), 0.0_f64, now());
             while is_over.recv_timeout(POLL) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
-                let late = before.elapsed().saturating_sub(2 * POLL);
+                let late = before.elapsed().saturating_sub(POLL);
                 longest_s = longest_s.max(late.as_secs_f64()).max(kept.of_children_s());
                 before = now();
             }

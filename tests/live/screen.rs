@@ -6,7 +6,10 @@ const SIZE: (u16, u16) = (120, 40);
 
 /// The default bench and its drive, both of which let a loaded machine stand still for a while.
 fn start(command: &str, desk: &Desk) -> Session {
-    let bench = BENCH.replace("link_silence_s = 0.45", "link_silence_s = 0.95");
+    let bench = BENCH
+        .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
+        // A busy machine keeps this rate as well.
+        .replace("rate_hz = 100.0", "rate_hz = 50.0");
     let emulator = HIDDEN.replace("watchdog_ms = 500", "watchdog_ms = 1000");
     desk.put("bench.toml", &bench);
     desk.put("drive.toml", &emulator);

@@ -65,23 +65,13 @@ impl Lab {
         session
     }
 
-    /// A run whose motor turns. Where the machine stands still the checks refuse it.
+    /// A run whose motor turns.
     fn headless(&self) -> Process {
-        let (done, run) = in_real_time(|| {
+        self.desk.turning(|| {
             let mut command = Command::new(BINARY);
             command.args(self.arguments("run")).arg("--headless");
-            let mut run = self.spawn(command);
-            let turns = wait_for("a motor that turns", || {
-                let over = run.0.try_wait().unwrap().is_some();
-                (over || self.turns()).then_some(!over)
-            });
-            if turns {
-                (Done::default(), Some(run))
-            } else {
-                (run.end(), None)
-            }
-        });
-        run.unwrap_or_else(|| panic!("no run began: {}", done.stderr))
+            self.spawn(command)
+        })
     }
 
     fn spawn(&self, mut command: Command) -> Process {
