@@ -13,7 +13,7 @@ use crate::numerics::count::whole;
 use crate::plant::{Balance, Model, MotorKey};
 
 /// Hat functions along speed and current, and along time.
-pub(super) const HATS: usize = 16;
+const HATS: usize = 16;
 pub(super) const HATS_OF_TIME: usize = 24;
 /// Periods per turn that are looked for.
 const ORDERS: usize = 36;
@@ -302,7 +302,7 @@ impl Search<'_> {
     }
 
     /// Quantiles of a variable over the windows: sharp where the run spent much time.
-    pub(super) fn knots(&self, at: impl Fn(&Window) -> f64, most: usize) -> Option<Vec<f64>> {
+    fn knots(&self, at: impl Fn(&Window) -> f64, most: usize) -> Option<Vec<f64>> {
         let mut values: Vec<f64> = self.of().map(at).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;

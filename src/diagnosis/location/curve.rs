@@ -10,8 +10,8 @@ use std::f64::consts::TAU;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-use super::axis::{HATS, HATS_OF_TIME, Search, hat};
-use super::windows::{Window, Windows, own_keys};
+use super::axis::{HATS_OF_TIME, Search, hat};
+use super::windows::{WINDOW_OF_A_CURVE_S, Windows, own_keys};
 use super::{name, unit};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{BLOCK_S, FitError};
@@ -27,6 +27,7 @@ const KNOTS_OF_A_TURN: usize = 16;
 /// Share of the range that two knots of a refined curve are apart at least, and the knots that a curve has.
 const CLOSEST_SHARE: f64 = 0.01;
 const FEWEST_KNOTS: usize = 3;
+const FIRST_KNOTS: usize = 14;
 const MOST_KNOTS: usize = 32;
 /// Rounds of refining, and what each must add to the share that is explained.
 const ROUNDS: usize = 5;
@@ -80,7 +81,7 @@ pub fn axis_map(
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> Result<Vec<AxisMap>, FitError> {
-    let windows = Windows::new(model, scenario, noise)?;
+    let windows = Windows::new(model, scenario, noise, WINDOW_OF_A_CURVE_S)?;
     let mut maps = Vec::new();
     for equation in [Balance::Voltage, Balance::Torque] {
         let search = Search {
@@ -264,18 +265,8 @@ impl<'a> Error<'a> {
             let is_curve = knots.len() >= FEWEST_KNOTS;
             is_curve.then(|| self.explained(&rows(&knots), knots, &shape))?
         };
-        let mean = |window: &Window| {
-            let own = &values[search.windows.samples_of(window)];
-            let weights = search.windows.weights_of(window).mean;
-            weights
-                .iter()
-                .zip(own)
-                .map(|(weight, value)| weight * value)
-                .sum()
-        };
         let is_time = axis == Axis::Time;
-        let most = if is_time { HATS_OF_TIME } else { HATS };
-        let mut best = fit(search.knots(mean, most)?)?;
+        let mut best = fit(first_knots(values, is_time)?)?;
         let refines = !is_time && best.r2 >= FOLLOWS_SHARE;
         for _ in 0..if refines { ROUNDS } else { 0 } {
             match refined(&best).and_then(&fit) {
@@ -320,6 +311,27 @@ impl<'a> Error<'a> {
         };
         Some(self.named("frequency_hz", found, sentence))
     }
+}
+
+/// Knots over what the run reached: half way between even spacing and as many samples between each two, so that a curve is
+/// asked for where the run was seldom, too; over time evenly.
+fn first_knots(values: &[f64], is_time: bool) -> Option<Vec<f64>> {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let (first, last) = (*sorted.first()?, *sorted.last()?);
+    let steps = if is_time { HATS_OF_TIME } else { FIRST_KNOTS } - 1;
+    let knot = |k: usize| {
+        let even = first + (last - first) * k as f64 / steps as f64;
+        let quantile = sorted[k * (sorted.len() - 1) / steps];
+        if is_time {
+            even
+        } else {
+            0.5 * (quantile + even)
+        }
+    };
+    let mut knots: Vec<f64> = (0..=steps).map(knot).collect();
+    knots.dedup_by(|later, earlier| *later - *earlier <= CLOSEST_SHARE * (last - first));
+    Some(knots)
 }
 
 /// The knots that the windows say something about.

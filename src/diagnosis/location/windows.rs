@@ -17,8 +17,10 @@ use crate::numerics::count::whole;
 use crate::numerics::statistics::largest;
 use crate::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
-/// Length of a window, s, and samples that half of it has at least.
-const WINDOW_S: f64 = 0.048;
+/// Length of a window, s: short where a place is looked for, longer where a curve is, since noise must not hide its form;
+/// and samples that half of one has at least.
+pub(super) const WINDOW_S: f64 = 0.048;
+pub(super) const WINDOW_OF_A_CURVE_S: f64 = 0.08;
 const FEWEST_HALF: usize = 3;
 /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined...
 const DEAD_ZONE_SIGMAS: f64 = 4.0;
@@ -150,10 +152,11 @@ impl<'a> Windows<'a> {
         model: &Model,
         scenario: &'a Scenario,
         noise: &NoiseFloor,
+        window_s: f64,
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let half = whole((0.5 * WINDOW_S / period_s).round()).max(FEWEST_HALF);
+        let half = whole((0.5 * window_s / period_s).round()).max(FEWEST_HALF);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
         let fastest = largest(scenario.speed_rad_s.iter().copied());
