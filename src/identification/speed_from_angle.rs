@@ -49,7 +49,7 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     }
     let side = side(points);
     let slopes = slopes(points, side);
-    let fastest = largest(slopes.iter().copied());
+    let fastest = largest(&slopes);
     let (mut compared, mut same) = (0_usize, true);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
         let at = points.partition_point(|point| point.0 < *time_s);
@@ -81,7 +81,7 @@ fn side(points: &[(f64, f64)]) -> usize {
     let most = LONGEST_SIDE.min((points.len() - 1) / 2);
     let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
     // Over the longest span resolution hardly counts: a fair view of the largest speed.
-    let largest = largest(slopes(points, most));
+    let largest = largest(&slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
         .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)

@@ -1,5 +1,7 @@
 //! Small statistics: moments, order statistics, correlation in time, quantiles, the bootstrap.
 
+use std::borrow::Borrow;
+
 use rand::{Rng, SeedableRng};
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
@@ -8,10 +10,11 @@ pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Largest magnitude; what is not a number counts for nothing.
-pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
-    let finite = values.into_iter().filter(|value| value.is_finite());
-    finite.fold(0.0, |most, value| f64::max(most, value.abs()))
+/// Largest magnitude of the finite values; zero where there are none.
+pub fn largest<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
+    let magnitudes = values.into_iter().map(|value| value.borrow().abs());
+    let finite = magnitudes.filter(|magnitude| magnitude.is_finite());
+    finite.fold(0.0, f64::max)
 }
 
 /// Variance with `n - 1`; NaN for fewer than two values.
@@ -177,7 +180,9 @@ mod tests {
         assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
         assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
         assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
-        assert!((largest([1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest([]) < 1e-15);
+        assert!(
+            (largest(&[1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest::<f64>([]) < 1e-15
+        );
     }
 
     #[test]
