@@ -81,7 +81,7 @@ fn side(points: &[(f64, f64)]) -> usize {
     let most = LONGEST_SIDE.min((points.len() - 1) / 2);
     let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
     // Over the longest span resolution hardly counts: a fair view of the largest speed.
-    let largest = largest(&slopes(points, most));
+    let largest = largest(slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
         .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)

@@ -180,9 +180,7 @@ mod tests {
         assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
         assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
         assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
-        assert!(
-            (largest(&[1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest::<f64>([]) < 1e-15
-        );
+        assert!((largest([1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest::<f64>([]) < 1e-15);
     }
 
     #[test]
