@@ -22,7 +22,7 @@ pub struct Seen<'a> {
 impl Seen<'_> {
     /// Value over the assumed torque constant, with its standard deviation.
     fn over_torque_constant(&self, key: MotorKey) -> Option<(f64, f64)> {
-        let found = self.parameters.iter().find(|p| p.key == key.key())?;
+        let found = ParameterEstimate::find(self.parameters, key.key())?;
         let kt = self.torque_n_m_per_a;
         Some((found.value? / kt, found.std? / kt))
     }
@@ -57,24 +57,19 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
     let kt = added_kg_m2 / difference;
     // d(ln Kt) = -d(a2 - a1)/difference; J = D a1/(a2 - a1) depends on a1 twice.
     let kt_std = kt * doubt / difference;
-    let inertia = kt * a1;
     let inertia_std = kt / difference * (a2 * s1).hypot(a1 * s2);
-    let mut out = vec![
+    let key = MotorKey::LoadTorque;
+    let load = if let Some((load, load_std)) = without.over_torque_constant(key) {
+        judged(key, kt * load, (kt * load_std).hypot(load * kt_std))
+    } else {
+        let reason = "the run without the added inertia does not carry it";
+        ParameterEstimate::not_observable(key.key(), key.unit(), reason)
+    };
+    vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),
-        judged(MotorKey::Inertia, inertia, inertia_std),
-    ];
-    out.push(match without.over_torque_constant(MotorKey::LoadTorque) {
-        Some((load, load_std)) => {
-            let std = (kt * load_std).hypot(load * kt_std);
-            judged(MotorKey::LoadTorque, kt * load, std)
-        }
-        None => ParameterEstimate::not_observable(
-            MotorKey::LoadTorque.key(),
-            MotorKey::LoadTorque.unit(),
-            "the run without the added inertia does not carry it",
-        ),
-    });
-    out
+        judged(MotorKey::Inertia, kt * a1, inertia_std),
+        load,
+    ]
 }
 
 fn judged(key: MotorKey, value: f64, std: f64) -> ParameterEstimate {
@@ -93,15 +88,18 @@ mod tests {
         ]
     }
 
+    fn seen(parameters: &[ParameterEstimate], torque_n_m_per_a: f64) -> Seen<'_> {
+        Seen {
+            parameters,
+            torque_n_m_per_a,
+        }
+    }
+
     #[test]
     fn the_absolute_scale_comes_from_the_disc() {
         // Truth: Kt 0.30, J 0.004, Mc 0.4; the scheme took Kt = Ke = 0.36, so all that it gave is 1.2 times too large.
         let (without, with) = (run(0.0048, 0.48), run(0.0084, 0.48));
-        let seen = |parameters| Seen {
-            parameters,
-            torque_n_m_per_a: 0.36,
-        };
-        let found = absolute(&seen(&without), &seen(&with), 0.003);
+        let found = absolute(&seen(&without, 0.36), &seen(&with, 0.36), 0.003);
         for (parameter, truth) in found.iter().zip([0.30, 0.004, 0.4]) {
             let value = parameter.value.unwrap();
             assert!((value / truth - 1.0).abs() < 1e-9, "{parameter:?}");
@@ -113,11 +111,7 @@ mod tests {
     #[test]
     fn a_disc_too_small_to_be_seen_fixes_nothing() {
         let (without, with) = (run(0.0048, 0.48), run(0.004_805, 0.48));
-        let seen = |parameters| Seen {
-            parameters,
-            torque_n_m_per_a: 0.36,
-        };
-        for parameter in absolute(&seen(&without), &seen(&with), 5e-6) {
+        for parameter in absolute(&seen(&without, 0.36), &seen(&with, 0.36), 5e-6) {
             assert_eq!(parameter.verdict, Verdict::NotObservable);
         }
     }
@@ -134,11 +128,7 @@ mod tests {
             let mut scatter = |value: f64| value * (1.0 + noise.sample(&mut rng));
             let one = vec![judged(MotorKey::Inertia, scatter(0.004), 4e-5)];
             let two = vec![judged(MotorKey::Inertia, scatter(0.010), 1e-4)];
-            let seen = |parameters| Seen {
-                parameters,
-                torque_n_m_per_a: 1.0,
-            };
-            let found = absolute(&seen(&one), &seen(&two), 0.006);
+            let found = absolute(&seen(&one, 1.0), &seen(&two, 1.0), 0.006);
             for (j, truth) in [1.0, 0.004].into_iter().enumerate() {
                 squares[j] += (found[j].value.unwrap() / truth - 1.0).powi(2);
                 claimed[j] += (found[j].std.unwrap() / truth).powi(2);

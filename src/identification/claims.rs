@@ -27,24 +27,18 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
         stamps::refuse(parameters, half_width_s);
     }
     without_current(parameters, scenario);
-    let claims = claims(run, scenario);
-    for claim in &claims {
-        for parameter in parameters.iter_mut() {
-            if claim.keys.contains(&parameter.key.as_str()) {
-                claim.apply(parameter);
-            }
+    let mut notes = Vec::new();
+    for claim in claims(run, scenario) {
+        let touched = |p: &&mut ParameterEstimate| claim.keys.contains(&p.key.as_str());
+        let mut found = false;
+        for parameter in parameters.iter_mut().filter(touched) {
+            claim.apply(parameter);
+            found |= parameter.value.is_some();
         }
+        // A claim that touches nothing that was found need not be read.
+        notes.extend(found.then_some(claim.reason));
     }
-    // A claim that touches nothing that was found need not be read.
-    claims
-        .into_iter()
-        .filter(|claim| {
-            parameters
-                .iter()
-                .any(|p| claim.keys.contains(&p.key.as_str()) && p.value.is_some())
-        })
-        .map(|claim| claim.reason)
-        .collect()
+    notes
 }
 
 /// What voltage and speed leave open together, whatever is run: only L/R, R J/(Ke Kt) and R Mc/Kt stand in their equations.
@@ -112,11 +106,6 @@ impl Claim {
         }
     }
 
-    fn and(mut self, key: &'static str) -> Self {
-        self.keys.push(key);
-        self
-    }
-
     fn apply(&self, parameter: &mut ParameterEstimate) {
         match self.weight {
             Weight::Remark => {
@@ -171,65 +160,46 @@ const OF_BACK_EMF: [MotorKey; 4] = [
 ];
 
 fn of_voltage(run: &Run, channel: Channel) -> Option<Claim> {
+    let key = channel.key();
     if run.side(channel) == Some(Side::Supply) && !full_duty(run) {
-        return Some(Claim::new(
-            &MotorKey::ALL,
-            Weight::Wrong,
-            format!(
-                "{} is the voltage of the supply, not of the motor: the duty cycle stands between them",
-                channel.key()
-            ),
-        ));
-    }
-    let origin = run.origin(channel);
-    if origin == Origin::Estimated {
-        return Some(
-            Claim::new(
-                &[MotorKey::Resistance],
-                Weight::Remark,
-                format!(
-                    "the resistance includes what the drive's own estimate of {} leaves out of its switches",
-                    channel.key()
-                ),
-            )
-            .and("voltage_drop.drop_v"),
+        let reason = format!(
+            "{key} is the voltage of the supply, not of the motor: the duty cycle stands between them"
         );
+        return Some(Claim::new(&MotorKey::ALL, Weight::Wrong, reason));
     }
-    if origin == Origin::Commanded && !measured_agrees(run, channel) {
-        return Some(
-            Claim::new(
-                &[MotorKey::Resistance],
-                Weight::Remark,
-                "the resistance includes the drive's own drops (switches, dead time, cable): the voltage is commanded, \
-                 not measured at the terminals",
-            )
-            .and("voltage_drop.drop_v"),
-        );
-    }
-    None
+    let reason = match run.origin(channel) {
+        Origin::Estimated => format!(
+            "the resistance includes what the drive's own estimate of {key} leaves out of its switches"
+        ),
+        Origin::Commanded if !measured_agrees(run, channel) => {
+            "the resistance includes the drive's own drops \
+             (switches, dead time, cable): the voltage is commanded, not measured at the terminals"
+                .to_owned()
+        }
+        _ => return None,
+    };
+    let mut claim = Claim::new(&[MotorKey::Resistance], Weight::Remark, reason);
+    claim.keys.push("voltage_drop.drop_v");
+    Some(claim)
 }
 
 fn of_current(run: &Run, keys: &[MotorKey]) -> Option<Claim> {
-    if run.side(Channel::Current) == Some(Side::Supply) && !full_duty(run) {
-        return Some(Claim::new(
-            keys,
+    let (weight, reason) = match run.origin(Channel::Current) {
+        _ if run.side(Channel::Current) == Some(Side::Supply) && !full_duty(run) => (
             Weight::Wrong,
             "current_a is the current of the supply, not of the armature: below full duty the motor carries more",
-        ));
-    }
-    match run.origin(Channel::Current) {
-        Origin::Commanded => Some(Claim::new(
-            keys,
+        ),
+        Origin::Commanded => (
             Weight::Dependent,
             "current_a is commanded, not measured: the drive's current loop and its limits stand between",
-        )),
-        Origin::Estimated => Some(Claim::new(
-            keys,
+        ),
+        Origin::Estimated => (
             Weight::Dependent,
             "current_a is the drive's own estimate, so the value rests on the drive's model of the motor",
-        )),
-        Origin::Measured | Origin::Derived | Origin::Unknown => None,
-    }
+        ),
+        Origin::Measured | Origin::Derived | Origin::Unknown => return None,
+    };
+    Some(Claim::new(keys, weight, reason))
 }
 
 fn of_torque(run: &Run) -> Option<Claim> {
@@ -240,35 +210,33 @@ fn of_torque(run: &Run) -> Option<Claim> {
         Origin::Commanded => "commanded, in the torque constant that the drive is set to",
         Origin::Measured | Origin::Derived | Origin::Unknown => return None,
     };
-    Some(Claim::new(
-        &MECHANICAL,
-        Weight::Dependent,
-        format!(
-            "torque_n_m is {how}: inertia and load torque share that scale (their ratio does not)"
-        ),
-    ))
+    let reason = format!(
+        "torque_n_m is {how}: inertia and load torque share that scale (their ratio does not)"
+    );
+    Some(Claim::new(&MECHANICAL, Weight::Dependent, reason))
 }
 
 fn of_speed(run: &Run, input: Input) -> Option<Claim> {
-    match run.origin(Channel::Speed) {
-        Origin::Estimated if input == Input::Voltage => Some(Claim::new(
+    let (keys, weight, reason): (&[MotorKey], _, _) = match run.origin(Channel::Speed) {
+        Origin::Estimated if input == Input::Voltage => (
             &OF_BACK_EMF,
             Weight::Dependent,
             "speed_rad_s is the drive's own estimate, computed with the back-EMF constant that the drive is set to: the \
              value is not independent of that setting",
-        )),
-        Origin::Estimated => Some(Claim::new(
+        ),
+        Origin::Estimated => (
             &MECHANICAL,
             Weight::Dependent,
             "speed_rad_s is the drive's own estimate: its filter and its settings are in the value",
-        )),
-        Origin::Commanded => Some(Claim::new(
+        ),
+        Origin::Commanded => (
             &OF_BACK_EMF,
             Weight::Wrong,
             "speed_rad_s is commanded, not measured: what the shaft did is not known",
-        )),
-        Origin::Measured | Origin::Derived | Origin::Unknown => None,
-    }
+        ),
+        Origin::Measured | Origin::Derived | Origin::Unknown => return None,
+    };
+    Some(Claim::new(keys, weight, reason))
 }
 
 /// Whether the bus stands at the terminals whenever the motor is energised.
@@ -280,7 +248,7 @@ fn full_duty(run: &Run) -> bool {
     if run.side(Channel::Voltage) == Some(Side::Supply) {
         return false;
     }
-    let largest = largest(voltage.iter().copied());
+    let largest = largest(voltage);
     let energised: Vec<bool> = bus
         .iter()
         .zip(voltage)

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use serde::Serialize;
 
 use crate::plant::{Motor, MotorKey};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::ParameterEstimate;
 use crate::text::number::{significant, with_std};
 
 /// What catalogues allow themselves, and a load or a warm winding adds.
@@ -117,11 +117,12 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
 }
 
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
-    let estimate = found.iter().find(|estimate| estimate.key == key.key());
-    let value = estimate
-        .filter(|estimate| matches!(estimate.verdict, Verdict::Settled | Verdict::Searching))
-        .and_then(|estimate| estimate.value);
-    let std = value.and(estimate.and_then(|estimate| estimate.std));
+    let estimate = ParameterEstimate::find(found, key.key());
+    let carried = estimate.and_then(ParameterEstimate::carried);
+    let (value, std) = (
+        carried.map(|found| found.0),
+        carried.and_then(|found| found.1),
+    );
     if nameplate.is_none() && value.is_none() {
         return None;
     }
@@ -133,11 +134,8 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let fits = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let margin = CONFIDENCE * std.unwrap_or(0.0);
-            let (low, high) = (
-                plate / (1.0 + CATALOGUE_TOLERANCE),
-                plate * (1.0 + CATALOGUE_TOLERANCE),
-            );
-            if value + margin < low || value - margin > high {
+            let most = 1.0 + CATALOGUE_TOLERANCE;
+            if value + margin < plate / most || value - margin > plate * most {
                 Fits::No
             } else {
                 Fits::Yes
@@ -153,15 +151,15 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
                 ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
+            let misfit = if fits == Fits::No {
+                ", does not fit"
+            } else {
+                ""
+            };
             format!(
-                "{name}: found {} {unit}, nameplate {} {unit}{times}{}",
+                "{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}",
                 with_std(value, std),
-                significant(plate, 4),
-                if fits == Fits::No {
-                    ", does not fit"
-                } else {
-                    ""
-                }
+                significant(plate, 4)
             )
         }
         (Some(plate), None) => {
@@ -255,17 +253,12 @@ fn speed_cause(factor: f64) -> String {
         (10.0, "speed scaling ten times too large"),
         (0.1, "speed scaling ten times too small"),
     ];
-    known
-        .iter()
-        .find(|(known, _)| near(factor, *known))
-        .map_or_else(
-            || {
-                format!(
-                    "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
-                )
-            },
-            |(_, text)| (*text).to_owned(),
-        )
+    match known.iter().find(|(known, _)| near(factor, *known)) {
+        Some((_, text)) => (*text).to_owned(),
+        None => format!(
+            "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
+        ),
+    }
 }
 
 fn current_cause(factor: f64) -> String {
@@ -283,65 +276,63 @@ fn causes(rows: &[Row]) -> Vec<String> {
             .any(|row| row.key == key.key() && row.fits == Fits::No)
     };
     let count = rows.iter().filter(|row| row.fits == Fits::No).count();
-    let mut causes = Vec::new();
-    for pattern in &PATTERNS {
-        if let Some(text) = explained(pattern, &ratio) {
-            causes.push(text);
-        }
-    }
+    let patterns = PATTERNS.iter();
+    let causes: Vec<_> = patterns
+        .filter_map(|pattern| explained(pattern, &ratio))
+        .collect();
     if !causes.is_empty() {
         return causes;
     }
-    if count == 1 && differs(MotorKey::Resistance) {
+    let cause = if count == 1 && differs(MotorKey::Resistance) {
         let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / COPPER_PER_K);
-        causes.push(if (0.0..=WARMEST_K).contains(&rise_k) {
-            format!("winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes")
-        } else if rise_k > WARMEST_K {
-            "resistance of leads, brushes or contacts; or another winding".to_owned()
+        if (0.0..=WARMEST_K).contains(&rise_k) {
+            return vec![format!(
+                "winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes"
+            )];
+        }
+        if rise_k > WARMEST_K {
+            "resistance of leads, brushes or contacts; or another winding"
         } else {
-            "another winding, or a resistance on the plate that includes more than the armature".to_owned()
-        });
+            "another winding, or a resistance on the plate that includes more than the armature"
+        }
     } else if count == 1 && differs(MotorKey::Inertia) {
-        causes.push(
-            "a load on the shaft (or none), or a plate that gives the rotor alone".to_owned(),
-        );
+        "a load on the shaft (or none), or a plate that gives the rotor alone"
     } else if count == 1 && differs(MotorKey::LoadTorque) {
-        causes.push("friction of load, bearings or brake is not what was expected".to_owned());
+        "friction of load, bearings or brake is not what was expected"
     } else if count == 1 && differs(MotorKey::Inductance) {
-        causes.push(
-            "saturation, another way of measuring the inductance, or another winding".to_owned(),
-        );
+        "saturation, another way of measuring the inductance, or another winding"
     } else if !differs(MotorKey::Resistance)
         && !differs(MotorKey::BackEmf)
         && !differs(MotorKey::Inductance)
     {
-        causes.push("the load on the shaft: winding and back-EMF fit the plate".to_owned());
+        "the load on the shaft: winding and back-EMF fit the plate"
     } else {
-        causes.push("another motor than the one on the nameplate: no single sensor factor explains the differences".to_owned());
-    }
-    causes
+        "another motor than the one on the nameplate: no single sensor factor explains the differences"
+    };
+    vec![cause.to_owned()]
 }
 
 /// The cause of a pattern, if one factor explains every value that is known, within the catalogue's tolerance.
 fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Option<String> {
     let leader = ratio(KEYS[pattern.leader])?;
+    let tolerance = CATALOGUE_TOLERANCE.ln_1p();
     let factor = leader.powf(1.0 / f64::from(pattern.powers[pattern.leader]));
     // A factor of about one explains nothing.
-    if factor.ln().abs() < CATALOGUE_TOLERANCE.ln_1p() {
+    if factor.ln().abs() < tolerance {
         return None;
     }
-    let tolerance = CATALOGUE_TOLERANCE.ln_1p();
     let mut witnesses = 0;
     for (key, power) in KEYS.into_iter().zip(pattern.powers) {
         let Some(found) = ratio(key) else {
             continue;
         };
         // Friction and load are the least certain entries of any plate.
-        let allowed = if key == MotorKey::LoadTorque {
+        let share = if key == MotorKey::LoadTorque {
             2.0
         } else {
             1.0
-        } * tolerance;
+        };
+        let allowed = share * tolerance;
         if (found.ln() - f64::from(power) * factor.ln()).abs() > allowed {
             return None;
         }
@@ -358,13 +349,8 @@ mod tests {
     fn estimates(values: [f64; 5]) -> Vec<ParameterEstimate> {
         KEYS.into_iter()
             .zip(values)
-            .map(|(key, value)| ParameterEstimate {
-                key: key.key().to_owned(),
-                value: Some(value),
-                std: Some(0.01 * value),
-                unit: key.unit(),
-                verdict: Verdict::Settled,
-                reason: None,
+            .map(|(key, value)| {
+                ParameterEstimate::found(key.key(), key.unit(), value, 0.01 * value, None)
             })
             .collect()
     }

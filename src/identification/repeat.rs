@@ -1,8 +1,7 @@
 //! Several runs of one machine: what each parameter is, and how far it differs from run to run.
 //!
 //! The deviation of one fit knows only the noise of its own run. What changes between runs (temperature, load, the
-//! position of a belt) shows in the spread alone, which is therefore what counts as soon as it is larger
-//! (DISCOVERY.md 2.12).
+//! position of a belt) shows in the spread alone, which is therefore what counts as soon as it is larger.
 
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -34,23 +33,21 @@ pub fn combine(per_run: &[Vec<ParameterEstimate>]) -> Vec<Repeated> {
             keys.push(&parameter.key);
         }
     }
-    keys.into_iter()
-        .filter_map(|key| {
-            let all: Vec<&ParameterEstimate> = per_run
-                .iter()
-                .filter_map(|run| run.iter().find(|parameter| parameter.key == key))
-                .collect();
-            one(&all)
-        })
-        .collect()
+    let of = |key| {
+        let runs = per_run.iter();
+        runs.filter_map(move |run| ParameterEstimate::find(run, key))
+    };
+    let combined = keys
+        .into_iter()
+        .filter_map(|key| one(&of(key).collect::<Vec<_>>()));
+    combined.collect()
 }
 
 fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
     let first = *all.first()?;
     let carried: Vec<(f64, f64)> = all
         .iter()
-        .filter(|p| matches!(p.verdict, Verdict::Settled | Verdict::Searching))
-        .filter_map(|p| Some((p.value?, p.std?)))
+        .filter_map(|p| p.carried().and_then(|(value, std)| Some((value, std?))))
         .collect();
     if carried.len() < 2 {
         // Nothing to compare: the one run that says something, else the first one's reason.
@@ -90,16 +87,13 @@ fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
     }
     Some(Repeated {
         estimate: ParameterEstimate {
-            key: first.key.clone(),
-            value: Some(value),
-            std: Some(std),
-            unit: first.unit,
             verdict: if settled {
                 Verdict::Settled
             } else {
                 Verdict::Searching
             },
             reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
+            ..ParameterEstimate::found(&first.key, first.unit, value, std, None)
         },
         runs: values.len(),
         run_to_run_std: Some(spread.sqrt()),
@@ -122,14 +116,13 @@ mod tests {
     use super::*;
 
     fn run(value: f64, std: f64) -> Vec<ParameterEstimate> {
-        vec![ParameterEstimate {
-            key: "resistance_ohm".to_owned(),
-            value: Some(value),
-            std: Some(std),
-            unit: "ohm",
-            verdict: Verdict::Settled,
-            reason: None,
-        }]
+        vec![ParameterEstimate::found(
+            "resistance_ohm",
+            "ohm",
+            value,
+            std,
+            None,
+        )]
     }
 
     #[test]

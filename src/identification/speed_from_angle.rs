@@ -49,7 +49,7 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     }
     let side = side(points);
     let slopes = slopes(points, side);
-    let fastest = largest(slopes.iter().copied());
+    let fastest = largest(&slopes);
     let (mut compared, mut same) = (0_usize, true);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
         let at = points.partition_point(|point| point.0 < *time_s);

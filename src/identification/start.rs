@@ -82,7 +82,7 @@ fn integrals(scenario: &Scenario) -> Vec<Sums> {
     let times = &scenario.sample_time_s;
     let current = between(times, &scenario.current_a);
     let speed = between(times, &scenario.speed_rad_s);
-    let zone = DEAD_ZONE * largest(speed.iter().copied());
+    let zone = DEAD_ZONE * largest(&speed);
     let windows = windows(times).into_iter().map(|window| {
         let voltage = signal::integral(&scenario.events, times[window.start], times[window.end]);
         Sums::over(&window, times, voltage, [&current, &speed], zone)

@@ -125,12 +125,8 @@ mod tests {
 
     fn resistance(verdict: Verdict) -> ParameterEstimate {
         ParameterEstimate {
-            key: "resistance_ohm".into(),
-            value: Some(1.3),
-            std: Some(0.01),
-            unit: "ohm",
             verdict,
-            reason: None,
+            ..ParameterEstimate::found("resistance_ohm", "ohm", 1.3, 0.01, None)
         }
     }
 

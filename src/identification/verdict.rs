@@ -32,16 +32,11 @@ pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
         return ParameterEstimate::not_observable(&key, unit, reason);
     }
     if positive && value < -TWO_SIDED_95 * std {
+        let reason = "negative, which no motor has: check signs, units and columns of the signals";
+        let found = ParameterEstimate::found(key, unit, value, std, Some(reason.to_owned()));
         return ParameterEstimate {
-            key,
-            value: Some(value),
-            std: Some(std),
-            unit,
             verdict: Verdict::Invalid,
-            reason: Some(
-                "negative, which no motor has: check signs, units and columns of the signals"
-                    .to_owned(),
-            ),
+            ..found
         };
     }
     if positive && relative > NOT_OBSERVABLE {
@@ -58,18 +53,7 @@ pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     } else {
         uncertainty(relative)
     };
-    ParameterEstimate {
-        key,
-        value: Some(value),
-        std: Some(std),
-        unit,
-        verdict: if settled {
-            Verdict::Settled
-        } else {
-            Verdict::Searching
-        },
-        reason: (!settled).then_some(reason),
-    }
+    ParameterEstimate::found(key, unit, value, std, (!settled).then_some(reason))
 }
 
 /// A relative standard deviation in words that can be read whatever its size.

@@ -119,6 +119,30 @@ impl ParameterEstimate {
         }
     }
 
+    /// Value and standard deviation, where the data carry them.
+    pub fn carried(&self) -> Option<(f64, Option<f64>)> {
+        let carried = matches!(self.verdict, Verdict::Settled | Verdict::Searching);
+        Some((self.value.filter(|_| carried)?, self.std))
+    }
+
+    /// A value that was found: settled, or searching for a reason.
+    pub fn found(
+        key: impl Into<String>,
+        unit: &'static str,
+        value: f64,
+        std: f64,
+        doubt: Option<String>,
+    ) -> Self {
+        Self {
+            verdict: doubt
+                .as_ref()
+                .map_or(Verdict::Settled, |_| Verdict::Searching),
+            reason: doubt,
+            std: Some(std),
+            ..Self::fixed(key, unit, value)
+        }
+    }
+
     /// A value that was given and not fitted.
     pub fn fixed(key: impl Into<String>, unit: &'static str, value: f64) -> Self {
         Self {

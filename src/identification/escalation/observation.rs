@@ -110,7 +110,7 @@ impl Seen {
             .position(|speed| speed.abs() > 0.6 * motion_rad_s)
             .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
-        let break_away_current_a = largest(amps[..at_rest].iter().copied());
+        let break_away_current_a = largest(&amps[..at_rest]);
         let measured: Vec<f64> = measured_voltage(run, scenario);
         Self {
             noise_a,

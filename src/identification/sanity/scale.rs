@@ -109,7 +109,7 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
         })
         .collect();
     let travels: Vec<f64> = windows.iter().map(|window| window[0]).collect();
-    let largest = largest(travels.iter().copied());
+    let largest = largest(&travels);
     let ratios: Vec<f64> = windows
         .iter()
         .filter(|[travel, _]| travel.abs() > 0.3 * largest)

@@ -297,7 +297,7 @@ pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient>
 }
 
 fn sums(roles: &Roles<'_>) -> Vec<Sums> {
-    let zone = DEAD_ZONE * largest(roles.speed.iter().copied());
+    let zone = DEAD_ZONE * largest(roles.speed);
     let (current, speed) = (roles.current_sign, roles.speed_sign);
     let signed = |window: &Range<usize>| {
         let voltage = trapezoid(roles.time_s, roles.voltage, window);

@@ -232,7 +232,7 @@ impl Grid {
         let noise_rad_s = NoiseFloor::from_standstill(scenario)
             .map(|floor| floor.speed_rad_s)
             .filter(|noise| noise.is_finite());
-        let most_rad_s = MOST_GUESSED_NOISE * largest(speed_rad_s.iter().copied());
+        let most_rad_s = MOST_GUESSED_NOISE * largest(&speed_rad_s);
         let guess = || roughness(&speed_rad_s).min(most_rad_s);
         let mut zone = Direction::with_noise(noise_rad_s.unwrap_or_else(guess));
         let direction = speed_rad_s.iter().map(|speed| zone.of(*speed)).collect();

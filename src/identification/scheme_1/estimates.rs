@@ -167,21 +167,18 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
         return;
     };
     // Not finite: the better value says nothing, as if there were none.
-    let open = if noise.is_finite() {
-        noise
-    } else {
-        value.abs()
-    };
+    let open = Some(noise)
+        .filter(|noise| noise.is_finite())
+        .unwrap_or(value.abs());
     judged.std = Some(std.hypot(open));
-    if judged.verdict == Verdict::Settled && std.hypot(open) > SETTLED * value.abs() {
-        judged.verdict = Verdict::Searching;
+    if std.hypot(open) > SETTLED * value.abs() {
         let percent = 100.0 * open / value.abs();
         let known = if percent > 100.0 {
             "is not known, also not".to_owned()
         } else {
             format!("is known to {percent:.0} % only")
         };
-        judged.reason = Some(format!(
+        judged.unsettle(format!(
             "{}, and how far {known} {}",
             doubt.cause, doubt.source
         ));

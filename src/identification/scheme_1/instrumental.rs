@@ -339,7 +339,7 @@ impl Auxiliary {
         let speed = Plant::new(&Model::baseline(motor), Input::Voltage)
             .map(|mut plant| plant.simulate(&scenario, start(series, model)).speed_rad_s)
             .unwrap_or_default();
-        let zone = DEAD_ZONE * largest(speed.iter().copied());
+        let zone = DEAD_ZONE * largest(&speed);
         let misses: Vec<f64> = speed
             .iter()
             .zip(series.speed_rad_s)
@@ -367,7 +367,7 @@ fn start(series: &Series<'_>, model: &Dynamics) -> State {
     first.truncate(FIRST_SAMPLES);
     let speed = mean(&first);
     let noise = (variance(&first) / first.len() as f64).sqrt();
-    if speed.abs() > (3.0 * noise).max(DEAD_ZONE * largest(series.speed_rad_s.iter().copied())) {
+    if speed.abs() > (3.0 * noise).max(DEAD_ZONE * largest(series.speed_rad_s)) {
         State::at(model.load_v.max(0.0) * speed.signum(), speed)
     } else {
         State::default()

@@ -166,26 +166,15 @@ fn judged(key: &str, unit: &'static str, found: Found) -> ParameterEstimate {
             format!("read with an uncertainty of {per_cent:.0} %: the step does not show it");
         return ParameterEstimate::not_observable(key, unit, reason);
     }
-    let (verdict, reason) = if read.value > 0.0 {
-        // One reading of one curve is never settled, however smooth it looks.
-        (
-            Verdict::Searching,
-            format!("read from one step, uncertainty {per_cent:.1} %"),
-        )
-    } else {
-        (
-            Verdict::Invalid,
-            "not positive: check the signs of voltage, current and speed".to_owned(),
-        )
-    };
-    ParameterEstimate {
-        key: key.to_owned(),
-        value: Some(read.value),
-        std: Some(read.std),
-        unit,
-        verdict,
-        reason: Some(reason),
+    // One reading of one curve is never settled, however smooth it looks.
+    let reason = format!("read from one step, uncertainty {per_cent:.1} %");
+    let mut judged = ParameterEstimate::found(key, unit, read.value, read.std, Some(reason));
+    if read.value <= 0.0 {
+        judged.verdict = Verdict::Invalid;
+        let reason = "not positive: check the signs of voltage, current and speed";
+        judged.reason = Some(reason.to_owned());
     }
+    judged
 }
 
 #[cfg(test)]

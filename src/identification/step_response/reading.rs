@@ -104,8 +104,8 @@ pub fn read(scenario: &Scenario) -> Result<Reading, String> {
 /// Steps from zero voltage and standstill, in the order of time.
 fn steps(scenario: &Scenario) -> Vec<Step> {
     let volts: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
-    let most_v = statistics::largest(volts.iter().copied());
-    let most_rad_s = statistics::largest(scenario.speed_rad_s.iter().copied());
+    let most_v = statistics::largest(&volts);
+    let most_rad_s = statistics::largest(&scenario.speed_rad_s);
     let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
     // Levels: begin and voltage; a held value that is written on every row is one level.
     let mut levels: Vec<(f64, f64)> = Vec::new();
