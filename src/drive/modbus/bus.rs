@@ -1,7 +1,7 @@
 //! The Modbus link as a bus of registers, proven as a drive's profile allows.
 //!
 //! ```text
-//! in step? (transaction/proof.rs) -> read -> reply -> the time that replies usually take, and the gap
+//! in step? (proof.rs) -> read -> reply -> the time that replies usually take, and the gap
 //!                                                  -> nothing else came? -> value
 //! ```
 //!
