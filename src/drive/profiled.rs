@@ -414,7 +414,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             match &written {
                 Ok(()) if matches!(next, Next::Write { .. }) => {
                     self.kicked_s = now_s;
-                    sequence.written(now_s);
+                    sequence.go_on(now_s);
                 }
                 Err(error @ LinkError::Exception { .. }) => {
                     let since_s = sequence.refused(now_s, error.to_string());
