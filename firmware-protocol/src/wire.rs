@@ -10,12 +10,18 @@ pub(crate) const STREAM_FINER: f64 = 1000.0;
 
 pub(crate) trait Sink {
     fn raw(&mut self, register: &Register, raw: i64);
-    fn value(&mut self, register: &Register, value: f64);
+
+    fn value(&mut self, register: &Register, value: f64) {
+        self.raw(register, register.encode(value));
+    }
 }
 
 pub(crate) trait Source {
     fn raw(&mut self, register: &Register) -> i64;
-    fn value(&mut self, register: &Register) -> f64;
+
+    fn value(&mut self, register: &Register) -> f64 {
+        register.decode(self.raw(register))
+    }
 
     /// The register is one word: the number fits.
     fn u16(&mut self, register: &Register) -> u16 {
@@ -38,10 +44,6 @@ impl Sink for WordsMut<'_> {
     fn raw(&mut self, register: &Register, raw: i64) {
         register.put(self.block, self.base, raw);
     }
-
-    fn value(&mut self, register: &Register, value: f64) {
-        register.put(self.block, self.base, register.encode(value));
-    }
 }
 
 /// A block of registers to be read.
@@ -53,10 +55,6 @@ pub(crate) struct Words<'a> {
 impl Source for Words<'_> {
     fn raw(&mut self, register: &Register) -> i64 {
         register.get(self.block, self.base)
-    }
-
-    fn value(&mut self, register: &Register) -> f64 {
-        register.decode(register.get(self.block, self.base))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpListener;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -58,8 +58,6 @@ pub(super) struct Asked {
     pub(super) honest: Vec<u8>,
 }
 
-type Script = Box<dyn FnMut(Asked) -> Vec<Say> + Send>;
-
 #[derive(Clone, Copy)]
 pub(super) enum Language {
     Rtu,
@@ -81,7 +79,8 @@ impl Fake {
         script: impl FnMut(Asked) -> Vec<Say> + Send + 'static,
     ) -> Self {
         let (port, target) = raw_pty();
-        Self::start(target, script, language, identity, move |_| Some(port))
+        let mut ear = Ear::new(language, identity);
+        Self::serving(target, move |stop| serve(port, script, &mut ear, stop))
     }
 
     pub(super) fn over_tcp(
@@ -90,41 +89,32 @@ impl Fake {
     ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let target = format!("tcp:{}", listener.local_addr().unwrap());
-        let target = target.parse().unwrap();
         listener.set_nonblocking(true).unwrap();
-        Self::start(target, script, language, identity_block(), move |stop| {
+        let mut ear = Ear::new(language, identity_block());
+        Self::serving(target.parse().unwrap(), move |stop| {
             // A test that fails before it connects must not hang here.
             while !stop.load(Ordering::Relaxed) {
                 if let Ok((stream, _)) = listener.accept() {
-                    stream.set_nonblocking(true).ok()?;
-                    return Some::<TcpStream>(stream);
+                    stream.set_nonblocking(true).unwrap();
+                    return serve(stream, script, &mut ear, stop);
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
-            None
         })
     }
 
-    fn start<P: Read + Write>(
+    /// Whatever works at the far end until it is told to stop.
+    pub(super) fn serving(
         target: super::Target,
-        script: impl FnMut(Asked) -> Vec<Say> + Send + 'static,
-        language: Language,
-        identity: [u16; IDENTITY_WORDS],
-        port: impl FnOnce(&AtomicBool) -> Option<P> + Send + 'static,
+        work: impl FnOnce(&AtomicBool) + Send + 'static,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let thread = {
-            let stop = Arc::clone(&stop);
-            std::thread::spawn(move || {
-                if let Some(port) = port(&stop) {
-                    serve(port, Box::new(script), language, identity, &stop);
-                }
-            })
-        };
+        let told = Arc::clone(&stop);
+        let thread = Some(std::thread::spawn(move || work(&told)));
         Self {
             target,
             stop,
-            thread: Some(thread),
+            thread,
         }
     }
 }
@@ -141,12 +131,10 @@ impl Drop for Fake {
 
 fn serve(
     mut port: impl Read + Write,
-    mut script: Script,
-    language: Language,
-    identity: [u16; IDENTITY_WORDS],
+    mut script: impl FnMut(Asked) -> Vec<Say>,
+    ear: &mut Ear,
     stop: &AtomicBool,
 ) {
-    let mut ear = Ear::new(language, identity);
     let mut bytes = [0; 512];
     while !stop.load(Ordering::Relaxed) {
         let count = match port.read(&mut bytes) {
@@ -235,11 +223,8 @@ impl Ear {
                 stream_frame(question.seq, self.toy.now_us, answer)
             }
         };
-        let command = if self.toy.commands > before {
-            self.toy.commands
-        } else {
-            0
-        };
+        let is_command = self.toy.commands > before;
+        let command = if is_command { self.toy.commands } else { 0 };
         Some(Asked { command, honest })
     }
 }

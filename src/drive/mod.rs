@@ -1,16 +1,16 @@
 //! What a drive is to the bench: a profile, and a link that exchanges a command for a sample.
 //!
 //! ```text
-//! profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
+//! settings.rs <- register_map/ (facts of a profile) <- profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
 //!
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
 //!                  |            |             burst.rs: what the drive records by itself
 //!              guard.rs      port.rs        bytes, silence, hang-up
 //!                  |
-//!              transaction/ + reply.rs      which bytes answer this request, and whether the line is in step
-//!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
-//!                  +-- tap/ (capture file) <- raw/ (registers of any unit), serial_ports.rs (what is plugged in)
+//!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
+//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps), tally.rs (counts, round trips)
+//!                  +-- tap.rs (capture file) <- raw.rs (registers of any unit), serial_ports.rs (what is plugged in)
 //!                                              '-- probe/ (read-only: who is it, and is its profile right?)
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
 //!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)

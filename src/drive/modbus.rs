@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
-//! read:     gap, listen, the steps of transaction/proof.rs -> FC03 | 04
+//! read:     gap, listen, the steps of proof.rs -> FC03 | 04
 //! ```
 //!
 //! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither

@@ -68,14 +68,10 @@ fn stands_for(signal: &Signal) -> String {
     if let Some(pairs) = keys.pole_pairs {
         parts.push(format!("by {pairs} pole pairs"));
     }
-    parts.push(keys.filter_ms.map_or_else(
-        || "filter not told".to_owned(),
-        |ms| format!("filter {ms} ms"),
-    ));
-    parts.push(keys.update_ms.map_or_else(
-        || "update not told".to_owned(),
-        |ms| format!("update {ms} ms"),
-    ));
+    for (what, time_ms) in [("filter", keys.filter_ms), ("update", keys.update_ms)] {
+        let not_told = || format!("{what} not told");
+        parts.push(time_ms.map_or_else(not_told, |ms| format!("{what} {ms} ms")));
+    }
     if keys.trust == Some(Trust::Unverified) {
         parts.push("unverified".to_owned());
     }
@@ -176,11 +172,9 @@ fn no_voltage(profile: &DriveProfile) -> String {
 }
 
 fn no_reference(profile: &DriveProfile) -> String {
-    let point = profile.registers.as_deref().and_then(|map| {
-        map.set_points
-            .iter()
-            .find(|p| p.keys.quantity == Quantity::Speed)
-    });
+    let map = profile.registers.as_deref();
+    let mut points = map.into_iter().flat_map(|map| &map.set_points);
+    let point = points.find(|p| p.keys.quantity == Quantity::Speed);
     match point {
         Some(point) => format!(
             "its reference {} is in {}, and what that is as a speed depends on the motor: give the profile a scale in rpm, pole_pairs for Hz, or counts_per_turn for counts/s",
@@ -199,9 +193,8 @@ fn no_shaft_speed(profile: &DriveProfile) -> Option<String> {
         .get(Channel::Speed)
         .or(profile.signals.get(Channel::Angle));
     let Some(map) = &profile.registers else {
-        return origin
-            .is_none()
-            .then(|| "the drive gives no speed".to_owned());
+        let none = || "the drive gives no speed".to_owned();
+        return origin.is_none().then(none);
     };
     let signal = map.of_channel(Channel::Speed);
     match signal.map(|signal| (signal.keys.quantity, origin)) {
@@ -216,9 +209,8 @@ fn no_shaft_speed(profile: &DriveProfile) -> Option<String> {
 fn no_signed_torque(profile: &DriveProfile) -> Option<String> {
     let Some(map) = &profile.registers else {
         let any = profile.signals.current_a.or(profile.signals.torque_n_m);
-        return any
-            .is_none()
-            .then(|| "the drive gives neither torque nor current".to_owned());
+        let none = || "the drive gives neither torque nor current".to_owned();
+        return any.is_none().then(none);
     };
     let signed = |channel| map.of_channel(channel).is_some_and(Signal::is_signed);
     if signed(Channel::Current) || signed(Channel::Torque) {
@@ -275,17 +267,29 @@ mod tests {
 
     #[test]
     fn what_has_a_shaft_and_a_sign_is_offered() {
-        assert_eq!(refused("epulse50-dc", Purpose::SpeedLoop), None);
-        assert_eq!(refused("epulse50-dc", Purpose::Mechanics), None);
-        assert_eq!(refused("abb-dcs-gateway", Purpose::SpeedLoop), None);
-        assert_eq!(refused("roboteq-dc", Purpose::Mechanics), None);
-        let voltages = refused("roboteq-dc", Purpose::Voltages).unwrap();
-        assert!(
-            voltages.contains("share of its supply voltage"),
-            "{voltages}"
-        );
-        let current = refused("abb-dcs-gateway", Purpose::Mechanics).unwrap();
-        assert!(current.contains("gateway does not map"), "{current}");
+        for (name, purpose, said) in [
+            ("epulse50-dc", Purpose::SpeedLoop, None),
+            ("epulse50-dc", Purpose::Mechanics, None),
+            ("abb-dcs-gateway", Purpose::SpeedLoop, None),
+            ("roboteq-dc", Purpose::Mechanics, None),
+            (
+                "roboteq-dc",
+                Purpose::Voltages,
+                Some("share of its supply voltage"),
+            ),
+            (
+                "abb-dcs-gateway",
+                Purpose::Mechanics,
+                Some("gateway does not map"),
+            ),
+        ] {
+            let refused = refused(name, purpose);
+            let is_right = match (&refused, said) {
+                (Some(refused), Some(said)) => refused.contains(said),
+                (refused, said) => refused.is_none() && said.is_none(),
+            };
+            assert!(is_right, "{name} {purpose:?}: {refused:?}");
+        }
     }
 
     #[test]
@@ -317,19 +321,20 @@ mod tests {
     #[test]
     fn remarks_name_dead_time_field_sign_and_watchdog() {
         let of = |name| remarks(&DriveProfile::named(name).unwrap()).join("\n");
-        let dcs = of("abb-dcs-gateway");
-        assert!(
-            dcs.contains("four quadrants") && dcs.contains("3.3 ms"),
-            "{dcs}"
-        );
-        assert!(
-            dcs.contains("field_current is read, but limits.field_min_a"),
-            "{dcs}"
-        );
-        assert!(of("siemens-v20").contains("no sign"));
-        assert!(of("roboteq-dc").contains("resumes the old one"));
-        assert!(of("abb-efb").contains("blind for 30 s"));
-        assert!(of("delta-ms300").contains("off as delivered"));
+        for (name, said) in [
+            ("abb-dcs-gateway", "four quadrants"),
+            ("abb-dcs-gateway", "3.3 ms"),
+            (
+                "abb-dcs-gateway",
+                "field_current is read, but limits.field_min_a",
+            ),
+            ("siemens-v20", "no sign"),
+            ("roboteq-dc", "resumes the old one"),
+            ("abb-efb", "blind for 30 s"),
+            ("delta-ms300", "off as delivered"),
+        ] {
+            assert!(of(name).contains(said), "{name}: {}", of(name));
+        }
         assert_eq!(of("own"), "");
     }
 }

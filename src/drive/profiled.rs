@@ -272,15 +272,15 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Ends a run: the drive gets its stop, and zero has to be asked for before the next.
-    fn give_up(&mut self) -> Result<(), LinkError> {
+    fn give_up(&mut self, now_s: f64) -> Result<(), LinkError> {
         self.latched = true;
-        self.begin_stop(self.bus.now_s());
+        self.begin_stop(now_s);
         self.advance()
     }
 
     /// The same where the reason counts more than how the stop goes.
     fn ended(&mut self, reason: String) -> LinkError {
-        let _ = self.give_up();
+        let _ = self.give_up(self.bus.now_s());
         self.broken_off("run", reason)
     }
 
@@ -304,7 +304,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if self.mode != Mode::On {
             return Ok(());
         }
-        self.give_up()?;
+        self.give_up(now_s)?;
         let reason = format!(
             "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
         );
@@ -414,7 +414,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             match &written {
                 Ok(()) if matches!(next, Next::Write { .. }) => {
                     self.kicked_s = now_s;
-                    sequence.written(now_s);
+                    sequence.go_on(now_s);
                 }
                 Err(error @ LinkError::Exception { .. }) => {
                     let since_s = sequence.refused(now_s, error.to_string());
@@ -487,12 +487,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 .is_none_or(|amperes| amperes < least_a);
             if weak && self.mode == Mode::On {
                 self.field_lost = true;
-                return gone(self.give_up());
+                return gone(self.give_up(now_s));
             }
         }
         // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
-            return gone(self.give_up());
+            return gone(self.give_up(now_s));
         }
         if self.mode != Mode::On {
             return Ok(());
@@ -509,7 +509,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
         if self.unseen_since_s.is_some() && !in_fault && runs == Some(false) {
             let error = self.never_ran();
-            let _ = self.give_up();
+            let _ = self.give_up(now_s);
             return Err(error);
         }
         // It stopped by itself: a fault, its watchdog, somebody at its keypad. It must not be found with a reference and the
@@ -519,7 +519,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.points.release();
             self.points.is_urgent = true;
             gone(self.points.zero(&mut self.bus, &self.readings))?;
-            return gone(self.give_up());
+            return gone(self.give_up(now_s));
         }
         Ok(())
     }

@@ -125,13 +125,13 @@ pub(super) struct Proof {
     always_apart: bool,
     asked: VecDeque<Asked>,
     /// Everything before the first of them is over.
-    proven: bool,
+    pub(super) proven: bool,
     /// What comes next may be old.
-    suspect: bool,
+    pub(super) suspect: bool,
     /// Something was wrong since the last proof.
-    dirty: bool,
+    pub(super) dirty: bool,
     /// Times that something was wrong.
-    anomalies: u64,
+    pub(super) anomalies: u64,
     disturbed: Instant,
     restless: Option<Instant>,
     tried: usize,
@@ -145,9 +145,9 @@ pub(super) struct Proof {
     /// Registers that have been read, of which a probe may read more or fewer; and the most that may be asked for.
     place: Option<(ReadRequest, u16)>,
     /// The unit has ever answered.
-    heard: bool,
+    pub(super) heard: bool,
     /// The last answer cannot be that to another request.
-    vouched: bool,
+    pub(super) vouched: bool,
     recent: Vec<(Code, Instant)>,
     clean_reads: u32,
     /// The last request that got no reply: its own may come when a probe has been answered already.
@@ -218,34 +218,6 @@ impl Proof {
         self.place = None;
         self.worked = None;
         self.method = Method::Length;
-    }
-
-    pub(super) const fn is_heard(&self) -> bool {
-        self.heard
-    }
-
-    /// Times that something was wrong on the line; as long as it stays the same nothing was.
-    pub(super) const fn anomalies(&self) -> u64 {
-        self.anomalies
-    }
-
-    pub(super) const fn is_suspect(&self) -> bool {
-        self.suspect
-    }
-
-    /// Whether the last answer cannot be that to another request.
-    pub(super) const fn is_vouched(&self) -> bool {
-        self.vouched
-    }
-
-    /// Whether anything was wrong since the last proof.
-    pub(super) const fn is_dirty(&self) -> bool {
-        self.dirty
-    }
-
-    /// Whether there is a request before which everything is over.
-    pub(super) const fn is_proven(&self) -> bool {
-        self.proven
     }
 
     /// The line is to be proven before anything else is asked.
@@ -662,7 +634,7 @@ mod tests {
             let end = if is_first { End::Missing } else { End::Data };
             proof.ended(end, &[], false, false, at);
         }
-        assert!(!proof.is_vouched(), "it may be the reply to the first");
+        assert!(!proof.vouched, "it may be the reply to the first");
         let one = probe(&mut proof, &wanted, &mut at);
         proof.asked(&one, true, at);
         proof.ended(End::Missing, &late(&wanted), true, false, at);
@@ -675,7 +647,7 @@ mod tests {
         assert_eq!(proof.next(&wanted, at), Step::Go);
         proof.asked(&wanted, false, at);
         proof.ended(End::Data, &late(&two), true, false, at);
-        assert!(proof.is_vouched());
+        assert!(proof.vouched);
     }
 
     #[test]

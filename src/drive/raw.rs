@@ -127,28 +127,13 @@ impl RawClient {
         self.last_round_trip
     }
 
-    /// Times that something was wrong on the line; as long as it stays the same nothing was.
-    pub const fn anomalies(&self) -> u64 {
-        self.proof.anomalies()
-    }
-
     /// The unit has ever answered.
     pub const fn is_heard(&self) -> bool {
-        self.proof.is_heard()
-    }
-
-    /// Whether the last answer can be that to no other request than the last.
-    pub const fn is_vouched(&self) -> bool {
-        self.proof.is_vouched()
-    }
-
-    /// Host time, for durations between exchanges.
-    pub fn clock(&self) -> Instant {
-        now()
+        self.proof.heard
     }
 
     /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
-    /// [`RawClient::is_vouched`] and [`RawClient::vouch`] can say.
+    /// [`RawClient::vouch`] can say.
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
         let pdu = request.pdu();
         self.in_step(&pdu)?;
@@ -180,18 +165,18 @@ impl RawClient {
     /// Whether everything since the last proof was answered in step: true when a probe came back and nothing beside it.
     /// After false the line is in step again.
     pub fn vouch(&mut self) -> Result<bool, LinkError> {
-        if !self.proof.is_heard() {
+        if !self.proof.heard {
             return Ok(true);
         }
-        let before = self.proof.anomalies();
+        let before = self.proof.anomalies;
         self.proof.doubt();
         self.in_step(&[])?;
-        Ok(self.proof.anomalies() == before)
+        Ok(self.proof.anomalies == before)
     }
 
     /// Proves the line so far that the reply to this request is unmistakable.
     pub fn prove_for(&mut self, request: ReadRequest) -> Result<(), LinkError> {
-        if self.proof.could_confuse(&request.pdu()) || !self.proof.is_proven() {
+        if self.proof.could_confuse(&request.pdu()) || !self.proof.proven {
             self.proof.doubt();
         }
         self.in_step(&request.pdu())
@@ -219,7 +204,7 @@ impl RawClient {
                 Step::Go => return Ok(()),
                 Step::Silence(until) => self.keep_silent(until)?,
                 Step::Probe(probe) => {
-                    let is_new = self.proof.is_dirty() && !std::mem::replace(&mut begun, true);
+                    let is_new = self.proof.dirty && !std::mem::replace(&mut begun, true);
                     self.counters.resynchronisations += u64::from(is_new);
                     self.counters.probes += 1;
                     let ended = self.transact(&probe, true, || "the probe".to_owned());

@@ -11,7 +11,7 @@ use super::link::Identity;
 use super::open::Target;
 use super::serial_ports::{UsbInfo, adapter, stable_name};
 
-/// First and longest pause between two attempts, s (LINKS.md 3.3, L11).
+/// First and longest pause between two attempts, s.
 const FIRST_PAUSE_S: f64 = 0.05;
 const LONGEST_PAUSE_S: f64 = 2.0;
 /// A pause is up to this share shorter or longer, so that two programs do not keep step.

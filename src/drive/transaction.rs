@@ -299,11 +299,7 @@ impl Reception {
             )
         })?;
         if let Some((begin, end)) = found.reply {
-            let echo = if found.echo {
-                self.expected.request.len()
-            } else {
-                0
-            };
+            let echo = usize::from(found.echo) * self.expected.request.len();
             // A reply that cannot be a copy of its request shows whether the line returns requests.
             let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
             if found.echo || (self.kind == FrameKind::Rtu && !copies) {

@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use stranger::{Fault, Language, Stranger, Times, current_a};
 
-use super::fake::raw_pty;
+use super::fake::{Fake, raw_pty};
 use super::guard::now;
 use super::link::{DriveLink, LinkError, LinkStatistics};
 use super::modbus::ModbusLink;
@@ -224,41 +224,6 @@ fn mixed_faults_never_give_a_wrong_value() {
 }
 
 /// Serves the stranger at the far end of a pseudo-terminal until the test is over.
-struct Served {
-    device: Arc<Mutex<Stranger>>,
-    target: super::Target,
-    over: Arc<AtomicBool>,
-    thread: Option<std::thread::JoinHandle<()>>,
-}
-
-impl Served {
-    fn start(device: Stranger) -> Self {
-        let (mut port, target) = raw_pty();
-        let device = Arc::new(Mutex::new(device));
-        let over = Arc::new(AtomicBool::new(false));
-        let thread = std::thread::spawn({
-            let (device, over) = (Arc::clone(&device), Arc::clone(&over));
-            move || serve(&mut port, &device, &over)
-        });
-        Self {
-            device,
-            target,
-            over,
-            thread: Some(thread),
-        }
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        self.over.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let ended = thread.join();
-            assert!(std::thread::panicking() || ended.is_ok());
-        }
-    }
-}
-
 fn serve(port: &mut File, device: &Mutex<Stranger>, over: &AtomicBool) {
     let mut bytes = [0; 512];
     let mut coming: Vec<(std::time::Instant, Vec<u8>)> = Vec::new();
@@ -302,7 +267,12 @@ fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
     };
     for language in [Language::Rtu, Language::Stream] {
         let device = Stranger::new(language, &Fault::ALL, PER_MILLE, times, 11);
-        let served = Served::start(device);
+        let device = Arc::new(Mutex::new(device));
+        let (mut port, target) = raw_pty();
+        let served = Fake::serving(target, {
+            let device = Arc::clone(&device);
+            move |over| serve(&mut port, &device, over)
+        });
         let target = &served.target;
         let mut line = match language {
             Language::Rtu => {
@@ -314,7 +284,7 @@ fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
                 Line::Stream(Box::new(link.unwrap()))
             }
         };
-        let outcome = exchanges(&mut line, &served.device, count, false);
+        let outcome = exchanges(&mut line, &device, count, false);
         println!("{language:?}: {outcome:?}");
         assert_eq!(outcome.wrong, 0, "{outcome:?}");
         assert!(

@@ -1,7 +1,7 @@
 //! The Modbus link as a bus of registers, proven as a drive's profile allows.
 //!
 //! ```text
-//! in step? (transaction/proof.rs) -> read -> reply -> the time that replies usually take, and the gap
+//! in step? (proof.rs) -> read -> reply -> the time that replies usually take, and the gap
 //!                                                  -> nothing else came? -> value
 //! ```
 //!
@@ -101,10 +101,10 @@ impl ModbusBus {
         if took < usual {
             wait_until(sent + usual);
         }
-        if !self.link.proof.is_suspect() {
+        if !self.link.proof.suspect {
             self.link.listen()?;
         }
-        if self.link.proof.is_suspect() {
+        if self.link.proof.suspect {
             let reason = format!("something else came with the reply to {what}");
             return Err(LinkError::Stale(self.link.core.name.clone(), reason));
         }
@@ -208,7 +208,7 @@ impl RegisterBus for ModbusBus {
         let bytes = WRITE_BYTES + 2 * values.len();
         let timing = &self.link.core.timing;
         let mut allowed = timing.allowed(bytes, WRITTEN_BYTES);
-        if self.link.proof.is_suspect() {
+        if self.link.proof.suspect {
             // On a line in doubt nothing that is slower is waited for.
             allowed = allowed.min(timing.brief(bytes, WRITTEN_BYTES));
         }

@@ -62,11 +62,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
                     let now_s = self.bus.now_s();
                     match left {
                         Left::Unheard => sequence.unheard(now_s),
-                        Left::Settled => sequence.written(now_s),
+                        Left::Settled => sequence.go_on(now_s),
                     }
                 }
                 // A drive in fault has its output off, whatever its stop command waits for.
-                Next::Wait | Next::Failed { .. } if faulty => sequence.skip(self.bus.now_s()),
+                Next::Wait | Next::Failed { .. } if faulty => sequence.go_on(self.bus.now_s()),
                 next => return Ok((next, first)),
             }
         }

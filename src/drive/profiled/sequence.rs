@@ -5,7 +5,7 @@ use crate::drive::register_map::Step;
 /// What is to be done now.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Next {
-    /// Write this and say so with [`Sequence::written`].
+    /// Write this and say so with [`Sequence::go_on`].
     Write {
         set_point: String,
         value: f64,
@@ -112,11 +112,6 @@ impl Sequence {
         Next::Done
     }
 
-    /// The write of this step has been acknowledged.
-    pub(super) fn written(&mut self, now_s: f64) {
-        self.go_on(now_s);
-    }
-
     /// The write of this step went out, and whether the drive has it is not known: what follows goes out all the same.
     pub(super) fn unheard(&mut self, now_s: f64) {
         self.unheard.get_or_insert(self.at);
@@ -143,11 +138,6 @@ impl Sequence {
         self.unheard.get_or_insert(step);
     }
 
-    /// Goes past a wait whose end does not matter any more.
-    pub(super) const fn skip(&mut self, now_s: f64) {
-        self.go_on(now_s);
-    }
-
     /// The drive refused a write of this command; returns for how long it has done so, s. The first refusal is kept: it is
     /// why a status that is waited for later does not come.
     pub(super) fn refused(&mut self, now_s: f64, why: String) -> f64 {
@@ -165,7 +155,8 @@ impl Sequence {
         refused.map_or_else(String::new, |(why, _)| format!("; before that {why}"))
     }
 
-    const fn go_on(&mut self, now_s: f64) {
+    /// This step is over: its write has been acknowledged, or its wait has ended or does not matter any more.
+    pub(super) const fn go_on(&mut self, now_s: f64) {
         self.at += 1;
         self.since_s = now_s;
     }
@@ -206,7 +197,7 @@ mod tests {
             sequence.next(0.0, ready_at(0.0)),
             Next::Write { .. }
         ));
-        sequence.written(0.1);
+        sequence.go_on(0.1);
         assert_eq!(sequence.next(0.5, ready_at(0.5)), Next::Wait);
         // The delay ends here; what was read before that is of another time.
         assert_eq!(sequence.next(0.7, ready_at(0.6)), Next::Wait);
@@ -221,8 +212,8 @@ mod tests {
             mask: None,
         };
         let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(vec![zero]);
-        sequence.written(0.0);
-        sequence.written(0.0);
+        sequence.go_on(0.0);
+        sequence.go_on(0.0);
         assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
         let Next::Failed { step, .. } = sequence.next(1.7, |_| None) else {
             panic!("the time is over");
@@ -233,7 +224,7 @@ mod tests {
     #[test]
     fn a_status_that_does_not_come_names_step_reason_and_bits() {
         let mut sequence = Sequence::new("enable", &steps(), 0.0);
-        sequence.written(0.0);
+        sequence.go_on(0.0);
         assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
         let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
             panic!("the time is over");

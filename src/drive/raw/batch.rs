@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use super::super::guard::now;
 use super::super::link::LinkError;
 use super::super::register_bus::ReadRequest;
 use super::RawClient;
@@ -69,21 +70,21 @@ pub fn read_batch(
 ) -> Batch {
     let mut batch = Batch::default();
     let mut round_trips = Vec::new();
-    let begun = client.clock();
+    let begun = now();
     let mut proving = Duration::ZERO;
     let mut vouched = vec![false; requests.len()];
     for round in 0..rounds {
-        let anomalies = client.anomalies();
+        let anomalies = client.proof.anomalies;
         let is_last = round + 1 == rounds;
         for (index, request) in requests.iter().enumerate() {
             if is_last && client.could_confuse(*request) {
-                let before = client.clock();
+                let before = now();
                 // A line that cannot be proven shows in the read itself and in the proof at the end.
                 let _ = client.vouch();
-                proving += client.clock().duration_since(before);
+                proving += now().duration_since(before);
             }
             let values = client.read(*request);
-            vouched[index] = client.is_vouched();
+            vouched[index] = client.proof.vouched;
             batch.asked += 1;
             if let Err(gone @ LinkError::Gone { .. }) = &values {
                 // Nothing of this round can be vouched for, and what was not asked any more is missing as well.
@@ -93,7 +94,7 @@ pub fn read_batch(
                 };
                 batch.reads = requests.iter().map(none).collect();
                 batch.asked = rounds * requests.len() as u64;
-                batch.elapsed_s = elapsed_s(client, begun + proving);
+                batch.elapsed_s = elapsed_s(begun + proving);
                 batch.round_trips = sorted(round_trips);
                 return batch;
             }
@@ -112,7 +113,7 @@ pub fn read_batch(
         }
         batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
         if is_last || batch.is_interrupted {
-            batch.elapsed_s = elapsed_s(client, begun + proving);
+            batch.elapsed_s = elapsed_s(begun + proving);
             vouch_for(client, &mut batch, &vouched, anomalies);
             break;
         }
@@ -121,8 +122,8 @@ pub fn read_batch(
     batch
 }
 
-fn elapsed_s(client: &RawClient, since: Instant) -> f64 {
-    let elapsed = client.clock().saturating_duration_since(since);
+fn elapsed_s(since: Instant) -> f64 {
+    let elapsed = now().saturating_duration_since(since);
     elapsed.as_secs_f64()
 }
 
@@ -140,7 +141,7 @@ fn vouch_for(client: &mut RawClient, batch: &mut Batch, vouched: &[bool], anomal
     let doubtful = reads().any(|(read, vouched)| is_answer(read) && !vouched);
     if doubtful && !has_late {
         let proof = client.vouch();
-        if matches!(proof, Ok(true)) && client.anomalies() == anomalies {
+        if matches!(proof, Ok(true)) && client.proof.anomalies == anomalies {
             return;
         }
     }
@@ -170,7 +171,7 @@ fn careful(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, Lin
             .prove_for(request)
             .and_then(|()| client.read(request));
         match &values {
-            Ok(_) | Err(LinkError::Exception { .. }) if client.is_vouched() => return values,
+            Ok(_) | Err(LinkError::Exception { .. }) if client.proof.vouched => return values,
             Ok(_) => client.withdraw(),
             Err(LinkError::Exception { .. }) => {}
             Err(error) if error.is_transient() => last = values.err(),
