@@ -94,7 +94,7 @@ pub struct NoiseFloor {
     pub samples: usize,
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct CheckReport {
     pub identity: Identity,
     pub items: Vec<CheckItem>,
@@ -163,16 +163,7 @@ pub fn check(
         period_s: 1.0 / options.rate_hz,
         report: CheckReport {
             identity,
-            items: Vec::new(),
-            round_trip_p50_s: 0.0,
-            round_trip_p99_s: 0.0,
-            reachable_rate_hz: 0.0,
-            watchdog_proven_s: None,
-            noise: Vec::new(),
-            waived: Vec::new(),
-            signals: Vec::new(),
-            rest: Vec::new(),
-            last_seq: 0,
+            ..CheckReport::default()
         },
     };
     let result = checker.all(limits, options);

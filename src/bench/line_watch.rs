@@ -33,7 +33,7 @@ pub(super) struct News {
 }
 
 /// Frames of one kind.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Matter {
     events: [&'static str; 2],
     least: u64,
@@ -66,26 +66,15 @@ pub(super) struct LineWatch {
     lost_hz: Option<f64>,
 }
 
-const fn matter(
-    events: [&'static str; 2],
-    least: u64,
-    text: &'static str,
-    ended: &'static str,
-) -> Matter {
-    Matter {
-        events,
-        least,
-        text,
-        ended,
-        before: 0,
-        told: 0,
-        seen: 0,
-        seen_s: 0.0,
-    }
-}
-
 impl LineWatch {
     pub(super) fn new(rate_hz: f64) -> Self {
+        let matter = |events, least, text, ended| Matter {
+            events,
+            least,
+            text,
+            ended,
+            ..Matter::default()
+        };
         Self {
             rate_hz,
             matters: [

@@ -8,7 +8,7 @@ use crate::text::lines::wrapped;
 /// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
 /// bench would let pass.
 const CURRENT_IN_RATED: f64 = 2.0;
-/// Exchanges per second that a serial line of Modbus carries (LINKS.md); faster runs came over the stream.
+/// Exchanges per second that a serial line of Modbus carries: faster runs came over the stream.
 const FASTEST_MODBUS_HZ: f64 = 120.0;
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";

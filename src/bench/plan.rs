@@ -50,7 +50,7 @@ impl Refusal {
 }
 
 /// Extremes of one segment, magnitudes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SegmentPlan {
     pub name: String,
     pub start_s: f64,
@@ -117,11 +117,7 @@ pub fn plan(
                 name: program.segment_name(point.segment).to_owned(),
                 start_s: point.time_s,
                 end_s: point.time_s,
-                peak_voltage_v: 0.0,
-                peak_current_a: 0.0,
-                peak_speed_rad_s: 0.0,
-                travel_rad: 0.0,
-                peak_returned_w: 0.0,
+                ..SegmentPlan::default()
             });
         }
         let returned_w = (-point.voltage_v * point.current_a).max(0.0);
@@ -222,6 +218,24 @@ fn grow(peak: &mut f64, value: f64) {
     *peak = peak.max(value.abs());
 }
 
+/// What a motor does at these instants from one begin on, under voltages that are put in: zero first.
+pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
+    let count = sample_time_s.len();
+    Scenario {
+        name: name.to_owned(),
+        input: Input::Voltage,
+        input_channel: Channel::VoltageCmd,
+        events: vec![(0.0, 0.0)],
+        sample_time_s,
+        current_a: vec![f64::NAN; count],
+        speed_rad_s: vec![f64::NAN; count],
+        angle: Vec::new(),
+        time_half_width_s: Vec::new(),
+        unknown_input: vec![],
+        scored: 0..count,
+    }
+}
+
 /// Points per control period at which the prediction is looked at: peaks lie between the host's samples.
 const POINTS_PER_PERIOD: usize = 10;
 
@@ -278,21 +292,8 @@ impl Trace {
         let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
         // A drive current limit of zero stands for "limits itself": it switches the winding limit off.
         let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
-        let mut one_period = Scenario {
-            name: "plan".to_owned(),
-            input: Input::Voltage,
-            input_channel: Channel::VoltageCmd,
-            events: vec![(0.0, 0.0)],
-            sample_time_s: (1..=POINTS_PER_PERIOD)
-                .map(|point| point as f64 * step_s)
-                .collect(),
-            current_a: vec![f64::NAN; POINTS_PER_PERIOD],
-            speed_rad_s: vec![f64::NAN; POINTS_PER_PERIOD],
-            angle: Vec::new(),
-            time_half_width_s: Vec::new(),
-            unknown_input: vec![],
-            scored: 0..POINTS_PER_PERIOD,
-        };
+        let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
+        let mut one_period = under_voltage("plan", points_s.collect());
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
         let mut points = Vec::with_capacity(periods * POINTS_PER_PERIOD);
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
@@ -579,7 +580,7 @@ mod tests {
 
     #[test]
     fn a_full_voltage_step_draws_thirteen_times_the_rated_current_and_is_refused() {
-        // PHYSICS.md section 5: 75 A, 13 times rated; 30 V still 21 A.
+        // Voltage over resistance, but for what the inductance takes: 75 A, 13 times rated; 30 V still 21 A.
         let plan = step(110.0, 1e6);
         within(plan.peak_current_a, 70.0..80.0);
         assert!((plan.peak_current_ratio - 13.0).abs() < 0.5);

@@ -92,7 +92,7 @@ struct Held {
 }
 
 /// The watch of one session.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 #[expect(
     clippy::struct_excessive_bools,
     reason = "what is known of a machine, each for itself"
@@ -182,39 +182,15 @@ impl Plausibility {
 
     fn new(limits: &Limits, scale: Scale) -> Self {
         Self {
-            now_s: 0.0,
             scale,
-            plate: None,
             speed_limit_rad_s: limits.speed_rad_s,
             current_limit_a: limits.current_a,
             limits_from_a: LIMITS_BY_ITSELF * scale.amps,
             vertical: limits.load.vertical,
-            waived: false,
-            reference_rad_s: None,
-            history: History::default(),
-            speed: Repeats::default(),
-            current: Repeats::default(),
-            held: None,
-            frozen: 0,
-            current_held: None,
-            is_signed: false,
-            factor: None,
-            disagree: 0,
-            believed: None,
-            astray: None,
-            agreed: None,
-            scale_seen: false,
-            stays_since_s: None,
-            idle_since_s: None,
-            stands_since_s: None,
-            angle_disagrees: 0,
-            away: Vec::new(),
-            direction_seen: false,
+            ..Self::default()
         }
     }
-}
 
-impl Plausibility {
     /// Gives up what needs a nameplate that fits.
     pub(super) const fn waive(&mut self) {
         self.waived = true;

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::guard::Trip;
 use super::limits::Nameplate;
 use super::live_online::Excitation;
+use super::plan::under_voltage;
 use super::session::{Notice, Phase, Session};
 use super::timing::Timing;
 use crate::drive::{Identity, LinkStatistics};
@@ -257,19 +258,7 @@ impl ModelTrace {
             last_s: None,
             voltage_v: 0.0,
             is_identified: false,
-            scenario: Scenario {
-                name: "live".to_owned(),
-                input: Input::Voltage,
-                input_channel: Channel::VoltageCmd,
-                events: Vec::with_capacity(2),
-                sample_time_s: vec![0.0],
-                current_a: vec![f64::NAN],
-                speed_rad_s: vec![f64::NAN],
-                angle: Vec::new(),
-                time_half_width_s: Vec::new(),
-                unknown_input: vec![],
-                scored: 0..1,
-            },
+            scenario: under_voltage("live", vec![0.0]),
             out: Trajectory::default(),
         }
     }

@@ -1,28 +1,41 @@
 use super::*;
 use crate::bench::speed::GainsSection;
+use crate::bench::testing::{has, near, within};
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
 
-fn changed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
+fn changed_text(from: &str, to: &str) -> String {
     assert!(EMBEDDED_DEFAULT.contains(from), "{from}");
-    BenchFile::parse("b.toml", &EMBEDDED_DEFAULT.replacen(from, to, 1))
+    EMBEDDED_DEFAULT.replacen(from, to, 1)
+}
+
+fn changed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
+    BenchFile::parse("b.toml", &changed_text(from, to))
 }
 
 /// The same as `speed` reads it.
 fn changed_for_speed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
-    assert!(EMBEDDED_DEFAULT.contains(from), "{from}");
-    let text = EMBEDDED_DEFAULT.replacen(from, to, 1);
+    let text = changed_text(from, to);
     let bench = BenchFile::parse("b.toml", &text)?;
     bench.check_speed("b.toml", &text).map(|()| bench)
+}
+
+/// The line of the embedded bench that begins like this, from 1.
+fn line_of(begin: &str) -> usize {
+    let mut lines = EMBEDDED_DEFAULT.lines();
+    lines.position(|line| line.starts_with(begin)).unwrap() + 1
+}
+
+fn is_read_back(bench: BenchFile) {
+    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
 }
 
 #[test]
 fn the_embedded_bench_is_valid_and_reads_back_as_it_is_written() {
     let bench = BenchFile::embedded_default();
     assert_eq!(bench.port(), Port::Emulator);
-    let duration_s = bench.program(1).unwrap().duration_s();
-    assert!((10.0..14.0).contains(&duration_s), "{duration_s}");
-    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+    within(bench.program(1).unwrap().duration_s(), 10.0..14.0);
+    is_read_back(bench);
 }
 
 #[test]
@@ -55,16 +68,9 @@ fn the_embedded_bench_documents_every_key() {
             integral_time_s: 1.0,
         });
     }
-    for key in full
-        .to_toml()
-        .lines()
-        .filter_map(|line| line.split_once(" = "))
-    {
-        assert!(
-            EMBEDDED_DEFAULT.contains(&format!("{} = ", key.0)),
-            "{}",
-            key.0
-        );
+    let text = full.to_toml();
+    for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {
+        has(EMBEDDED_DEFAULT, &format!("{key} = "));
     }
 }
 
@@ -74,11 +80,7 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_key() {
     else {
         panic!("not a text error");
     };
-    let line = EMBEDDED_DEFAULT
-        .lines()
-        .position(|line| line.starts_with("current_a = "))
-        .unwrap();
-    assert_eq!(error.line, line + 1);
+    assert_eq!(error.line, line_of("current_a = "));
     assert_eq!(error.help, "did you mean `current_a`?");
     let error = changed("\nstandstill = {", "\nstandstil = {").unwrap_err();
     assert_eq!(error.help(), "did you mean `standstill`?");
@@ -86,44 +88,32 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_key() {
 
 #[test]
 fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
-    for (from, to, key) in [
-        ("rate_hz = 100.0", "rate_hz = 0.0", "link.rate_hz = 0"),
+    let plate = ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1.0");
+    let silence = ("link_silence_s = 0.45", "link_silence_s = 0.015");
+    let port = ("port = \"emulator\"", "port = \"tcp:nowhere\"");
+    for ((from, to), key) in [
+        (("rate_hz = 100.0", "rate_hz = 0.0"), "link.rate_hz = 0"),
+        (plate, "motor.inertia_kg_m2 = -1"),
         (
-            "inertia_kg_m2 = 0.0045",
-            "inertia_kg_m2 = -1.0",
-            "motor.inertia_kg_m2 = -1",
-        ),
-        (
-            "slew_v_per_s = ",
-            "slew_v_per_s = 0.0 # ",
+            ("slew_v_per_s = ", "slew_v_per_s = 0.0 # "),
             "limits.slew_v_per_s = 0",
         ),
-        (
-            "link_silence_s = 0.45",
-            "link_silence_s = 0.015",
-            "limits.link_silence_s = 0.015",
-        ),
-        (
-            "port = \"emulator\"",
-            "port = \"tcp:nowhere\"",
-            "link.port = \"tcp:nowhere\"",
-        ),
-        ("time_s = ", "time_s = inf # ", "limits.time_s = inf"),
+        (silence, "limits.link_silence_s = 0.015"),
+        (port, "link.port = \"tcp:nowhere\""),
+        (("time_s = ", "time_s = inf # "), "limits.time_s = inf"),
     ] {
-        let error = changed(from, to).unwrap_err().to_string();
-        assert!(error.contains(key), "{error}");
-        assert!(error.contains("expected"), "{error}");
+        let error = changed(from, to).unwrap_err();
+        has(&error, key);
+        has(&error, "expected");
     }
-    let error = changed("seconds = 0.5", "seconds = -0.5")
-        .unwrap_err()
-        .to_string();
-    assert!(error.contains("sequence part 1 (standstill)"), "{error}");
+    let error = changed("seconds = 0.5", "seconds = -0.5").unwrap_err();
+    has(error, "sequence part 1 (standstill)");
 }
 
 #[test]
 fn limits_that_are_left_out_follow_from_the_nameplate() {
     let bench = changed("\ncurrent_a = ", "\n# current_a = ").unwrap();
-    assert!((bench.limits().current_a - 4.0 * 5.7).abs() < 1e-12);
+    near(bench.limits().current_a, 4.0 * 5.7, 1e-12);
 }
 
 #[test]
@@ -138,21 +128,18 @@ fn another_run_seed_is_another_run_and_the_same_one_the_same() {
 
 #[test]
 fn ports_have_one_text_form_each() {
-    assert_eq!(Port::parse("sim:"), Some(Port::Sim));
-    assert_eq!(
-        Port::parse("tcp:h:502"),
-        Some(Port::Tcp("h:502".to_owned()))
-    );
-    assert_eq!(
-        Port::parse("tcp:[::1]:502"),
-        Some(Port::Tcp("[::1]:502".to_owned()))
-    );
-    assert_eq!(Port::parse("tcp:502"), None);
-    assert_eq!(Port::parse(""), None);
-    assert_eq!(
-        Port::parse("/dev/ttyUSB0"),
-        Some(Port::Serial("/dev/ttyUSB0".to_owned()))
-    );
+    let tcp = |address: &str| Some(Port::Tcp(address.to_owned()));
+    let serial = Some(Port::Serial("/dev/ttyUSB0".to_owned()));
+    for (text, port) in [
+        ("sim:", Some(Port::Sim)),
+        ("tcp:h:502", tcp("h:502")),
+        ("tcp:[::1]:502", tcp("[::1]:502")),
+        ("tcp:502", None),
+        ("", None),
+        ("/dev/ttyUSB0", serial),
+    ] {
+        assert_eq!(Port::parse(text), port, "{text}");
+    }
 }
 
 #[test]
@@ -160,12 +147,12 @@ fn a_motor_may_be_left_out_but_for_its_rated_values() {
     let bench = changed("inertia_kg_m2 = 0.0045 ", "# ").unwrap();
     assert!(bench.motor.is_unknown() && bench.nameplate().is_none());
     assert_eq!(bench.motor.missing(), Some("inertia_kg_m2"));
-    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+    is_read_back(bench);
     let told = changed("name = \"ZK-22FC\"", "name = \"ZK-22FC\"\nunknown = true").unwrap();
     assert!(told.motor.is_unknown() && told.nameplate().is_some());
     assert!(!BenchFile::embedded_default().motor.is_unknown());
     let error = changed("rated_current_a = 5.7 ", "# ").unwrap_err();
-    assert!(error.to_string().contains("rated_current_a"), "{error}");
+    has(error, "rated_current_a");
 }
 
 #[test]
@@ -177,40 +164,29 @@ fn a_reference_beyond_a_limit_is_refused_with_line_and_value() {
     let BenchFileError::Text(place) = &error else {
         panic!("{error}");
     };
-    let line = EMBEDDED_DEFAULT
-        .lines()
-        .position(|line| line.starts_with("square = {"))
-        .unwrap();
-    assert_eq!(place.line, line + 1);
+    assert_eq!(place.line, line_of("square = {"));
     // (110 V - 1.1 ohm 0.455 N.m/Kt)/Ke is less than the speed limit.
-    assert!(error.to_string().contains("high_rad_s = 400"), "{error}");
-    assert!(error.to_string().contains("306.9"), "{error}");
+    has(&error, "high_rad_s = 400");
+    has(&error, "306.9");
 }
 
 #[test]
 fn a_speed_section_is_strict() {
-    for (from, to, expected) in [
-        ("controller = \"addc\"", "controller = \"pid\"", "pid"),
-        ("rule = \"modulus", "rule = \"modulo", "modulo-optimum"),
-        (
-            "current_limit_a = 10.0",
-            "current_limit_a = 14.0",
-            "speed.current_limit_a = 14 is not allowed (expected up to limits.current_a = 13 A)",
-        ),
-        (
-            "# bandwidth_rad_s = 20.0",
-            "bandwidth_rad_s = -1.0",
-            "speed.bandwidth_rad_s = -1",
-        ),
-        (
-            "half_period_s = 2.0",
-            "half_period_s = 5.0",
-            "limits.time_s = 30",
-        ),
-        ("periods = 3", "period = 3", "period"),
+    let controller = ("controller = \"addc\"", "controller = \"pid\"");
+    let current = ("current_limit_a = 10.0", "current_limit_a = 14.0");
+    let beyond =
+        "speed.current_limit_a = 14 is not allowed (expected up to limits.current_a = 13 A)";
+    let bandwidth = ("# bandwidth_rad_s = 20.0", "bandwidth_rad_s = -1.0");
+    let long = ("half_period_s = 2.0", "half_period_s = 5.0");
+    for ((from, to), expected) in [
+        (controller, "pid"),
+        (("rule = \"modulus", "rule = \"modulo"), "modulo-optimum"),
+        (current, beyond),
+        (bandwidth, "speed.bandwidth_rad_s = -1"),
+        (long, "limits.time_s = 30"),
+        (("periods = 3", "period = 3"), "period"),
     ] {
-        let error = changed_for_speed(from, to).unwrap_err().to_string();
-        assert!(error.contains(expected), "{error}");
+        has(changed_for_speed(from, to).unwrap_err(), expected);
     }
     let without = changed("[speed]", "[[sequence]]\nstandstill = { seconds = 0.5 }\n#").map(drop);
     assert!(without.is_err(), "keys of [speed] are none of a sequence");
@@ -218,10 +194,7 @@ fn a_speed_section_is_strict() {
 
 #[test]
 fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused() {
-    let with = |sections: &str| {
-        let text = EMBEDDED_DEFAULT.replacen("[runs]", &format!("{sections}\n[runs]"), 1);
-        BenchFile::parse("b.toml", &text)
-    };
+    let with = |sections: &str| changed("[runs]", &format!("{sections}\n[runs]"));
     let brake = "hold_current_a = 2.0\nbrake_release_s = 0.3\nbrake_apply_s = 0.2";
     let bench = with(&format!(
         "[load]\nvertical = true\n{brake}\n[supply]\nregenerates = false\nbrake_power_w = 40.0"
@@ -230,7 +203,7 @@ fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused()
     let limits = bench.limits();
     assert_eq!(limits.braking_w, Some(40.0));
     assert_eq!(limits.load.brake().map(|brake| brake.release_s), Some(0.3));
-    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+    is_read_back(bench);
     for (sections, words) in [
         (format!("[load]\n{brake}"), "nothing without load.vertical"),
         (
@@ -251,14 +224,12 @@ fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused()
             "0 or more",
         ),
     ] {
-        let error = with(&sections).unwrap_err().to_string();
-        assert!(error.contains(words), "{words}: {error}");
+        has(with(&sections).unwrap_err(), words);
     }
-    let unknown = EMBEDDED_DEFAULT
-        .replacen("# unknown = false", "unknown = true", 1)
-        .replacen("[runs]", "[load]\nvertical = true\n[runs]", 1);
-    let error = BenchFile::parse("b.toml", &unknown)
-        .unwrap_err()
-        .to_string();
-    assert!(error.contains("a known motor"), "{error}");
+    let unknown = changed_text("# unknown = false", "unknown = true");
+    let unknown = unknown.replacen("[runs]", "[load]\nvertical = true\n[runs]", 1);
+    has(
+        BenchFile::parse("b.toml", &unknown).unwrap_err(),
+        "a known motor",
+    );
 }

@@ -70,6 +70,23 @@ impl FarEnd for Surroundings {
 }
 
 impl Surroundings {
+    fn new(
+        drive: Drive,
+        host: Option<Host>,
+        interrupted: &Arc<AtomicBool>,
+        intents: Option<Sender<Intent>>,
+    ) -> Self {
+        Self {
+            drive,
+            host,
+            interrupted: Arc::clone(interrupted),
+            intents,
+            done_s: None,
+            again: false,
+            stops: false,
+        }
+    }
+
     fn look(&mut self, now_s: f64) {
         self.drive.advance(now_s);
         let Some(host) = self.host else {
@@ -322,29 +339,14 @@ fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
     bench.drive_facts = DriveFacts::of(&profile);
     let interrupted = Arc::new(AtomicBool::new(false));
     let (sender, intents) = channel();
-    let there = Arc::new(Mutex::new(Surroundings {
-        drive,
-        host,
-        interrupted: Arc::clone(&interrupted),
-        intents: Some(sender),
-        done_s: None,
-        again: false,
-        stops: false,
-    }));
+    let there = Surroundings::new(drive, host, &interrupted, Some(sender));
+    let there = Arc::new(Mutex::new(there));
     let mut trial = Trial {
         status: -9,
         said: String::new(),
         parameters: Vec::new(),
         records: Vec::new(),
-        drive: Surroundings {
-            drive: Drive::new(Act::Nothing, 0),
-            host: None,
-            interrupted: Arc::clone(&interrupted),
-            intents: None,
-            done_s: None,
-            again: false,
-            stops: false,
-        },
+        drive: Surroundings::new(Drive::new(Act::Nothing, 0), None, &interrupted, None),
     };
     let ends = (&*interrupted, &intents);
     on_a_line(&profile, Arc::clone(&there), |link, time| {

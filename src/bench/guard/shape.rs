@@ -64,7 +64,7 @@ impl Shaped {
 }
 
 /// The memory that shaping needs.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Shaper {
     slew_v_per_s: f64,
     back_emf_v_s_per_rad: f64,
@@ -101,19 +101,9 @@ impl Shaper {
             slew_v_per_s: limits.slew_v_per_s,
             back_emf_v_s_per_rad,
             winding_v,
-            speed_rad_s: 0.0,
-            speed_at_s: None,
-            speeds: VecDeque::with_capacity(FALLING + 1),
             fresh_s: f64::INFINITY,
-            heard_s: 0.0,
-            stop_by_s: None,
-            load_v: 0.0,
-            unseen_v: None,
-            braking: None,
-            output_v: 0.0,
-            asked_rad_s: 0.0,
-            last_s: 0.0,
             was_off: true,
+            ..Self::default()
         }
     }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::bench::limits::Nameplate;
-use crate::bench::testing::{has, within};
+use crate::bench::testing::{has, near, within};
 
 fn plate() -> MotorSection {
     (&Nameplate::zk_22fc()).into()
@@ -51,13 +51,11 @@ fn every_limit_stands_with_its_value_and_its_reason() {
         "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 9 A (read back)"
     );
     let limits = file.bench.limits();
-    assert!((limits.speed_rad_s - 366.5).abs() < 1e-9);
-    assert!((limits.voltage_v - 110.0).abs() < 1e-9);
-    assert_eq!(
-        (limits.bus_min_v, limits.bus_max_v),
-        (Some(96.0), Some(150.0))
-    );
-    assert!((limits.link_silence_s - 0.45).abs() < 1e-9);
+    near(limits.speed_rad_s, 366.5, 1e-9);
+    near(limits.voltage_v, 110.0, 1e-9);
+    let bus = (limits.bus_min_v, limits.bus_max_v);
+    assert_eq!(bus, (Some(96.0), Some(150.0)));
+    near(limits.link_silence_s, 0.45, 1e-9);
     for key in [
         "current_a",
         "speed_rad_s",
@@ -67,25 +65,13 @@ fn every_limit_stands_with_its_value_and_its_reason() {
         "link_silence_s",
     ] {
         let reason = reason(&file, &format!("limits.{key}"));
-        assert!(
-            reason.value.is_some() && reason.reason.len() > 20,
-            "{reason:?}"
-        );
-        assert!(
-            file.text
-                .lines()
-                .any(|line| line.starts_with(&format!("{key} = "))),
-            "{}",
-            file.text
-        );
+        let is_told = reason.value.is_some() && reason.reason.len() > 20;
+        assert!(is_told, "{reason:?}");
+        has(&file.text, &format!("\n{key} = "));
     }
-    assert!(
-        file.text
-            .lines()
-            .all(|line| !line.starts_with('#') || line.len() <= 118),
-        "{}",
-        file.text
-    );
+    let mut lines = file.text.lines();
+    let fits = lines.all(|line| !line.starts_with('#') || line.len() <= 118);
+    assert!(fits, "{}", file.text);
 }
 
 #[test]
@@ -257,11 +243,8 @@ fn a_plate_that_no_motor_has_is_refused_with_its_file() {
     let mut motor = plate();
     motor.rated_current_a = -1.0;
     let error = made("own", &motor, told()).unwrap_err();
-    assert!(
-        error
-            .reason
-            .starts_with("motor.toml: rated_current_a = -1 is not allowed")
-    );
+    let words = "motor.toml: rated_current_a = -1 is not allowed";
+    assert!(error.reason.starts_with(words), "{error}");
 }
 
 #[test]

@@ -16,7 +16,7 @@ use super::REST_VOLTAGE;
 use super::history::{Range, Row};
 
 /// What the quantities are measured by: rated values, or limits where nothing is rated.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Scale {
     pub(super) volts: f64,
     pub(super) amps: f64,
