@@ -81,7 +81,7 @@ pub fn axis_map(
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> Result<Vec<AxisMap>, FitError> {
-    let windows = Windows::new(model, scenario, noise, WINDOW_OF_A_CURVE_S)?;
+    let windows = Windows::new(model, scenario, noise, WINDOW_OF_A_CURVE_S)?.without_reversals();
     let mut maps = Vec::new();
     for equation in [Balance::Voltage, Balance::Torque] {
         let search = Search {

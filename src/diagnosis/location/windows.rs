@@ -29,6 +29,8 @@ const DEAD_ZONE_SHARE: f64 = 0.002;
 const DEAD_ZONE_SHARE_WITHOUT_NOISE: f64 = 0.01;
 /// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
 const LONGEST_REST_SHARE: f64 = 0.1;
+/// Share of a window that moves one way only.
+const ONE_WAY_SHARE: f64 = 0.999;
 /// A balance within this multiple of the noise lacks nothing that can be seen.
 const LARGEST_NRES: f64 = 1.15;
 /// Without a known noise: share of the drive below which an error is arithmetic.
@@ -300,6 +302,16 @@ impl<'a> Windows<'a> {
 
     pub(super) fn weights_of(&self, window: &Window) -> Weights {
         Weights::over(&self.scenario.sample_time_s[self.samples_of(window)])
+    }
+
+    /// Takes windows in which the motion reverses or nearly rests for unknown in the torque equation: a late reversal is no
+    /// part of a curve, and without them a constant friction is one column of the motor's own and no curve over the speed.
+    pub(super) fn without_reversals(mut self) -> Self {
+        let reverses = |window: &&mut Window| window.direction.abs() < ONE_WAY_SHARE;
+        for window in self.each.iter_mut().filter(reverses) {
+            window.lacks[Balance::Torque as usize] = f64::NAN;
+        }
+        self
     }
 
     /// Windows whose error is known.
