@@ -1,8 +1,5 @@
 //! Machines whose truth is known and the runs that they give, for the tests of this room.
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use super::{Candidate, Diagnosis, Evidence};
 use crate::plant::{ActiveEffect, Model, Motor, Scenario, effect, testing};
 
@@ -24,16 +21,6 @@ pub(super) fn with(mut model: Model, effects: &[(&str, &[f64])]) -> Model {
 
 pub(super) fn truth(id: &str, values: &[f64]) -> Model {
     with(nameplate(), &[(id, values)])
-}
-
-/// A machine with a term of `size` times an expression in the torque or the voltage balance, which is in no catalogue.
-pub(super) fn unheard_of(equation: &str, expression: &str, size: f64) -> Model {
-    let settings =
-        format!("equation = \"{equation}\"\nparameters = [\"a\"]\nexpression = \"{expression}\"");
-    let (effect, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
-    let mut truth = nameplate();
-    truth.effects.push(ActiveEffect::with(effect, &[size]));
-    truth
 }
 
 /// Levels of the voltage, held from these times on, behind a rest.
@@ -61,23 +48,6 @@ pub(super) fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
 pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
     let run = |shift: usize| record(truth, shift, 10 * seed + shift as u64);
     Evidence::new(run(0), Some(run(1)), Some(run(2)))
-}
-
-/// Steps over the whole speed range with a binary dither on top, after a standstill.
-pub(super) fn rich(seed: u64, until_s: f64) -> Vec<(f64, f64)> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut events = vec![(0.0, 0.0)];
-    let (mut at_s, mut hold_s, mut level) = (0.3, 0.3, 0.0);
-    while at_s < until_s {
-        if at_s >= hold_s {
-            level = rng.random_range(-90.0..90.0);
-            hold_s += rng.random_range(0.3..1.2);
-        }
-        let dither = if rng.random_bool(0.5) { 5.0 } else { -5.0 };
-        events.push((at_s, level + dither));
-        at_s += 0.001 * f64::from(rng.random_range(20..50_u16));
-    }
-    events
 }
 
 /// What a diagnosis says of an effect.

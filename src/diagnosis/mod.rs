@@ -3,7 +3,8 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
-//!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
+//!    |-> location     which equation fails, over which speeds, currents, angles, times
+//!    |-> axis_map     what the error follows, as a curve, before it has a name
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
 //!    |-> ladder       named effects join the model one by one, each rung judged on the hold-out (by a free run, or by the
@@ -15,6 +16,7 @@
 //! A name is given for what all runs together make likely beside everything else, and its error is told on data that the
 //! fit has not seen.
 
+mod axis_map;
 mod candidates;
 mod compare;
 mod diagnose;
@@ -32,6 +34,7 @@ mod reached;
 mod residual;
 mod score;
 
+pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, ProcessingError, SignalComparison, TorqueComparison, compare};
 pub use diagnose::{Confirmation, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
@@ -40,8 +43,7 @@ pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matc
 pub use joint::answer::{Onset, RunOf, Unknown};
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, axis_map,
-    locate,
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

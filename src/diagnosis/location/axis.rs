@@ -667,10 +667,6 @@ pub(super) struct Line {
     pub frequency_hz: f64,
     /// Share of a wave's amplitude that is left when windows average it.
     pub seen: f64,
-    /// Power of the next line that is apart from this one, over its own.
-    pub next_share: f64,
-    /// Frequencies that were looked at.
-    pub tried: usize,
 }
 
 impl Line {
@@ -703,14 +699,9 @@ impl Search<'_> {
         let lowest = whole(FEWEST_PERIODS / (end_s - begin_s) / resolution_hz) + 1;
         let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
         let peak = (lowest..size / 2).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
-        let width = whole(2.0 / (end_s - begin_s) / resolution_hz) + 1;
-        let apart = (lowest..size / 2).filter(|k| k.abs_diff(peak) > width);
-        let next = apart.map(power).fold(0.0, f64::max);
         let mut line = Line {
             frequency_hz: 0.0,
             seen: 1.0,
-            next_share: next / power(peak),
-            tried: (size / 2).saturating_sub(lowest),
         };
         let power_at = |frequency_hz: f64| {
             let (mut c, mut s) = (0.0, 0.0);

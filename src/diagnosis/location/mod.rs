@@ -16,15 +16,13 @@
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
 mod axis;
-mod curve;
 mod sentences;
 mod windows;
 
 use serde::Serialize;
 
 use self::axis::Axis;
-pub use self::curve::{AxisMap, axis_map};
-use self::windows::{WINDOW_S, Window, Windows, own_keys};
+use self::windows::{Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
 use crate::numerics::count::whole;
@@ -138,7 +136,7 @@ pub fn locate(
     error_of: ErrorOf,
 ) -> Result<Located, FitError> {
     let mut found = Located::default();
-    let mut windows = Windows::new(model, scenario, noise, WINDOW_S)?;
+    let mut windows = Windows::new(model, scenario, noise)?;
     if let Some(missing) = windows.missing_signal() {
         found.notes.push(format!(
             "no {missing} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
@@ -198,8 +196,8 @@ pub(super) fn locate_difference(
     noise: &NoiseFloor,
 ) -> Result<Vec<FailureLocation>, FitError> {
     let equations = [Balance::Torque, Balance::Voltage];
-    let mut windows = Windows::new(model, first, noise, WINDOW_S)?;
-    let mut other = Windows::new(model, second, noise, WINDOW_S)?;
+    let mut windows = Windows::new(model, first, noise)?;
+    let mut other = Windows::new(model, second, noise)?;
     for equation in equations {
         for run in [&mut windows, &mut other] {
             if let Some(changes) = run.own_changes(equation) {

@@ -17,10 +17,8 @@ use crate::numerics::count::whole;
 use crate::numerics::statistics::largest;
 use crate::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
-/// Length of a window, s: short where a place is looked for, longer where a curve is, since noise must not hide its form;
-/// and samples that half of one has at least.
-pub(super) const WINDOW_S: f64 = 0.048;
-pub(super) const WINDOW_OF_A_CURVE_S: f64 = 0.08;
+/// Length of a window, s, and samples that half of it has at least.
+const WINDOW_S: f64 = 0.048;
 const FEWEST_HALF: usize = 3;
 /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined...
 const DEAD_ZONE_SIGMAS: f64 = 4.0;
@@ -29,8 +27,6 @@ const DEAD_ZONE_SHARE: f64 = 0.002;
 const DEAD_ZONE_SHARE_WITHOUT_NOISE: f64 = 0.01;
 /// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
 const LONGEST_REST_SHARE: f64 = 0.1;
-/// Share of a window that moves one way only.
-const ONE_WAY_SHARE: f64 = 0.999;
 /// A balance within this multiple of the noise lacks nothing that can be seen.
 const LARGEST_NRES: f64 = 1.15;
 /// Without a known noise: share of the drive below which an error is arithmetic.
@@ -154,11 +150,10 @@ impl<'a> Windows<'a> {
         model: &Model,
         scenario: &'a Scenario,
         noise: &NoiseFloor,
-        window_s: f64,
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let half = whole((0.5 * window_s / period_s).round()).max(FEWEST_HALF);
+        let half = whole((0.5 * WINDOW_S / period_s).round()).max(FEWEST_HALF);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
         let fastest = largest(scenario.speed_rad_s.iter().copied());
@@ -302,16 +297,6 @@ impl<'a> Windows<'a> {
 
     pub(super) fn weights_of(&self, window: &Window) -> Weights {
         Weights::over(&self.scenario.sample_time_s[self.samples_of(window)])
-    }
-
-    /// Takes windows in which the motion reverses or nearly rests for unknown in the torque equation: a late reversal is no
-    /// part of a curve, and without them a constant friction is one column of the motor's own and no curve over the speed.
-    pub(super) fn without_reversals(mut self) -> Self {
-        let reverses = |window: &&mut Window| window.direction.abs() < ONE_WAY_SHARE;
-        for window in self.each.iter_mut().filter(reverses) {
-            window.lacks[Balance::Torque as usize] = f64::NAN;
-        }
-        self
     }
 
     /// Windows whose error is known.
