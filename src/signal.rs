@@ -53,7 +53,7 @@ pub fn line(points: &[Point], time_s: f64) -> f64 {
     }
 }
 
-/// As [`line`]; the end values hold beyond the ends.
+/// As [`line()`]; the end values hold beyond the ends.
 pub fn line_with_ends(points: &[Point], time_s: f64) -> f64 {
     match (points.first(), points.last()) {
         (Some(first), _) if time_s <= first.0 => first.1,
@@ -62,7 +62,7 @@ pub fn line_with_ends(points: &[Point], time_s: f64) -> f64 {
     }
 }
 
-/// As [`line`], but not across gaps longer than `longest_gap_s`; a stamp of a point gives its value to the bit.
+/// As [`line()`], but not across gaps longer than `longest_gap_s`; a stamp of a point gives its value to the bit.
 pub fn line_across(points: &[Point], time_s: f64, longest_gap_s: f64) -> f64 {
     let after = points.partition_point(|point| point.0 < time_s);
     match (after.checked_sub(1), points.get(after)) {

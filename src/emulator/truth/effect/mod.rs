@@ -1,4 +1,4 @@
-//! Hidden effects: one file each, one line each in [`CATALOGUE`].
+//! Hidden effects: one file each, one line each in `CATALOGUE`.
 //!
 //! ```text
 //! kind (id, parameters, sizes) + values = HiddenEffect, as it stands in a configuration
