@@ -134,6 +134,46 @@ struct Body<R> {
     last: u8,
     /// The file does not end with a line feed.
     is_open: bool,
+    separator: u8,
+    place: Place,
+    /// Bytes given out, and how many of them came before the first text behind a closing quote, which the reader would join to
+    /// the cell: `"1"2` is no number.
+    given: u64,
+    joined_at: Option<u64>,
+}
+
+/// Where in a cell a byte stands.
+#[derive(Clone, Copy, PartialEq)]
+enum Place {
+    Begin,
+    Plain,
+    Quoted,
+    Closed,
+}
+
+impl<R> Body<R> {
+    fn look_for_joined(&mut self, bytes: &[u8]) {
+        if matches!(self.place, Place::Begin | Place::Plain) && !bytes.contains(&b'"') {
+            let last = bytes.last().copied().unwrap_or(b'\n');
+            let begins = last == b'\n' || last == self.separator;
+            self.place = if begins { Place::Begin } else { Place::Plain };
+            return;
+        }
+        for (at, byte) in bytes.iter().enumerate() {
+            self.place = match (self.place, *byte) {
+                (Place::Quoted, b'"') => Place::Closed,
+                (Place::Quoted, _) | (Place::Begin | Place::Closed, b'"') => Place::Quoted,
+                (_, b'\n') => Place::Begin,
+                (_, byte) if byte == self.separator => Place::Begin,
+                (Place::Closed, b'\r' | b' ' | b'\t') => Place::Closed,
+                (Place::Closed, _) => {
+                    self.joined_at.get_or_insert(self.given + at as u64);
+                    Place::Plain
+                }
+                _ => Place::Plain,
+            };
+        }
+    }
 }
 
 impl<R: Read> Read for Body<R> {
@@ -141,6 +181,10 @@ impl<R: Read> Read for Body<R> {
         let count = self.inner.read(bytes)?;
         if count > 0 {
             self.last = bytes[count - 1];
+            if self.joined_at.is_none() {
+                self.look_for_joined(&bytes[..count]);
+            }
+            self.given += count as u64;
         } else if self.last != b'\n' && !bytes.is_empty() {
             (self.last, self.is_open, bytes[0]) = (b'\n', true, b'\n');
             return Ok(1);
@@ -249,6 +293,10 @@ impl<R: BufRead> CsvRows<R> {
             inner: reader,
             last: b'\n',
             is_open: false,
+            separator: dialect.separator,
+            place: Place::Begin,
+            given: 0,
+            joined_at: None,
         };
         Ok(Self {
             reader: ReaderBuilder::new()
@@ -410,6 +458,11 @@ impl<R: BufRead> CsvRows<R> {
     /// behind, and one whose time is left out.
     fn take(&mut self) -> Result<Option<Row>, RecordingError> {
         let line = self.line();
+        let joined_at = self.reader.get_ref().joined_at;
+        if joined_at.is_some_and(|at| at < self.reader.position().byte()) {
+            let file = self.file.clone();
+            return Err(RecordingError::Quote { file, line });
+        }
         let text = self.record.as_slice();
         if text.contains('\n') {
             // The record holds the line ends; the last of them, of a quote that is never closed, is the file's own.

@@ -121,11 +121,15 @@ fn errors_name_row_column_and_value() {
         ),
         (
             "time_s,current_a/0,\"1/1,2/",
-            "line 2: a double quote is not closed on its line",
+            "line 2: a double quote is not closed on its line, or text follows a closed one",
         ),
         (
             "time_s,current_a//0,1/1,\"2\"/2,\"3/4\"/3,1/",
-            "line 5: a double quote is not closed on its line",
+            "line 5: a double quote is not closed on its line, or text follows a closed one",
+        ),
+        (
+            "time_s,current_a/0,1/1,\"2\" /2,\"3\"4/3,1/",
+            "line 4: a double quote is not closed on its line, or text follows a closed one",
         ),
     ] {
         let error = own(text.replace('/', "\n").as_bytes()).unwrap_err();

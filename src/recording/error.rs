@@ -56,7 +56,9 @@ pub enum RecordingError {
         line: usize,
         problem: RowProblem,
     },
-    #[error("{file}: line {line}: a double quote is not closed on its line")]
+    #[error(
+        "{file}: line {line}: a double quote is not closed on its line, or text follows a closed one"
+    )]
     Quote { file: String, line: usize },
     #[error("{file}: line {line}: the text is not UTF-8")]
     NotUtf8 { file: String, line: usize },
@@ -90,7 +92,7 @@ impl RecordingError {
                 RowProblem::NotANumber { .. } => "leave a missing value empty or write NaN; numbers have a decimal point and no unit",
             }
             .into(),
-            Self::Quote { .. } => "a quoted cell must begin and end on one line".into(),
+            Self::Quote { .. } => "a quoted cell must begin and end on one line, with nothing but its separator behind it".into(),
             Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()
