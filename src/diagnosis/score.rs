@@ -73,7 +73,8 @@ impl Score {
         let current = signal_score(&current_a, &scenario.current_a[scenario.scored.clone()]);
         let speed = signal_score(&speed_rad_s, &scenario.speed_rad_s[scenario.scored.clone()]);
         let rms = [current, speed].map(|signal| signal.map(|signal| signal.rmse));
-        let nrms = in_noise(rms, noise).unwrap_or(0.0);
+        // Where no signal can be judged no error is known: not one of zero, which would pass for a perfect model.
+        let nrms = in_noise(rms, noise).unwrap_or(f64::NAN);
         Ok(Self {
             current,
             speed,

@@ -38,8 +38,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-const CHARACTERS: [(char, Press); 21] = [
-    (' ', Press::Stop),
+const CHARACTERS: [(char, Press); 20] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -143,7 +142,8 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
     }
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
     Some(match key.code {
-        KeyCode::Esc => Press::Stop,
+        // With Ctrl as well: a hand that changes from Ctrl-C to Space still holds it.
+        KeyCode::Esc | KeyCode::Char(' ') => Press::Stop,
         KeyCode::Char('c' | 'C') if control => Press::Interrupt,
         KeyCode::Char(character) if !control => {
             let wanted = character.to_ascii_lowercase();
@@ -172,7 +172,7 @@ mod tests {
             assert!(named.contains(&word), "{word}");
         }
         // `y` answers a question that names it.
-        for (character, _) in CHARACTERS.iter().filter(|key| !" y".contains(key.0)) {
+        for (character, _) in CHARACTERS.iter().filter(|key| key.0 != 'y') {
             assert!(
                 named.contains(&character.to_string().as_str()),
                 "{character}"
@@ -194,14 +194,54 @@ mod tests {
         }
     }
 
+    fn pressed(code: KeyCode, modifiers: KeyModifiers) -> Press {
+        press(KeyEvent::new(code, modifiers)).expect("a key that goes down has a meaning")
+    }
+
     #[test]
-    fn escape_stops_with_another_key_behind_it_and_a_release_is_none() {
-        let of =
-            |modifiers, kind| press(KeyEvent::new_with_kind(KeyCode::Char('q'), modifiers, kind));
-        let pressed = KeyEventKind::Press;
-        assert_eq!(of(KeyModifiers::ALT, pressed), Some(Press::Stop));
-        assert_eq!(of(KeyModifiers::NONE, pressed), Some(Press::Quit));
-        assert_eq!(of(KeyModifiers::CONTROL, pressed), Some(Press::Other));
-        assert_eq!(of(KeyModifiers::NONE, KeyEventKind::Release), None);
+    fn space_and_escape_stop_with_any_other_key_held_and_a_release_is_none() {
+        let held = [
+            KeyModifiers::NONE,
+            KeyModifiers::SHIFT,
+            KeyModifiers::CONTROL,
+            KeyModifiers::ALT,
+        ];
+        for modifiers in held {
+            for code in [KeyCode::Char(' '), KeyCode::Esc] {
+                let found = pressed(code, modifiers);
+                assert_eq!(found, Press::Stop, "{code:?} {modifiers:?}");
+            }
+        }
+        let q = KeyCode::Char('q');
+        assert_eq!(pressed(q, KeyModifiers::ALT), Press::Stop);
+        assert_eq!(pressed(q, KeyModifiers::NONE), Press::Quit);
+        assert_eq!(pressed(q, KeyModifiers::CONTROL), Press::Other);
+        for code in [KeyCode::Char(' '), KeyCode::Esc, q] {
+            let release = KeyEventKind::Release;
+            let event = KeyEvent::new_with_kind(code, KeyModifiers::NONE, release);
+            assert_eq!(press(event), None, "{code:?}");
+        }
+    }
+
+    #[test]
+    fn no_key_but_s_starts_and_none_but_y_agrees() {
+        let others = [
+            KeyCode::Enter,
+            KeyCode::Tab,
+            KeyCode::BackTab,
+            KeyCode::Up,
+            KeyCode::Down,
+            KeyCode::PageUp,
+            KeyCode::PageDown,
+            KeyCode::Home,
+            KeyCode::F(1),
+            KeyCode::Backspace,
+        ];
+        for code in (' '..='~').map(KeyCode::Char).chain(others) {
+            let found = pressed(code, KeyModifiers::NONE);
+            let is = |keys: [char; 2]| keys.map(KeyCode::Char).contains(&code);
+            assert_eq!(found == Press::Start, is(['s', 'S']), "{code:?}");
+            assert_eq!(found == Press::Yes, is(['y', 'Y']), "{code:?}");
+        }
     }
 }

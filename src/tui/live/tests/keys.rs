@@ -5,8 +5,8 @@ use crate::bench::{Intent, Phase, Snapshot, Target};
 use crate::sample::DriveState;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
-use crate::tui::live::WorkerState;
 use crate::tui::live::model::{Event, Model, Page};
+use crate::tui::live::{WorkerCell, WorkerState};
 
 const PHASES: [Option<Phase>; 11] = [
     None,
@@ -263,4 +263,18 @@ fn tab_goes_round_the_pages_that_there_are() {
         press(&mut model, key);
         assert_eq!(model.page, page, "{key:?}");
     }
+}
+
+#[test]
+fn a_worker_that_panics_has_finished() {
+    let cell = WorkerCell::default();
+    let inner = cell.clone();
+    let worker = std::thread::spawn(move || {
+        let _guard = inner.finish_on_drop();
+        assert_eq!(inner.state(true), WorkerState::Working);
+        std::panic::resume_unwind(Box::new("on purpose"));
+    });
+    assert!(worker.join().is_err());
+    assert_eq!(cell.state(false), WorkerState::Finished);
+    assert_eq!(cell.state(true), WorkerState::Leave);
 }

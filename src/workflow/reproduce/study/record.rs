@@ -160,8 +160,8 @@ impl Excitation {
 /// Why a set has no runs: a fault of the study, never a verdict on the diagnosis.
 #[derive(Debug, Error)]
 pub(super) enum StudyError {
-    #[error("a hidden effect is not one of the emulator's: {0}")]
-    Effect(#[from] toml::de::Error),
+    #[error("the study draws no size of the hidden effect {0}")]
+    Effect(String),
     #[error(transparent)]
     Config(#[from] EmulatorConfigError),
     #[error(transparent)]
@@ -227,13 +227,16 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.hidden.clear();
     let is_harsh = case.group == Group::Harsh;
     let share = if is_harsh { HARSH_SIZE_RATIO } else { 1.0 };
+    let known = |id: &str, hidden: Option<HiddenEffect>| {
+        hidden.ok_or_else(|| StudyError::Effect(id.to_owned()))
+    };
     for id in &case.hidden {
-        config.hidden.extend(sizes::drawn(id, share, rng));
+        let hidden = known(id, sizes::drawn(id, share, rng))?;
+        config.hidden.push(hidden);
     }
     if let Some(level) = case.group.background() {
-        config
-            .hidden
-            .extend(HiddenEffect::new("messy", &[("scale", level)]));
+        let hidden = known("messy", HiddenEffect::new("messy", &[("scale", level)]))?;
+        config.hidden.push(hidden);
     }
     Ok(config)
 }
