@@ -1,6 +1,6 @@
 //! Voltage that reaches the motor later than it was stamped.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -21,10 +21,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::positive("delay_s", "s", 1e-3).up_to(0.5)],
-    terms: |values| {
-        Box::new(Path {
-            command_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.command_delay_s),
 };

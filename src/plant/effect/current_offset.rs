@@ -1,6 +1,6 @@
 //! Current sensor whose zero is off.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -19,10 +19,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("offset_a", "A", 0.1)],
-    terms: |values| {
-        Box::new(Path {
-            current_offset_a: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.current_offset_a),
 };

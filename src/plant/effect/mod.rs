@@ -54,7 +54,7 @@ pub use terms::{Coupling, Instant, Path, Sums, Terms};
 
 use parameter::WAVE_ORDERS;
 use terms::{
-    begun, current_rate_gain, friction, inertia_gain, torque, voltage, voltage_and_torque,
+    begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
 };
 
 /// Every effect that the program can name, add and remove.

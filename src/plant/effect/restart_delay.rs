@@ -1,7 +1,7 @@
 //! Drive that lets every start from rest wait: it applies zero for a while after each.
 
 use super::start_delay::LATE_START;
-use super::{Card, CatalogueEffect, Enters, Path};
+use super::{Card, CatalogueEffect, Enters, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -22,10 +22,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[LATE_START],
-    terms: |values| {
-        Box::new(Path {
-            restart_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.restart_delay_s),
 };

@@ -1,6 +1,6 @@
 //! Measured speed that is that of some time before.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -21,10 +21,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::positive("delay_s", "s", 2e-3).up_to(0.5)],
-    terms: |values| {
-        Box::new(Path {
-            speed_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.speed_delay_s),
 };

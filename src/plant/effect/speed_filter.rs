@@ -1,6 +1,6 @@
 //! Measured speed that lags behind the shaft by a first-order filter.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -20,10 +20,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 3e-3).up_to(0.5)],
-    terms: |values| {
-        Box::new(Path {
-            speed_filter_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.speed_filter_s),
 };

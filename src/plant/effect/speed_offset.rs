@@ -1,6 +1,6 @@
 //! Speed sensor whose zero is off.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
     card: &Card {
@@ -18,10 +18,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[ParameterSpec::coefficient("offset_rad_s", "rad/s", 0.5)],
-    terms: |values| {
-        Box::new(Path {
-            speed_offset_rad_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.speed_offset_rad_s),
 };

@@ -1,6 +1,6 @@
 //! Drive that enables late: it applies zero for a while after the first command.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, CatalogueEffect, Enters, ParameterSpec, path};
 
 /// A shape: a late start is found by trying, the way to it is not straight.
 pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
@@ -28,10 +28,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
         ..Card::PLAIN
     },
     parameters: &[LATE_START],
-    terms: |values| {
-        Box::new(Path {
-            start_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.start_delay_s),
 };
