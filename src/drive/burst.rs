@@ -28,7 +28,7 @@ pub struct Capture {
 
 impl Capture {
     /// Puts a burst together from blocks of samples, each asked for by the index of its first.
-    pub(super) fn collect(
+    pub fn collect(
         first_s: f64,
         period_s: f64,
         count: u16,

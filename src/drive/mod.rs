@@ -74,7 +74,7 @@ pub use profiled::ProfiledLink;
 pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
 pub use register_bus::{
     MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
-    registers,
+    exception_name, registers,
 };
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};

@@ -73,7 +73,7 @@ pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
 }
 
-pub(super) const fn exception_name(code: u8) -> &'static str {
+pub const fn exception_name(code: u8) -> &'static str {
     match code {
         1 => "illegal function",
         2 => "illegal data address",

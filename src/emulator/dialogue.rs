@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use firmware_protocol::modbus::{RtuFrame, RtuReceiver, TcpFrame, TcpReceiver, rtu, tcp};
+use firmware_protocol::modbus::{Exception, MAX_PDU, RtuReceiver, TcpReceiver, respond, rtu, tcp};
 use firmware_protocol::stream;
 
 use super::drive::answer_stream;
@@ -55,14 +55,14 @@ impl FromStr for LinkKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
-/// What answers: the drive in its own language or in the guise of another. No bytes: it is silent.
+/// What answers: the drive in its own language or in the guise of another.
 pub(super) trait Answering {
     fn advance_to(&mut self, time_s: f64);
 
-    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8>;
+    /// The PDU that answers a request over Modbus.
+    fn modbus(&mut self, request: &[u8]) -> Vec<u8>;
 
-    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8>;
-
+    /// `None`: it is silent.
     fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
 }
 
@@ -74,16 +74,10 @@ impl Answering for SoftDrive {
         Self::advance_to(self, time_s);
     }
 
-    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8> {
-        let mut frame = [0; rtu::MAX_FRAME];
-        let length = request.answer(self, &mut frame);
-        frame[..length].to_vec()
-    }
-
-    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8> {
-        let mut frame = [0; tcp::MAX_FRAME];
-        let length = request.answer(self, &mut frame);
-        frame[..length].to_vec()
+    fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
+        let mut response = [0; MAX_PDU];
+        let length = respond(self, request, &mut response);
+        response[..length].to_vec()
     }
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
@@ -96,12 +90,8 @@ impl Answering for ForeignDrive {
         Self::advance_to(self, time_s);
     }
 
-    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8> {
-        self.answer_rtu(request)
-    }
-
-    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8> {
-        self.answer_tcp(request)
+    fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
+        self.answer(request)
     }
 
     /// No other make speaks our stream.
@@ -147,11 +137,15 @@ impl Dialogue {
                 {
                     let pdu = request.pdu();
                     let writes = pdu.first().is_some_and(|code| WRITES.contains(code));
-                    answers.push(if writes && !may_command() {
-                        busy(&request)
+                    let response = if writes && !may_command() {
+                        vec![pdu[0] | 0x80, Exception::Busy.code()]
                     } else {
-                        drive.tcp(&request)
-                    });
+                        drive.modbus(pdu)
+                    };
+                    let mut frame = [0; tcp::MAX_FRAME];
+                    let (transaction, unit) = (request.transaction, request.unit);
+                    let length = tcp::encode_frame(transaction, unit, &response, &mut frame);
+                    answers.push(frame[..length].to_vec());
                 }
             }
             Self::Stream(decoder) => {
@@ -177,17 +171,8 @@ impl Dialogue {
     }
 }
 
-/// Function codes that change something in the drive.
+/// Function codes that change something in the drive: a host that is not in command is told that it is busy.
 const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
-
-/// The refusal for a host that is not in command: exception 06, server device busy.
-fn busy(request: &TcpFrame) -> Vec<u8> {
-    let function = request.pdu().first().copied().unwrap_or_default();
-    let pdu = [function | 0x80, 6];
-    let mut frame = [0; tcp::MAX_FRAME];
-    let length = tcp::encode_frame(request.transaction, request.unit, &pdu, &mut frame);
-    frame[..length].to_vec()
-}
 
 fn is_command(received: &Received) -> bool {
     matches!(received, Ok(frame) if matches!(frame.message, stream::Message::Command(_)))
@@ -195,9 +180,11 @@ fn is_command(received: &Received) -> bool {
 
 fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
     while let Some(request) = receiver.take_frame() {
-        let frame = drive.rtu(&request);
-        if !frame.is_empty() {
-            answers.push(frame);
+        let response = drive.modbus(request.pdu());
+        if !request.is_broadcast() && !response.is_empty() {
+            let mut frame = [0; rtu::MAX_FRAME];
+            let length = rtu::encode_frame(request.unit, &response, &mut frame);
+            answers.push(frame[..length].to_vec());
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::modbus::RegisterBank;
 use firmware_protocol::registers::{
     CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
     TELEMETRY_ADDRESS, TELEMETRY_WORDS,
@@ -16,7 +16,8 @@ use super::pace::Pace;
 use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::timeline::{self, Timeline};
 use crate::drive::{
-    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, signed_difference,
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, exception_name,
+    signed_difference,
 };
 use crate::sample::{Command, Demand, DriveState, Sample};
 
@@ -159,7 +160,7 @@ impl MemoryLink {
                     link: self.name().0,
                     request: request.to_owned(),
                     code: exception.code(),
-                    name: exception_name(exception),
+                    name: exception_name(exception.code()),
                 })
             }
         }
@@ -267,28 +268,14 @@ impl Burst for MemoryLink {
         };
         let time_s = self.timeline.note(time_us, span);
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
-        let mut capture = Capture {
-            first_s: time_s - f64::from(age_us) * 1e-6,
-            period_s: self.capture_period_s,
-            samples: Vec::with_capacity(count.into()),
-        };
-        while capture.samples.len() < usize::from(count) {
-            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
+        let first_s = time_s - f64::from(age_us) * 1e-6;
+        let period_s = self.capture_period_s;
+        let capture = Capture::collect(first_s, period_s, count, |index| {
             let write = Some((WINDOW_ADDRESS, &[index][..]));
             let words: [u16; WINDOW_WORDS] = self.ask(write, WINDOW_ADDRESS, "read a window")?;
-            capture.samples.extend(window_samples(index, &words));
-        }
-        Ok(Some(capture))
-    }
-}
-
-const fn exception_name(exception: Exception) -> &'static str {
-    match exception {
-        Exception::IllegalFunction => "illegal function",
-        Exception::IllegalAddress => "illegal data address",
-        Exception::IllegalValue => "illegal data value",
-        Exception::DeviceFailure => "device failure",
-        Exception::Busy => "device busy",
+            Ok(window_samples(index, &words))
+        });
+        capture.map(Some)
     }
 }
 

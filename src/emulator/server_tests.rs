@@ -12,7 +12,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::os::fd::AsFd;
 use tokio_modbus::client::{Reader, Writer};
 use tokio_modbus::slave::SlaveContext;
-use tokio_modbus::{Slave, prelude};
+use tokio_modbus::{ExceptionCode, Slave, prelude};
 
 use super::*;
 use crate::emulator::session::HAND_OVER_S;
@@ -27,6 +27,22 @@ fn config(baud: u32) -> EmulatorConfig {
 
 fn pty(link: LinkKind, baud: u32) -> ServerHandle {
     spawn(config(baud), 1, link, Endpoint::temporary_pty()).unwrap()
+}
+
+fn network(link: LinkKind) -> ServerHandle {
+    let address = "127.0.0.1:0".parse().unwrap();
+    spawn(config(0), 1, link, Endpoint::Tcp(address)).unwrap()
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    builder.enable_all().build().unwrap()
+}
+
+fn wait_until(is: impl Fn() -> bool) {
+    while !is() {
+        thread::sleep(Duration::from_millis(1));
+    }
 }
 
 fn open(server: &ServerHandle) -> File {
@@ -130,17 +146,12 @@ fn a_second_session_works_and_gets_no_stale_bytes() {
     let mut first = open(&server);
     exchange(&mut first, volts(1, 6.0));
     // A request whose answer nobody reads.
-    first
-        .write_all(&rtu_frame(&exchange_pdu(volts(2, 6.0))))
-        .unwrap();
-    while server.answers() < 2 {
-        thread::sleep(Duration::from_millis(1));
-    }
+    let request = rtu_frame(&exchange_pdu(volts(2, 6.0)));
+    first.write_all(&request).unwrap();
+    wait_until(|| server.answers() >= 2);
     drop(first);
     for session in 2..5_u16 {
-        while server.sessions() < session.into() {
-            thread::sleep(Duration::from_millis(1));
-        }
+        wait_until(|| server.sessions() >= session.into());
         let mut host = open(&server);
         let telemetry = exchange(&mut host, volts(100 + session, 6.0));
         assert_eq!(telemetry.seq, 100 + session);
@@ -163,15 +174,11 @@ fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
     config.watchdog_ms = 200;
     let server = spawn(config, 1, LinkKind::ModbusRtu, Endpoint::temporary_pty()).unwrap();
     let mut host = open(&server);
-    assert_eq!(
-        exchange(&mut host, volts(1, 24.0)).status.state(),
-        Some(State::Running)
-    );
+    let status = exchange(&mut host, volts(1, 24.0)).status;
+    assert_eq!(status.state(), Some(State::Running));
     drop(host);
     thread::sleep(Duration::from_millis(250));
-    while server.sessions() < 2 {
-        thread::sleep(Duration::from_millis(1));
-    }
+    wait_until(|| server.sessions() >= 2);
     let telemetry = exchange(&mut open(&server), volts(2, 24.0));
     assert_eq!(telemetry.status.state(), Some(State::Fault));
     assert_eq!(telemetry.fault, firmware_protocol::Fault::Watchdog);
@@ -189,16 +196,12 @@ fn a_command_written_just_before_the_close_still_counts() {
     };
     host.write_all(&rtu_frame(&exchange_pdu(stop))).unwrap();
     drop(host);
-    while server.sessions() < 2 {
-        thread::sleep(Duration::from_millis(1));
-    }
+    wait_until(|| server.sessions() >= 2);
     let mut host = open(&server);
     host.write_all(&rtu_frame(&[3, 0, 0, 0, 16])).unwrap();
     let telemetry = telemetry(&receive(&mut host, 37));
-    assert_eq!(
-        (telemetry.seq, telemetry.status.state()),
-        (2, Some(State::Ready))
-    );
+    let told = (telemetry.seq, telemetry.status.state());
+    assert_eq!(told, (2, Some(State::Ready)));
 }
 
 #[test]
@@ -218,39 +221,23 @@ fn noise_costs_one_request_at_most() {
 #[test]
 fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
     let server = pty(LinkKind::ModbusRtu, 115_200);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = runtime();
     runtime.block_on(async {
         let port = tokio_serial::SerialStream::open(&tokio_serial::new(server.address(), 115_200))
             .unwrap();
         let mut host = prelude::rtu::attach_slave(port, Slave(UNIT));
         let words = host.read_holding_registers(0, 16).await.unwrap().unwrap();
-        assert_eq!(
-            (words.len(), words[15]),
-            (16, firmware_protocol::PROTOCOL_VERSION)
-        );
-        assert_eq!(
-            host.read_input_registers(0, 16).await.unwrap().unwrap()[15],
-            words[15]
-        );
-        let command = volts(77, 10.0).to_registers();
-        host.write_multiple_registers(32, &command)
-            .await
-            .unwrap()
-            .unwrap();
-        let words = host
-            .read_write_multiple_registers(0, 16, 32, &volts(78, 10.0).to_registers())
-            .await
-            .unwrap()
-            .unwrap();
-        assert_eq!(words[2], 78);
+        let version = firmware_protocol::PROTOCOL_VERSION;
+        assert_eq!((words.len(), words[15]), (16, version));
+        let words = host.read_input_registers(0, 16).await.unwrap().unwrap();
+        assert_eq!(words[15], version);
+        let [first, second] = [77, 78].map(|seq| volts(seq, 10.0).to_registers());
+        let written = host.write_multiple_registers(32, &first).await;
+        written.unwrap().unwrap();
+        let words = host.read_write_multiple_registers(0, 16, 32, &second).await;
+        assert_eq!(words.unwrap().unwrap()[2], 78);
         let refused = host.read_holding_registers(16, 1).await.unwrap();
-        assert_eq!(
-            refused,
-            Err(tokio_modbus::ExceptionCode::IllegalDataAddress)
-        );
+        assert_eq!(refused, Err(ExceptionCode::IllegalDataAddress));
         host.set_slave(Slave(9));
         let foreign =
             tokio::time::timeout(Duration::from_millis(60), host.read_holding_registers(0, 1));
@@ -258,71 +245,54 @@ fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
     });
 }
 
+async fn connected(server: &ServerHandle) -> tokio_modbus::client::Context {
+    let address = server.address().parse().unwrap();
+    prelude::tcp::connect_slave(address, Slave(1))
+        .await
+        .unwrap()
+}
+
 #[test]
 fn tokio_modbus_reads_over_tcp_one_host_after_the_other() {
-    let address = "127.0.0.1:0".parse().unwrap();
-    let server = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::Tcp(address)).unwrap();
+    let server = network(LinkKind::ModbusTcp);
     assert!(!server.address().ends_with(":0"));
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = runtime();
     for seq in [5, 6] {
         runtime.block_on(async {
-            let mut host = prelude::tcp::connect_slave(server.address().parse().unwrap(), Slave(1))
-                .await
-                .unwrap();
+            let mut host = connected(&server).await;
+            let command = volts(seq, 1.0).to_registers();
             let words = host
-                .read_write_multiple_registers(0, 16, 32, &volts(seq, 1.0).to_registers())
-                .await
-                .unwrap()
-                .unwrap();
-            assert_eq!(words[2], seq);
+                .read_write_multiple_registers(0, 16, 32, &command)
+                .await;
+            assert_eq!(words.unwrap().unwrap()[2], seq);
         });
     }
 }
 
 #[test]
 fn a_host_that_says_nothing_starves_nobody_and_one_of_several_is_in_command() {
-    let address = "127.0.0.1:0".parse().unwrap();
-    let server = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::Tcp(address)).unwrap();
-    let address = server.address().parse().unwrap();
+    let server = network(LinkKind::ModbusTcp);
     let _mute: Vec<_> = (0..3)
         .map(|_| TcpStream::connect(server.address()).unwrap())
         .collect();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = runtime();
     let within = Duration::from_secs(2);
     runtime.block_on(async {
-        let mut first = prelude::tcp::connect_slave(address, Slave(1))
-            .await
-            .unwrap();
-        let mut second = prelude::tcp::connect_slave(address, Slave(1))
-            .await
-            .unwrap();
-        let command = |seq| volts(seq, 1.0).to_registers();
-        let (one, two) = (command(5), command(6));
+        let (mut first, mut second) = (connected(&server).await, connected(&server).await);
+        let [one, two] = [5, 6].map(|seq| volts(seq, 1.0).to_registers());
         let write = first.write_multiple_registers(32, &one);
-        tokio::time::timeout(within, write)
-            .await
-            .unwrap()
-            .unwrap()
-            .unwrap();
+        let written = tokio::time::timeout(within, write).await;
+        written.unwrap().unwrap().unwrap();
         // Whoever reads is served beside it; who writes is told that another one is in command.
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[2], 5);
         let refused = second.write_multiple_registers(32, &two).await.unwrap();
-        assert_eq!(refused, Err(tokio_modbus::ExceptionCode::ServerDeviceBusy));
+        assert_eq!(refused, Err(ExceptionCode::ServerDeviceBusy));
         // It is gone: the other one takes over.
         drop(first);
         tokio::time::sleep(Duration::from_millis(50)).await;
-        second
-            .write_multiple_registers(32, &two)
-            .await
-            .unwrap()
-            .unwrap();
+        let written = second.write_multiple_registers(32, &two).await;
+        written.unwrap().unwrap();
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[2], 6);
     });
@@ -362,8 +332,7 @@ fn the_stream_runs_over_both_transports() {
     let mut host = open(&serial);
     host.write_all(&question).unwrap();
     let over_serial = answer(&mut host);
-    let address = "127.0.0.1:0".parse().unwrap();
-    let network = spawn(config(0), 1, LinkKind::Stream, Endpoint::Tcp(address)).unwrap();
+    let network = network(LinkKind::Stream);
     let mut host = TcpStream::connect(network.address()).unwrap();
     host.write_all(&question).unwrap();
     for frame in [over_serial, answer(&mut host)] {
@@ -374,13 +343,17 @@ fn the_stream_runs_over_both_transports() {
 
 #[test]
 fn what_cannot_be_served_is_refused_with_the_reason() {
-    let error = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::temporary_pty())
-        .err()
-        .unwrap();
-    assert!(error.to_string().contains("modbus-tcp does not run over"));
-    let nowhere = Endpoint::Pty("/nonexistent/folder/drive".into());
-    let error = spawn(config(0), 1, LinkKind::ModbusRtu, nowhere)
-        .err()
-        .unwrap();
-    assert!(error.to_string().contains("/nonexistent/folder/drive"));
+    const NOWHERE: &str = "/nonexistent/folder/drive";
+    let (anywhere, nowhere) = (Endpoint::temporary_pty(), Endpoint::Pty(NOWHERE.into()));
+    for (link, endpoint, part) in [
+        (
+            LinkKind::ModbusTcp,
+            anywhere,
+            "modbus-tcp does not run over",
+        ),
+        (LinkKind::ModbusRtu, nowhere, NOWHERE),
+    ] {
+        let error = spawn(config(0), 1, link, endpoint).err().unwrap();
+        assert!(error.to_string().contains(part), "{error}");
+    }
 }

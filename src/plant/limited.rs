@@ -8,6 +8,7 @@
 
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Run};
+use crate::signal::{self, Point};
 
 /// Inputs are held, so that a line is a staircase; its steps are about as long as this, s, and not more than so many.
 const STEP_S: f64 = 0.5e-3;
@@ -15,76 +16,56 @@ const MOST_STEPS: usize = 50;
 
 /// One stretch of samples between which the limit was never released.
 struct Stretch {
-    /// `(time, measured voltage)`.
-    samples: Vec<(f64, f64)>,
+    /// Measured voltages.
+    samples: Vec<Point>,
     /// Stamps of the samples beside it, at which the command held.
     before_s: f64,
     after_s: f64,
 }
 
 /// The commands `(time, V)`, held until the next, with those replaced that a limit of the drive kept from the motor.
-pub(super) fn applied(run: &Run, commands: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut events = commands.to_vec();
-    for stretch in stretches(run) {
-        events = replaced(&events, &stretch);
-    }
-    events
+pub(super) fn applied(run: &Run, commands: &[Point]) -> Vec<Point> {
+    let stretches = stretches(run).into_iter();
+    stretches.fold(commands.to_vec(), |events, stretch| {
+        replaced(&events, &stretch)
+    })
 }
 
 fn stretches(run: &Run) -> Vec<Stretch> {
-    let Some(measured) = run.column(Channel::Voltage) else {
-        return Vec::new();
-    };
-    let (times, limited) = (run.time_s(), run.limited_rows());
+    let limited = run.limited_rows();
     // A row of a command alone lies between two samples and says nothing of the limit.
-    let samples: Vec<usize> = (0..run.rows())
-        .filter(|&row| measured[row].is_finite())
+    let is_sample = |row: &usize| {
+        run.column(Channel::Voltage)
+            .is_some_and(|v| v[*row].is_finite())
+    };
+    let rows = (0..run.rows()).filter(is_sample);
+    let rows: Vec<(usize, bool)> = rows
+        .map(|row| (row, limited.binary_search(&row).is_ok()))
         .collect();
-    let is_limited: Vec<bool> = (samples.iter())
-        .map(|row| limited.binary_search(row).is_ok())
-        .collect();
-    let mut stretches = Vec::new();
-    let mut at = 0;
-    while at < samples.len() {
-        if !is_limited[at] {
-            at += 1;
-            continue;
-        }
-        let end = at
-            + is_limited[at..]
-                .iter()
-                .take_while(|limited| **limited)
-                .count();
-        let time = |place: usize| samples.get(place).map(|&row| times[row]);
-        stretches.push(Stretch {
-            samples: samples[at..end]
-                .iter()
-                .map(|&row| (times[row], measured[row]))
-                .collect(),
-            before_s: at
-                .checked_sub(1)
-                .and_then(time)
-                .unwrap_or(times[samples[at]]),
-            after_s: time(end).unwrap_or(times[samples[end - 1]]),
-        });
-        at = end;
-    }
-    stretches
+    let points: Vec<Point> = run.points(Channel::Voltage).collect();
+    let mut end = 0;
+    rows.chunk_by(|one, next| one.1 == next.1)
+        .filter_map(|group| {
+            let begin = end;
+            end += group.len();
+            let samples = points[begin..end].to_vec();
+            group[0].1.then(|| Stretch {
+                before_s: points[begin.saturating_sub(1)].0,
+                after_s: points.get(end).unwrap_or(&samples[samples.len() - 1]).0,
+                samples,
+            })
+        })
+        .collect()
 }
 
-fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
-    let held = |time_s: f64| {
-        let next = events.partition_point(|event| event.0 <= time_s);
-        events[next.saturating_sub(1)].1
-    };
-    let (first, last) = (
-        stretch.samples[0],
-        stretch.samples[stretch.samples.len() - 1],
-    );
+fn replaced(events: &[Point], stretch: &Stretch) -> Vec<Point> {
+    let held = |time_s: f64| signal::held(events, time_s).unwrap_or(events[0].1);
+    let samples = &stretch.samples;
+    let (first, last) = (samples[0], samples[samples.len() - 1]);
     // Above (+1) or below (-1) the command: the side on which the limit held the output, so where it let go. A stretch in
     // which the voltage was reversed begins on one side and ends on the other.
-    let side = |&(time_s, volts): &(f64, f64)| sign(volts - held(time_s));
-    let sides: Vec<f64> = stretch.samples.iter().map(side).collect();
+    let side = |&(time_s, volts): &Point| sign(volts - held(time_s));
+    let sides: Vec<f64> = samples.iter().map(side).collect();
     let mut decided = sides.iter().copied().filter(|side| *side != 0.0);
     let first_side = decided.next().unwrap_or(1.0);
     let last_side = decided.next_back().unwrap_or(first_side);
@@ -102,18 +83,17 @@ fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
         let share = |at: f64| from_s + (to_s - from_s) * at / count as f64;
         inside.extend((0..count).map(|k| (share(k as f64), volts(share(k as f64 + 0.5)))));
     };
-    let line = |a: (f64, f64), b: (f64, f64), time_s: f64| {
+    let line = |a: Point, b: Point, time_s: f64| {
         if b.0 > a.0 {
             a.1 + (b.1 - a.1) * (time_s - a.0) / (b.0 - a.0)
         } else {
             a.1
         }
     };
-    let second = *stretch.samples.get(1).unwrap_or(&first);
+    let second = *samples.get(1).unwrap_or(&first);
     pieces(stretch.before_s, first.0, &|t| {
         limit(t, first_side, line(first, second, t))
     });
-    let samples = &stretch.samples;
     for (at, pair) in samples.windows(2).enumerate() {
         let turned_s = (sides[at] * sides[at + 1] < 0.0)
             .then(|| largest_step(events, pair[0].0, pair[1].0))
@@ -138,16 +118,15 @@ fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
         limit(t, last_side, line(last_but_one, last, t))
     });
     let after_s = stretch.after_s.max(last.0);
-    let mut out: Vec<(f64, f64)> = Vec::with_capacity(events.len() + inside.len());
-    out.extend(events.iter().filter(|event| event.0 < stretch.before_s));
-    out.extend(inside);
-    out.push((after_s, held(after_s)));
-    out.extend(events.iter().filter(|event| event.0 > after_s));
-    out
+    let before = events.iter().filter(|event| event.0 < stretch.before_s);
+    let after = events.iter().filter(|event| event.0 > after_s);
+    let (before, after) = (before.copied(), after.copied());
+    let end = [(after_s, held(after_s))];
+    before.chain(inside).chain(end).chain(after).collect()
 }
 
 /// When within `(from_s, to_s]` the command changed most, if it did.
-fn largest_step(events: &[(f64, f64)], from_s: f64, to_s: f64) -> Option<f64> {
+fn largest_step(events: &[Point], from_s: f64, to_s: f64) -> Option<f64> {
     let steps = events
         .windows(2)
         .map(|pair| (pair[1].0, (pair[1].1 - pair[0].1).abs()));
@@ -183,14 +162,14 @@ mod tests {
         run
     }
 
-    fn at(events: &[(f64, f64)], time_s: f64) -> f64 {
+    fn at(events: &[Point], time_s: f64) -> f64 {
         events[events.partition_point(|event| event.0 <= time_s) - 1].1
     }
 
     #[test]
     fn without_a_limit_the_commands_stand() {
         let run = run();
-        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
         assert_eq!(applied(&run, &commands), commands);
     }
 
@@ -198,7 +177,7 @@ mod tests {
     fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
         let mut run = run();
         run.set_limited_rows(vec![4, 5, 6]);
-        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
         let events = applied(&run, &commands);
         assert!(
             events.windows(2).all(|pair| pair[0].0 < pair[1].0),
@@ -264,7 +243,7 @@ mod tests {
     fn a_limit_that_nobody_measured_changes_nothing() {
         let mut run = run().without(Channel::Voltage);
         run.set_limited_rows(vec![4, 5, 6]);
-        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
         assert_eq!(applied(&run, &commands), commands);
     }
 }

@@ -74,7 +74,8 @@ impl ModelFile {
         Ok(Self { model, history })
     }
 
-    /// The text of the file: what `parse` reads back to the same model.
+    /// The text of the file: what `parse` reads back to the same model. A number is the shortest text that reads back to it
+    /// (`{:?}`), with a decimal point where TOML needs one.
     #[expect(
         clippy::missing_panics_doc,
         reason = "the history is strings and numbers, which TOML can always hold"
@@ -85,13 +86,8 @@ impl ModelFile {
         let _ = writeln!(text, "name = {}", toml::Value::String(motor.name.clone()));
         for key in MotorKey::ALL {
             if let Some(value) = motor.get(key) {
-                let _ = writeln!(
-                    text,
-                    "{} = {}{}",
-                    key.key(),
-                    number(value),
-                    self.comment(&Slot::Motor(key))
-                );
+                let comment = self.comment(&Slot::Motor(key));
+                let _ = writeln!(text, "{} = {value:?}{comment}", key.key());
             }
         }
         let is_held = |key: &&String| self.model.held.iter().any(|held| held.key == **key);
@@ -120,14 +116,8 @@ impl ModelFile {
         let layout = active.effect.layout();
         match layout {
             Layout::List(key) if active.values.iter().all(Option::is_some) => {
-                let values: Vec<String> = active
-                    .values
-                    .iter()
-                    .flatten()
-                    .copied()
-                    .map(number)
-                    .collect();
-                let _ = writeln!(text, "{key} = [{}]", values.join(", "));
+                let values: Vec<f64> = active.values.iter().copied().flatten().collect();
+                let _ = writeln!(text, "{key} = {values:?}");
                 return;
             }
             Layout::Table(name) => {
@@ -137,15 +127,14 @@ impl ModelFile {
         }
         for (parameter, spec) in active.effect.parameters().iter().enumerate() {
             if let Some(value) = active.effect.written(parameter, active.values[parameter]) {
-                let id = active.id();
                 let slot = Slot::Effect {
                     index,
                     parameter,
                     spec,
-                    id,
+                    id: active.id(),
                 };
                 let value = match value {
-                    toml::Value::Float(value) => number(value),
+                    toml::Value::Float(value) => format!("{value:?}"),
                     other => other.to_string(),
                 };
                 let comment = self.comment(&slot);
@@ -158,15 +147,10 @@ impl ModelFile {
     fn comment(&self, slot: &Slot) -> String {
         let key = slot.key();
         match self.history.fitted.iter().find(|fitted| fitted.key == key) {
-            Some(fitted) => format!("  # +- {} {}", number(fitted.std), slot.unit()),
+            Some(fitted) => format!("  # +- {:?} {}", fitted.std, slot.unit()),
             None => String::new(),
         }
     }
-}
-
-/// Shortest text that reads back to the same number, with a decimal point where TOML needs one.
-fn number(value: f64) -> String {
-    format!("{value:?}")
 }
 
 /// A list of texts under `key`, if there is anything in it.
@@ -206,25 +190,17 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// An error at the first place at or after byte `from` where a line assigns `key`.
     fn error(&self, from: usize, key: &str, message: &str) -> ConfigError {
-        let offset = self.find(from, key);
-        ConfigError::at(
-            self.file,
-            self.text,
-            offset,
-            message,
-            "see bench-configs/motors for a commented example",
-        )
+        let help = "see bench-configs/motors for a commented example";
+        self.at(self.find(from, key), message, help)
+    }
+
+    fn at(&self, offset: usize, message: &str, help: impl Into<String>) -> ConfigError {
+        ConfigError::at(self.file, self.text, offset, message, help)
     }
 
     fn unknown(&self, from: usize, key: &str, allowed: &[&str]) -> ConfigError {
         let help = help_for_unknown(key, allowed.iter().copied());
-        ConfigError::at(
-            self.file,
-            self.text,
-            self.find(from, key),
-            format!("unknown key `{key}`"),
-            help,
-        )
+        self.at(self.find(from, key), &format!("unknown key `{key}`"), help)
     }
 
     fn find(&self, from: usize, key: &str) -> usize {
@@ -247,11 +223,10 @@ impl Reader<'_> {
                 reason = "no physical quantity is a large integer"
             )]
             toml::Value::Integer(number) => Ok(*number as f64),
-            other => Err(self.error(
-                from,
-                key,
-                &format!("{key} is a {}, expected a number", other.type_str()),
-            )),
+            other => {
+                let message = format!("{key} is a {}, expected a number", other.type_str());
+                Err(self.error(from, key, &message))
+            }
         }
     }
 
@@ -271,9 +246,8 @@ impl Reader<'_> {
                 "fixed" => model.fixed = self.strings(key, value)?,
                 _ => {
                     let Some(known) = MotorKey::from_key(key) else {
-                        let mut allowed: Vec<&str> =
-                            MotorKey::ALL.iter().map(|known| known.key()).collect();
-                        allowed.extend(["name", "fixed"]);
+                        let keys = MotorKey::ALL.map(MotorKey::key);
+                        let allowed = [&keys[..], &["name", "fixed"]].concat();
                         return Err(self.unknown(0, key, &allowed));
                     };
                     model.motor.set(known, self.number(0, key, value)?);
@@ -284,15 +258,8 @@ impl Reader<'_> {
     }
 
     fn strings(&self, key: &str, value: &toml::Value) -> Result<Vec<String>, ConfigError> {
-        value
-            .as_array()
-            .and_then(|items| {
-                items
-                    .iter()
-                    .map(|item| item.as_str().map(str::to_owned))
-                    .collect()
-            })
-            .ok_or_else(|| self.error(0, key, &format!("{key} must be a list of strings")))
+        let texts = value.clone().try_into();
+        texts.map_err(|_| self.error(0, key, &format!("{key} must be a list of strings")))
     }
 
     /// Reads the effects into `model`, and what each of them holds, as `(id, key)`, into `held`.
@@ -314,11 +281,8 @@ impl Reader<'_> {
                 .as_table()
                 .ok_or_else(|| self.error(from, "", "an effect must be a table"))?;
             let Some(id) = table.get("id").and_then(toml::Value::as_str) else {
-                return Err(self.error(
-                    from,
-                    "id",
-                    "an effect needs an id, as id = \"viscous_friction\"",
-                ));
+                let message = "an effect needs an id, as id = \"viscous_friction\"";
+                return Err(self.error(from, "id", message));
             };
             if model.has(id) {
                 return Err(self.error(from, "id", &format!("effect {id:?} stands twice")));
@@ -347,27 +311,20 @@ impl Reader<'_> {
         table: &toml::Table,
     ) -> Result<ActiveEffect, ConfigError> {
         let Some(found) = effect::find(id) else {
-            let known = effect::CATALOGUE
-                .iter()
-                .map(|effect| effect.card().id)
-                .chain(effect::FAMILIES.iter().map(|card| card.id));
-            let mut error = self.error(
-                from,
-                "id",
-                &format!("effect {id:?} is not in the catalogue"),
-            );
-            error.help = nearest(id, known).map_or_else(
+            let catalogue = effect::CATALOGUE.iter().map(|effect| effect.card());
+            let known = catalogue.chain(effect::FAMILIES).map(|card| card.id);
+            let help = nearest(id, known).map_or_else(
                 || "`drivebench effects` lists the catalogue".to_owned(),
                 |name| format!("did you mean {name:?}?"),
             );
-            return Err(error);
+            let message = format!("effect {id:?} is not in the catalogue");
+            return Err(self.at(self.find(from, "id"), &message, help));
         };
         let mut active = ActiveEffect::new(found);
         for (key, value) in table.iter().filter(|(key, _)| *key != "id") {
-            let Some(at) = found.parameters().iter().position(|spec| spec.key == key) else {
-                let mut allowed: Vec<&str> =
-                    found.parameters().iter().map(|spec| spec.key).collect();
-                allowed.push("id");
+            let keys = found.parameters().iter().map(|spec| spec.key);
+            let Some(at) = keys.clone().position(|known| known == key) else {
+                let allowed: Vec<&str> = keys.chain(["id"]).collect();
                 return Err(self.unknown(from, key, &allowed));
             };
             active.values[at] = Some(self.number(from, key, value)?);
@@ -385,13 +342,7 @@ impl Reader<'_> {
         let line = self.text[at..].lines().next().unwrap_or_default();
         let begin = line.find(['"', '\'']).map_or(0, |quote| quote + 1);
         at += error.offset.map_or(0, |offset| begin + offset);
-        ConfigError::at(
-            self.file,
-            self.text,
-            at,
-            error.message.clone(),
-            error.help.clone(),
-        )
+        self.at(at, &error.message, error.help.clone())
     }
 }
 
@@ -429,30 +380,26 @@ stribeck_n_m = 0.2
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.history, file.history);
         assert_eq!(again.model.effects[1].values, vec![Some(0.2), None]);
-        assert!(
-            file.to_toml()
-                .contains("inertia_kg_m2 = 0.0045  # +- 2e-6 kg.m2")
-        );
+        let line = "inertia_kg_m2 = 0.0045  # +- 2e-6 kg.m2";
+        assert!(file.to_toml().contains(line));
     }
 
     #[test]
     fn a_misspelt_key_is_named_with_place_and_nearest() {
-        let error =
-            ModelFile::parse("m.toml", &TEXT.replace("inertia_kg_m2", "inertia_kgm2")).unwrap_err();
-        assert_eq!((error.line, error.column), (6, 1));
-        assert_eq!(error.help, "did you mean `inertia_kg_m2`?");
-        let error =
-            ModelFile::parse("m.toml", &TEXT.replace("stribeck_n_m", "stribek_n_m")).unwrap_err();
-        assert_eq!(error.line, 15);
-        let error = ModelFile::parse(
-            "m.toml",
-            &TEXT.replace("\"viscous_friction\"", "\"viscous\""),
-        )
-        .unwrap_err();
-        assert_eq!(
-            (error.line, error.help.as_str()),
-            (11, "did you mean \"viscous_friction\"?")
-        );
+        for (from, to, line, nearest) in [
+            ("inertia_kg_m2", "inertia_kgm2", 6, "`inertia_kg_m2`"),
+            ("stribeck_n_m", "stribek_n_m", 15, "`stribeck_n_m`"),
+            (
+                "\"viscous_friction\"",
+                "\"viscous\"",
+                11,
+                "\"viscous_friction\"",
+            ),
+        ] {
+            let error = ModelFile::parse("m.toml", &TEXT.replace(from, to)).unwrap_err();
+            assert_eq!((error.line, error.column), (line, 1), "{error}");
+            assert_eq!(error.help, format!("did you mean {nearest}?"));
+        }
     }
 
     const DEFINED: &str = r#"[motor]
@@ -500,11 +447,8 @@ value_2 = 1.5
             assert_eq!(one.values, other.values);
         }
         assert_eq!(again.to_toml(), text);
-        assert_eq!(
-            again.model.effects[0].values,
-            [Some(1e-6), None, Some(9.0)],
-            "coefficients first"
-        );
+        let values = &again.model.effects[0].values;
+        assert_eq!(*values, [Some(1e-6), None, Some(9.0)], "coefficients first");
         assert!(text.contains("a = 1e-6  # +- 1e-8"), "{text}");
         assert!(text.contains("values = [0.1, 0.0, 0.2]"), "{text}");
         assert!(text.contains("\nvalue_2 = 1.5"), "{text}");
@@ -574,10 +518,8 @@ value_2 = 1.5
             ("0.0045", "nan"),
             ("[motor]", "motor = 3"),
         ] {
-            assert!(
-                ModelFile::parse("m.toml", &TEXT.replace(from, to)).is_err(),
-                "{to}"
-            );
+            let read = ModelFile::parse("m.toml", &TEXT.replace(from, to));
+            assert!(read.is_err(), "{to}");
         }
     }
 }

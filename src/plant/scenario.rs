@@ -11,6 +11,7 @@ use super::unknown_input::{self, Told, UnknownInput};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median;
 use crate::sample::{Channel, Origin, Run};
+use crate::signal;
 
 /// What drives the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -134,54 +135,47 @@ impl Scenario {
             events = applied(run, &events);
         }
         let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
-        let nothing = vec![f64::NAN; run.rows()];
-        let current = run.column(Channel::Current).unwrap_or(&nothing);
-        let speed = run.column(Channel::Speed).unwrap_or(&nothing);
-        let half_width = run.column(Channel::TimeHalfWidth);
-        let mut scenario = Self {
-            name: run.name.clone(),
-            input,
-            input_channel: channel,
-            events,
-            sample_time_s: Vec::with_capacity(run.rows()),
-            current_a: Vec::with_capacity(run.rows()),
-            speed_rad_s: Vec::with_capacity(run.rows()),
-            angle: continuous(
-                run.points(Channel::Angle).collect(),
-                &run.points(Channel::Speed).collect::<Vec<_>>(),
-            ),
-            time_half_width_s: Vec::new(),
-            unknown_input: Vec::new(),
-            scored: 0..0,
+        let column = |channel| run.column(channel).unwrap_or_default();
+        let is_measured = |row: usize| {
+            let outputs = [Channel::Current, Channel::Speed].map(column);
+            let mut cells = outputs.iter().filter_map(|output| output.get(row));
+            cells.any(|cell| cell.is_finite())
         };
-        for (row, &time_s) in run.time_s().iter().enumerate() {
-            if time_s >= start_s && (current[row].is_finite() || speed[row].is_finite()) {
-                scenario.sample_time_s.push(time_s);
-                scenario.current_a.push(current[row]);
-                scenario.speed_rad_s.push(speed[row]);
-                if let Some(half_width) = half_width {
-                    let known = Some(half_width[row]).filter(|s| s.is_finite());
-                    scenario.time_half_width_s.push(known.map_or(0.0, f64::abs));
-                }
-            }
-        }
-        let rows = scenario.sample_time_s.len();
-        let present = |channel| run.points(channel).next().is_some();
-        if !present(Channel::Current) && !present(Channel::Speed) {
+        if !(0..run.rows()).any(is_measured) {
             return Err(ScenarioError::NoOutput {
                 run: run.name.clone(),
                 input: channel.name(),
             });
         }
-        if rows < FEWEST_ROWS {
+        let rows = run.time_s().iter().enumerate();
+        let rows = rows.filter(|(row, time_s)| **time_s >= start_s && is_measured(*row));
+        let rows: Vec<usize> = rows.map(|(row, _)| row).collect();
+        if rows.len() < FEWEST_ROWS {
             return Err(ScenarioError::TooShort {
                 run: run.name.clone(),
-                rows,
+                rows: rows.len(),
                 needed: FEWEST_ROWS,
             });
         }
+        let cells = |of: &[f64], none: f64| -> Vec<f64> {
+            let cell = |row: &usize| of.get(*row).copied().unwrap_or(none);
+            rows.iter().map(cell).collect()
+        };
+        let times = cells(run.time_s(), f64::NAN);
+        let speed: Vec<(f64, f64)> = run.points(Channel::Speed).collect();
+        let half_width_s = |cell: f64| if cell.is_finite() { cell.abs() } else { 0.0 };
+        let half_widths = run.column(Channel::TimeHalfWidth);
+        let mut scenario = Self {
+            current_a: cells(column(Channel::Current), f64::NAN),
+            speed_rad_s: cells(column(Channel::Speed), f64::NAN),
+            angle: continuous(run.points(Channel::Angle).collect(), &speed),
+            time_half_width_s: half_widths.map_or_else(Vec::new, |widths| {
+                let cells = cells(widths, 0.0).into_iter();
+                cells.map(half_width_s).collect()
+            }),
+            ..Self::planned(run.name.clone(), input, channel, events, times)
+        };
         scenario.refuse_gaps()?;
-        scenario.scored = 0..rows;
         if input == Input::Voltage {
             scenario.bridge_lost_rows();
         }
@@ -220,12 +214,9 @@ impl Scenario {
             .extend(holes.iter().flat_map(UnknownInput::steps));
         self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
         for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
-            let begin = self
-                .sample_time_s
-                .partition_point(|time| *time < hole.from_s);
-            let end = self
-                .sample_time_s
-                .partition_point(|time| *time <= hole.to_s);
+            let times = &self.sample_time_s;
+            let begin = times.partition_point(|time| *time < hole.from_s);
+            let end = times.partition_point(|time| *time <= hole.to_s);
             self.current_a[begin..end].fill(f64::NAN);
             self.speed_rad_s[begin..end].fill(f64::NAN);
         }
@@ -234,34 +225,28 @@ impl Scenario {
 
     /// Whether the input is not known somewhere between two instants.
     pub fn input_is_unknown(&self, from_s: f64, to_s: f64) -> bool {
-        let first = self
-            .unknown_input
-            .partition_point(|hole| hole.to_s <= from_s);
-        (self.unknown_input[first..].iter())
-            .take_while(|hole| hole.from_s < to_s)
-            .any(|hole| hole.variance > 0.0)
+        let holes = &self.unknown_input;
+        let first = holes.partition_point(|hole| hole.to_s <= from_s);
+        let mut within = holes[first..].iter().take_while(|hole| hole.from_s < to_s);
+        within.any(|hole| hole.variance > 0.0)
     }
 
     /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
     fn refuse_gaps(&self) -> Result<(), ScenarioError> {
-        let gaps: Vec<f64> = self
-            .sample_time_s
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect();
-        let mut sorted = gaps.clone();
-        sorted.sort_by(f64::total_cmp);
-        let median_s = sorted[sorted.len() / 2];
-        match gaps.iter().position(|gap| *gap > LONGEST_GAP_S) {
-            Some(at) => Err(ScenarioError::Gap {
-                run: self.name.clone(),
-                gap_s: gaps[at],
-                time_s: self.sample_time_s[at],
-                median_s,
-                allowed_s: LONGEST_GAP_S,
-            }),
-            None => Ok(()),
-        }
+        let times = self.sample_time_s.windows(2);
+        let mut gaps: Vec<f64> = times.map(|pair| pair[1] - pair[0]).collect();
+        let Some(at) = gaps.iter().position(|gap| *gap > LONGEST_GAP_S) else {
+            return Ok(());
+        };
+        let gap_s = gaps[at];
+        gaps.sort_by(f64::total_cmp);
+        Err(ScenarioError::Gap {
+            run: self.name.clone(),
+            gap_s,
+            time_s: self.sample_time_s[at],
+            median_s: gaps[gaps.len() / 2],
+            allowed_s: LONGEST_GAP_S,
+        })
     }
 
     /// Half of the interval in which a sample may have been taken, s; zero where the drive stamped it itself.
@@ -271,10 +256,8 @@ impl Scenario {
 
     /// Half-width that half of the stamps have at least, s; `None` where the drive stamped its samples itself.
     pub fn typical_half_width_s(&self) -> Option<f64> {
-        let mut present: Vec<f64> = (self.time_half_width_s.iter())
-            .copied()
-            .filter(|half_width_s| *half_width_s > 0.0)
-            .collect();
+        let mut present = self.time_half_width_s.clone();
+        present.retain(|half_width_s| *half_width_s > 0.0);
         present.sort_by(f64::total_cmp);
         present.get(present.len() / 2).copied()
     }
@@ -315,8 +298,7 @@ impl Scenario {
 
     /// Input that holds at `time_s`.
     pub fn input_at(&self, time_s: f64) -> f64 {
-        let next = self.events.partition_point(|event| event.0 <= time_s);
-        self.events[next.saturating_sub(1)].1
+        signal::held(&self.events, time_s).unwrap_or(self.events[0].1)
     }
 
     /// Full voltage of the supply that effects of the duty refer to. A run does not tell it, and what one run happened
@@ -366,17 +348,19 @@ impl Scenario {
     pub fn split(&self, training_share: f64) -> (Self, Self) {
         let cut = whole((self.samples() as f64 * training_share).round());
         let (mut training, mut holdout) = (self.clone(), self.clone());
-        training.name = format!("{} (first {:.0} %)", self.name, 100.0 * training_share);
-        training.sample_time_s.truncate(cut);
-        training.current_a.truncate(cut);
-        training.speed_rad_s.truncate(cut);
-        training.time_half_width_s.truncate(cut);
+        let share = 100.0 * training_share;
+        training.name = format!("{} (first {share:.0} %)", self.name);
+        for column in [
+            &mut training.sample_time_s,
+            &mut training.current_a,
+            &mut training.speed_rad_s,
+            &mut training.time_half_width_s,
+        ] {
+            column.truncate(cut);
+        }
         training.scored = 0..cut;
-        holdout.name = format!(
-            "{} (last {:.0} %)",
-            self.name,
-            100.0 * (1.0 - training_share)
-        );
+        let share = 100.0 * (1.0 - training_share);
+        holdout.name = format!("{} (last {share:.0} %)", self.name);
         holdout.scored = cut..self.samples();
         (training, holdout)
     }
@@ -400,27 +384,19 @@ impl Scenario {
         }
         let from = self.angle.partition_point(|point| point.0 < events[0].0);
         let to = self.angle.partition_point(|point| point.0 <= end_s);
-        let holes = self.unknown_input.iter();
-        let holes = holes.filter(|hole| hole.from_s >= events[0].0 && hole.to_s <= end_s);
+        let mut unknown_input = self.unknown_input.clone();
+        unknown_input.retain(|hole| hole.from_s >= events[0].0 && hole.to_s <= end_s);
         let part = |values: &Vec<f64>| values.get(samples.clone()).unwrap_or_default().to_vec();
-        let run_begin_s = self.sample_time_s[0];
+        let [from_s, to_s] = [begin_s, end_s].map(|time_s| time_s - self.sample_time_s[0]);
+        let name = format!("{} ({from_s:.0} to {to_s:.0} s)", self.name);
+        let (input, channel, times) = (self.input, self.input_channel, part(&self.sample_time_s));
         Self {
-            name: format!(
-                "{} ({:.0} to {:.0} s)",
-                self.name,
-                begin_s - run_begin_s,
-                end_s - run_begin_s
-            ),
-            input: self.input,
-            input_channel: self.input_channel,
             angle: self.angle[from..to.max(from)].to_vec(),
-            sample_time_s: part(&self.sample_time_s),
             current_a: part(&self.current_a),
             speed_rad_s: part(&self.speed_rad_s),
             time_half_width_s: part(&self.time_half_width_s),
-            unknown_input: holes.copied().collect(),
-            scored: 0..samples.len(),
-            events,
+            unknown_input,
+            ..Self::planned(name, input, channel, events, times)
         }
     }
 
@@ -437,10 +413,8 @@ impl Scenario {
     /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
     /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
-        let largest = self
-            .events
-            .iter()
-            .fold(0.0, |most, event| f64::max(most, event.1.abs()));
+        let sizes = self.events.iter().map(|event| event.1.abs());
+        let largest = sizes.fold(0.0, f64::max);
         let nearly_zero = if self.input == Input::Voltage {
             NEARLY_ZERO
         } else {
@@ -448,18 +422,15 @@ impl Scenario {
         };
         let moves = |event: &&(f64, f64)| event.1.abs() > nearly_zero * largest;
         let taken_over = self.events.iter().take_while(moves).count();
-        let bumpless = taken_over <= BUMPLESS_EVENTS
-            && self.events[..taken_over]
-                .iter()
-                .all(|event| event.1.abs() <= BUMPLESS_SHARE * largest);
+        let is_small = |event: &(f64, f64)| event.1.abs() <= BUMPLESS_SHARE * largest;
+        let bumpless =
+            taken_over <= BUMPLESS_EVENTS && self.events[..taken_over].iter().all(is_small);
         let (begin, begin_s) = match self.events.get(taken_over) {
             Some(event) if bumpless => (taken_over, event.0),
             _ => (0, f64::NEG_INFINITY),
         };
-        let mut moved_s = self.events[begin..]
-            .iter()
-            .find(moves)
-            .map_or(f64::INFINITY, |event| event.0);
+        let moved = self.events[begin..].iter().find(moves);
+        let mut moved_s = moved.map_or(f64::INFINITY, |event| event.0);
         if self.input != Input::Voltage {
             moved_s = moved_s.min(self.turns_from_s());
         }
@@ -482,17 +453,16 @@ const NEARLY_ZERO_MEASURED: f64 = 0.05;
 fn input_of(run: &Run) -> Option<(Input, Channel)> {
     let has = |channel| run.points(channel).next().is_some();
     let stamped = run.origin(Channel::VoltageCmd) == Origin::Commanded && has(Channel::VoltageCmd);
-    if has(Channel::Voltage) && !(stamped && run.origin(Channel::Voltage) == Origin::Measured) {
-        Some((Input::Voltage, Channel::Voltage))
-    } else if has(Channel::VoltageCmd) {
-        Some((Input::Voltage, Channel::VoltageCmd))
-    } else if has(Channel::Torque) {
-        Some((Input::Torque, Channel::Torque))
-    } else if has(Channel::Current) {
-        Some((Input::Current, Channel::Current))
-    } else {
-        None
-    }
+    let is_sampled = stamped && run.origin(Channel::Voltage) == Origin::Measured;
+    let mut inputs = [
+        (Input::Voltage, Channel::Voltage, !is_sampled),
+        (Input::Voltage, Channel::VoltageCmd, true),
+        (Input::Torque, Channel::Torque, true),
+        (Input::Current, Channel::Current, true),
+    ]
+    .into_iter();
+    let (input, channel, _) = inputs.find(|(_, channel, serves)| *serves && has(*channel))?;
+    Some((input, channel))
 }
 
 #[cfg(test)]
@@ -500,32 +470,38 @@ mod tests {
     use super::*;
 
     fn run(origin: Origin) -> Run {
-        let rows = 40_u16;
-        let mut run = Run::new("r", (0..rows).map(|row| f64::from(row) * 0.01).collect()).unwrap();
-        let cells = |value: f64| vec![value; usize::from(rows)];
-        run.set_column(Channel::VoltageCmd, cells(2.0), origin)
-            .unwrap();
-        run.set_column(Channel::Voltage, cells(1.9), Origin::Measured)
-            .unwrap();
-        run.set_column(Channel::Speed, cells(0.0), Origin::Measured)
-            .unwrap();
+        let times = (0..40).map(|row| f64::from(row) * 0.01).collect();
+        let columns = [
+            (Channel::VoltageCmd, 2.0, origin),
+            (Channel::Voltage, 1.9, Origin::Measured),
+            (Channel::Speed, 0.0, Origin::Measured),
+        ];
+        with_columns(
+            times,
+            columns.map(|(channel, value, origin)| (channel, vec![value; 40], origin)),
+        )
+    }
+
+    fn with_columns(
+        times: Vec<f64>,
+        columns: impl IntoIterator<Item = (Channel, Vec<f64>, Origin)>,
+    ) -> Run {
+        let mut run = Run::new("r", times).unwrap();
+        for (channel, cells, origin) in columns {
+            run.set_column(channel, cells, origin).unwrap();
+        }
         run
     }
 
     #[test]
     fn a_stamped_command_beats_an_instantaneous_measurement() {
-        assert_eq!(
-            Scenario::from_run(&run(Origin::Commanded))
-                .unwrap()
-                .input_channel,
-            Channel::VoltageCmd
-        );
-        assert_eq!(
-            Scenario::from_run(&run(Origin::Unknown))
-                .unwrap()
-                .input_channel,
-            Channel::Voltage
-        );
+        for (origin, channel) in [
+            (Origin::Commanded, Channel::VoltageCmd),
+            (Origin::Unknown, Channel::Voltage),
+        ] {
+            let scenario = Scenario::from_run(&run(origin)).unwrap();
+            assert_eq!(scenario.input_channel, channel);
+        }
     }
 
     #[test]
@@ -542,30 +518,21 @@ mod tests {
 
     #[test]
     fn a_split_scores_the_tail_but_starts_at_the_beginning() {
-        let (training, holdout) = Scenario::from_run(&run(Origin::Commanded))
-            .unwrap()
-            .split(0.6);
+        let whole = Scenario::from_run(&run(Origin::Commanded)).unwrap();
+        let (training, holdout) = whole.split(0.6);
         assert_eq!((training.samples(), training.scored), (24, 0..24));
         assert_eq!((holdout.samples(), holdout.scored), (40, 24..40));
     }
 
     #[test]
     fn milliseconds_taken_for_seconds_and_a_stamp_far_away_are_named() {
-        for times in [
-            (0..40).map(|k| f64::from(k) * 1000.0).collect::<Vec<_>>(),
-            (0..40)
-                .map(|k| if k < 39 { f64::from(k) } else { 1e12 })
-                .collect(),
-        ] {
-            let mut run = Run::new("r", times).unwrap();
-            run.set_column(Channel::Voltage, vec![1.0; 40], Origin::Unknown)
-                .unwrap();
-            run.set_column(Channel::Speed, vec![1.0; 40], Origin::Unknown)
-                .unwrap();
-            assert!(matches!(
-                Scenario::from_run(&run),
-                Err(ScenarioError::Gap { .. })
-            ));
+        let seconds: Vec<f64> = (0..39).map(f64::from).collect();
+        let milliseconds = (0..40).map(|k| f64::from(k) * 1000.0).collect();
+        for times in [milliseconds, [&seconds[..], &[1e12]].concat()] {
+            let channels = [Channel::Voltage, Channel::Speed];
+            let columns = channels.map(|channel| (channel, vec![1.0; 40], Origin::Unknown));
+            let refused = Scenario::from_run(&with_columns(times, columns));
+            assert!(matches!(refused, Err(ScenarioError::Gap { .. })));
         }
     }
 
@@ -583,11 +550,9 @@ mod tests {
         let (mean_s, std_s) = sampled.input_delay_s().unwrap();
         assert!((mean_s + 0.005).abs() < 1e-9 && (std_s - 0.005).abs() < 1e-9);
         let later = commanded.with_input_delayed(0.0005);
-        assert_eq!(
-            later.events[0], commanded.events[0],
-            "what held first holds on"
-        );
-        assert!((later.events[1].0 - commanded.events[1].0 - 0.0005).abs() < 1e-12);
+        let (before, after) = (&commanded.events, &later.events);
+        assert_eq!(after[0], before[0], "what held first holds on");
+        assert!((after[1].0 - before[1].0 - 0.0005).abs() < 1e-12);
     }
 
     #[test]
@@ -607,37 +572,27 @@ mod tests {
 
     #[test]
     fn too_few_rows_and_no_input_are_named() {
-        let short = run(Origin::Commanded).slice(0, 5, "short");
-        assert!(matches!(
-            Scenario::from_run(&short),
-            Err(ScenarioError::TooShort { rows: 5, .. })
-        ));
-        assert!(matches!(
-            Scenario::from_run(&Run::new("empty", vec![]).unwrap()),
-            Err(ScenarioError::NoInput { .. })
-        ));
+        let error = |run: &Run| Scenario::from_run(run).unwrap_err();
+        let short = error(&run(Origin::Commanded).slice(0, 5, "short"));
+        assert!(matches!(short, ScenarioError::TooShort { rows: 5, .. }));
+        let empty = error(&Run::new("empty", vec![]).unwrap());
+        assert!(matches!(empty, ScenarioError::NoInput { .. }));
     }
 
     /// A switched voltage at 1 kHz of which a row and 0.2 s are lost.
     fn with_holes() -> Scenario {
-        let rows: Vec<usize> = (0..2000)
-            .filter(|row| *row != 500 && !(1200..1400).contains(row))
-            .collect();
-        let cells =
-            |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
-        let mut run = Run::new("r", cells(&|row| 1e-3 * row as f64)).unwrap();
+        let is_lost = |row: &usize| *row == 500 || (1200..1400).contains(row);
+        let rows: Vec<usize> = (0..2000).filter(|row| !is_lost(row)).collect();
+        let cells = |value: fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect();
         let volts = |row: usize| {
-            if (row / 7 * row / 7).is_multiple_of(3) {
-                5.0
-            } else {
-                -5.0
-            }
+            let is_up = (row / 7 * row / 7).is_multiple_of(3);
+            if is_up { 5.0 } else { -5.0 }
         };
-        run.set_column(Channel::Voltage, cells(&volts), Origin::Unknown)
-            .unwrap();
-        run.set_column(Channel::Speed, cells(&|row| row as f64), Origin::Measured)
-            .unwrap();
-        Scenario::from_run(&run).unwrap()
+        let columns = [
+            (Channel::Voltage, cells(volts), Origin::Unknown),
+            (Channel::Speed, cells(|row| row as f64), Origin::Measured),
+        ];
+        Scenario::from_run(&with_columns(cells(|row| 1e-3 * row as f64), columns)).unwrap()
     }
 
     #[test]
@@ -657,11 +612,7 @@ mod tests {
         let holes = with_holes();
         let restart = holes.unknown_input[1].restart.unwrap();
         assert!(restart[0].is_nan() && (restart[1] - 1400.0).abs() < 1e-9);
-        let missing = holes
-            .speed_rad_s
-            .iter()
-            .filter(|speed| speed.is_nan())
-            .count();
-        assert_eq!(missing, 1);
+        let missing = holes.speed_rad_s.iter().filter(|speed| speed.is_nan());
+        assert_eq!(missing.count(), 1);
     }
 }

@@ -113,18 +113,11 @@ mod tests {
 
     #[test]
     fn it_goes_with_the_motor_and_with_what_the_run_reached() {
-        let scenario = |current: f64, speed: f64| Scenario {
-            name: "r".into(),
-            input: Input::Voltage,
-            input_channel: Channel::Voltage,
-            events: vec![(0.0, 10.0)],
-            sample_time_s: vec![0.0, 1.0],
-            current_a: vec![0.0, current],
-            speed_rad_s: vec![f64::NAN, speed],
-            angle: vec![],
-            time_half_width_s: vec![],
-            unknown_input: vec![],
-            scored: 0..2,
+        let scenario = |current: f64, speed: f64| {
+            let (events, times) = (vec![(0.0, 10.0)], vec![0.0, 1.0]);
+            let mut run = Scenario::planned("r", Input::Voltage, Channel::Voltage, events, times);
+            (run.current_a, run.speed_rad_s) = (vec![0.0, current], vec![f64::NAN, speed]);
+            run
         };
         let model = Model::baseline(Motor::zk_22fc());
         let drag = effect::find("viscous_friction").unwrap();

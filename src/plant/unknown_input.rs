@@ -87,9 +87,8 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         return Vec::new();
     };
     let input = told.input;
-    let largest = input
-        .iter()
-        .fold(0.0, |most, row| f64::max(most, row.1.abs()));
+    let sizes = input.iter().map(|row| row.1.abs());
+    let largest = sizes.fold(0.0, f64::max);
     let excursions = Excursions::of(told, &lost, period_s);
     let mut by_length: Vec<(usize, [Examples; 4])> = Vec::new();
     let mut holes = Vec::new();
@@ -118,21 +117,16 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         }
         let from_s = begin_s + period_s;
         let (mut mean, beside) = shape.rows(from_s, to_s, rows);
-        let Miss {
-            of_mean,
-            bent,
-            of_seen,
-        } = miss;
-        let mut variance = of_mean;
+        let mut variance = miss.of_mean;
         if variance > 0.0
-            && let Some(error) = of_seen
+            && let Some(error) = miss.of_seen
             && let Some(seen) = excursions.seen([row, row + 1], &beside[..rows])
         {
             let share = variance / (variance + error);
             mean += share * (seen - mean);
             variance *= 1.0 - share;
         }
-        variance += bent;
+        variance += miss.bent;
         if rows > FEW {
             // The machine forgets: what counts at the end of a long hole is not its mean but the input in its last part,
             // which may have been that of either side.
@@ -267,11 +261,10 @@ enum Drawn {
 
 impl Shape {
     const fn line(from: (f64, f64), to: (f64, f64), drawn: Drawn) -> Self {
-        let corner = None;
         Self {
             from,
             to,
-            corner,
+            corner: None,
             drawn,
         }
     }
@@ -378,19 +371,13 @@ impl<'a> Excursions<'a> {
         let mut sum = 0.0;
         for (pair, &rows) in input.windows(2).zip(lost) {
             let length_s = pair[1].0 - pair[0].0;
-            let known_s = if rows > 0 {
-                period_s.min(length_s)
-            } else {
-                length_s
-            };
+            let held_s = if rows > 0 { period_s } else { length_s };
+            let known_s = held_s.min(length_s);
             sum += pair[0].1 * known_s + 0.5 * (pair[0].1 + pair[1].1) * (length_s - known_s);
             integral.push(sum);
         }
-        let holes = lost
-            .iter()
-            .copied()
-            .enumerate()
-            .filter(|(_, rows)| *rows > 0);
+        let holes = lost.iter().copied().enumerate();
+        let holes = holes.filter(|(_, rows)| *rows > 0);
         Self {
             input,
             measured: told.measured,
@@ -426,13 +413,9 @@ impl<'a> Excursions<'a> {
         // On a line any place is a corner, and at its ends none is.
         let beside = value - from.1 - (to.1 - from.1) * after_s / length_s;
         if after_s > 0.0 && after_s < length_s && beside.abs() > rounding(from.1, to.1) {
-            let corner = Some((from.0 + after_s, value));
-            let drawn = Drawn::Corner;
             return Shape {
-                from,
-                to,
-                corner,
-                drawn,
+                corner: Some((from.0 + after_s, value)),
+                ..Shape::line(from, to, Drawn::Corner)
             };
         }
         Shape::line(from, to, Drawn::Line)
@@ -459,21 +442,16 @@ impl<'a> Excursions<'a> {
             let from_s = begin_s + self.period_s;
             let integral = self.integral[end] - self.integral[row] - before * self.period_s;
             let mean = integral / (to_s - from_s);
-            let exact = |square: f64| {
-                if square.sqrt() <= rounding(before, after) {
-                    0.0
-                } else {
-                    square
-                }
-            };
+            let is_rounding = |square: f64| square.sqrt() <= rounding(before, after);
+            let exact = |square: f64| if is_rounding(square) { 0.0 } else { square };
             let missed = |shape: &Shape| {
                 let (drawn, beside) = shape.rows(from_s, to_s, rows);
                 let seen = (rows <= FEW).then(|| self.seen([row, end], &beside[..rows]));
                 let bent = if rows > 1 && rows <= FEW {
                     let between = &self.input[row + 1..end];
-                    let misses = between
-                        .iter()
-                        .map(|(time_s, value)| value - shape.at(*time_s) - mean + drawn);
+                    let misses = between.iter();
+                    let misses =
+                        misses.map(|(time_s, value)| value - shape.at(*time_s) - mean + drawn);
                     misses.map(|miss| miss * miss).sum::<f64>() / between.len().max(1) as f64
                 } else {
                     0.0
@@ -578,12 +556,40 @@ mod tests {
             current = 0.9 * current + 0.1 * value;
         }
         let (input, measured): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
-        let sample_period_s = 1e-3;
         find(&Told {
             input: &input,
             measured: &measured,
+            sample_period_s: 1e-3,
+        })
+    }
+
+    /// The same of these rows, of which nothing was measured.
+    fn holes_of(
+        input: impl Iterator<Item = (f64, f64)>,
+        sample_period_s: f64,
+    ) -> Vec<UnknownInput> {
+        let input: Vec<(f64, f64)> = input.collect();
+        find(&Told {
+            measured: &vec![[f64::NAN; 2]; input.len()],
+            input: &input,
             sample_period_s,
         })
+    }
+
+    /// That the estimate of every lost row of these holes is its value, to `within`.
+    #[track_caller]
+    fn assert_known<'a>(
+        holes: impl IntoIterator<Item = &'a UnknownInput>,
+        values: &[f64],
+        within: f64,
+    ) {
+        for hole in holes {
+            for (from_s, value) in hole.steps() {
+                let there = values[whole(from_s * 1e3 + 0.5)];
+                assert!((value - there).abs() < within, "{value}, not {there} V");
+            }
+            assert!(hole.variance < 1e-9, "{hole:?}");
+        }
     }
 
     /// Plus or minus five, held for `rows` at least.
@@ -604,19 +610,13 @@ mod tests {
         let fast = holes(&switched(1, 3000), false, one_row);
         assert!(slow.len() > 200 && fast.len() > 200);
         let equal = |hole: &&UnknownInput| hole.mean.abs() > 1e-9;
+        let off = |hole: &UnknownInput, variance: f64| (hole.variance - variance).abs();
         assert!(slow.iter().filter(equal).all(|hole| hole.variance == 0.0));
         // Half of the time the one between two equal values of a random sequence is the other: (2 x 5)^2 / 2.
-        assert!(
-            fast.iter()
-                .filter(equal)
-                .all(|hole| (hole.variance - 50.0).abs() < 20.0)
-        );
+        assert!(fast.iter().filter(equal).all(|hole| off(hole, 50.0) < 20.0));
         // Between two that differ it was one of them.
-        assert!(
-            slow.iter()
-                .filter(|hole| !equal(hole))
-                .all(|hole| (hole.variance - 25.0).abs() < 1.0)
-        );
+        let mut differ = slow.iter().filter(|hole| !equal(hole));
+        assert!(differ.all(|hole| off(hole, 25.0) < 1.0));
     }
 
     #[test]
@@ -627,15 +627,8 @@ mod tests {
         let found = holes(&ramp, false, |row| matches!(row % 40, 20..23));
         let late: Vec<&UnknownInput> = found.iter().filter(|hole| hole.from_s > 0.055).collect();
         assert!(late.len() > 15);
-        for hole in late {
-            let steps: Vec<(f64, f64)> = hole.steps().collect();
-            assert_eq!(steps.len(), 3);
-            for (from_s, value) in steps {
-                let there = ramp[whole(from_s * 1e3 + 0.5)];
-                assert!((value - there).abs() < 1e-6, "{value}, not {there} V");
-            }
-            assert!(hole.variance < 1e-9, "{hole:?}");
-        }
+        assert!(late.iter().all(|hole| hole.steps().count() == 3));
+        assert_known(late, &ramp, 1e-6);
     }
 
     #[test]
@@ -647,13 +640,7 @@ mod tests {
         let lost = |row: usize| matches!(row % 300, 39 | 40 | 159 | 160);
         let found = holes(&ramps, false, lost);
         assert_eq!(found.len(), 20);
-        for hole in found {
-            for (from_s, value) in hole.steps() {
-                let there = ramps[whole(from_s * 1e3 + 0.5)];
-                assert!((value - there).abs() < 1e-6, "{value}, not {there} V");
-            }
-            assert!(hole.variance < 1e-9, "{hole:?}");
-        }
+        assert_known(&found, &ramps, 1e-6);
     }
 
     #[test]
@@ -664,13 +651,8 @@ mod tests {
         let found = holes(&ramp, false, |row| row % 40 == 20);
         let late: Vec<&UnknownInput> = found.iter().filter(|hole| hole.from_s > 0.055).collect();
         assert!(late.len() > 10);
-        for hole in late {
-            let there = ramp[whole(hole.from_s * 1e3 + 0.5)];
-            assert!(
-                (hole.mean - there).abs() < 1e-9 && hole.variance < 1e-12,
-                "{hole:?}"
-            );
-        }
+        assert!(late.iter().all(|hole| hole.variance < 1e-12));
+        assert_known(late, &ramp, 1e-9);
     }
 
     #[test]
@@ -707,15 +689,9 @@ mod tests {
         let late = |row: usize| 1e-2 * (row as f64 + 0.3 * (0.5 + 0.5 * (1.7 * row as f64).sin()));
         let lost = |row: usize| row > 0 && (row * 7919) % 100 < 10;
         let kept = (0..3000).filter(|row| !lost(*row));
-        let input: Vec<(f64, f64)> = kept.map(|row| (late(row), values[row])).collect();
-        let measured = vec![[0.0; 2]; input.len()];
-        let found = find(&Told {
-            input: &input,
-            measured: &measured,
-            sample_period_s: 1e-2,
-        });
+        let found = holes_of(kept.clone().map(|row| (late(row), values[row])), 1e-2);
         let rows: usize = found.iter().map(|hole| hole.lost_rows).sum();
-        assert_eq!(rows, 3000 - input.len());
+        assert_eq!(rows, 3000 - kept.count());
     }
 
     #[test]
@@ -723,11 +699,8 @@ mod tests {
         let late = |row: usize| 1e-2 * (row as f64 + 0.3 * ((row * 7919) % 1000) as f64 / 1000.0);
         let lost = |row: &usize| (row * 2741) % 97 < 10 || (500..541).contains(row);
         let kept: Vec<usize> = (0..1200).filter(|row| !lost(row)).collect();
-        let steps: Vec<f64> = kept
-            .windows(2)
-            .map(|pair| late(pair[1]) - late(pair[0]))
-            .collect();
-        let (_, multiples) = schedule(&steps);
+        let steps = kept.windows(2).map(|pair| late(pair[1]) - late(pair[0]));
+        let (_, multiples) = schedule(&steps.collect::<Vec<f64>>());
         for (pair, multiple) in kept.windows(2).zip(multiples) {
             assert_eq!(pair[1] - pair[0], whole(multiple), "row {}", pair[0]);
         }
@@ -745,23 +718,12 @@ mod tests {
         let chirp: Vec<f64> = (0..3000)
             .map(|row| (5.0 * (2e-6 * f64::from(row).powi(2)).sin()).round())
             .collect();
-        assert_eq!(
-            holes(&chirp, true, |row| row > 0
-                && same(chirp[row], chirp[row - 1])),
-            []
-        );
+        let repeats = |row: usize| row > 0 && same(chirp[row], chirp[row - 1]);
+        assert_eq!(holes(&chirp, true, repeats), []);
         let stamps = |row: usize| (row as f64 + 0.4 * (1.7 * row as f64).sin()) * 9e-3;
-        let input: Vec<(f64, f64)> = (0..3000)
-            .filter(|row| row % 10 != 0)
-            .map(|row| (stamps(row), values[row]))
-            .collect();
-        let measured = vec![[0.0; 2]; input.len()];
+        let kept = (0..3000).filter(|row| row % 10 != 0);
         assert_eq!(
-            find(&Told {
-                input: &input,
-                measured: &measured,
-                sample_period_s: 9e-3
-            }),
+            holes_of(kept.map(|row| (stamps(row), values[row])), 9e-3),
             []
         );
     }
@@ -769,18 +731,8 @@ mod tests {
     #[test]
     fn commands_on_rows_of_their_own_hold_until_the_next() {
         let values = switched(1, 3000);
-        let input: Vec<(f64, f64)> = (0..3000)
-            .filter(|row| row % 10 != 3)
-            .map(|row| (0.01 * row as f64, values[row]))
-            .collect();
-        let measured = vec![[f64::NAN; 2]; input.len()];
-        assert_eq!(
-            find(&Told {
-                input: &input,
-                measured: &measured,
-                sample_period_s: 1e-3
-            }),
-            []
-        );
+        let kept = (0..3000).filter(|row| row % 10 != 3);
+        let commands = kept.map(|row| (0.01 * row as f64, values[row]));
+        assert_eq!(holes_of(commands, 1e-3), []);
     }
 }

@@ -1,9 +1,9 @@
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers as r;
-use firmware_protocol::{CaptureControl, CaptureState};
+use firmware_protocol::{CaptureControl, CaptureSample, CaptureState};
 
 use super::*;
-use crate::emulator::config::OutputOff;
+use crate::emulator::config::{LimitsConfig, OutputOff};
 
 fn plain() -> EmulatorConfig {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
@@ -13,6 +13,17 @@ fn plain() -> EmulatorConfig {
 
 fn drive() -> SoftDrive {
     SoftDrive::new(&plain(), 1)
+}
+
+/// A drive with other limits.
+fn limited(change: impl FnOnce(&mut LimitsConfig)) -> SoftDrive {
+    let mut config = plain();
+    change(&mut config.limits);
+    SoftDrive::new(&config, 1)
+}
+
+fn speed_rad_s(drive: &SoftDrive) -> f64 {
+    drive.plant().speed_rad_s()
 }
 
 fn send(drive: &mut SoftDrive, seq: u16, control: Control) {
@@ -67,11 +78,8 @@ fn the_state_machine_is_the_table() {
         assert_eq!(drive.state(), to, "{from:?} {control:?}");
         let energised = drive.telemetry().voltage_cmd_v.abs() > 0.0;
         assert_eq!(energised, to == Running, "{from:?} {control:?}");
-        assert_eq!(
-            drive.telemetry().seq,
-            2,
-            "echoed even where it has no effect"
-        );
+        let seq = drive.telemetry().seq;
+        assert_eq!(seq, 2, "echoed even where it has no effect");
     }
 }
 
@@ -79,7 +87,7 @@ fn the_state_machine_is_the_table() {
 fn the_watchdog_stops_the_motor_and_stays_latched() {
     let mut drive = drive();
     hold(&mut drive, Control::Voltage(60.0), 1.0);
-    assert!(drive.plant().speed_rad_s() > 150.0);
+    assert!(speed_rad_s(&drive) > 150.0);
     let silent_from = drive.time_s();
     // Reading is not a sign of life.
     while drive.time_s() < silent_from + 0.495 {
@@ -94,23 +102,17 @@ fn the_watchdog_stops_the_motor_and_stays_latched() {
     assert_eq!(telemetry.fault, Fault::Watchdog);
     assert!(telemetry.status.has(Status::WATCHDOG));
     drive.advance_to(silent_from + 2.0);
-    assert!(
-        drive.plant().speed_rad_s() == 0.0,
-        "stopped without the host"
-    );
+    assert!(speed_rad_s(&drive) == 0.0, "stopped without the host");
     hold(&mut drive, Control::Voltage(60.0), 0.1);
-    assert!(
-        drive.plant().speed_rad_s() == 0.0,
-        "no restart without a reset"
-    );
+    assert!(speed_rad_s(&drive) == 0.0, "no restart without a reset");
     send(&mut drive, 8, Control::ResetFault);
     drive.advance_to(drive.time_s() + 0.1);
     assert!(
-        drive.plant().speed_rad_s() == 0.0,
+        speed_rad_s(&drive) == 0.0,
         "no restart without a new set-point"
     );
     hold(&mut drive, Control::Voltage(60.0), 0.1);
-    assert!(drive.plant().speed_rad_s() > 1.0);
+    assert!(speed_rad_s(&drive) > 1.0);
     assert!(!drive.telemetry().status.has(Status::WATCHDOG));
 }
 
@@ -120,15 +122,11 @@ fn a_command_is_stamped_with_the_tick_that_applied_it() {
     drive.advance_to(0.010_02);
     send(&mut drive, 300, Control::Voltage(12.0));
     let telemetry = drive.telemetry();
-    assert_eq!(
-        (telemetry.seq, telemetry.applied_us, telemetry.time_us),
-        (300, 10_050, 10_050)
-    );
+    let told = (telemetry.seq, telemetry.applied_us, telemetry.time_us);
+    assert_eq!(told, (300, 10_050, 10_050));
     assert!((telemetry.voltage_cmd_v - 12.0).abs() < 1e-12);
-    assert!(
-        (telemetry.voltage_v - 12.0).abs() < 0.1,
-        "sampled after it was applied"
-    );
+    let off_v = telemetry.voltage_v - 12.0;
+    assert!(off_v.abs() < 0.1, "sampled after it was applied");
     assert!(telemetry.status.has(Status::COMMAND_APPLIED));
     drive.advance_to(0.020);
     let later = drive.telemetry();
@@ -168,9 +166,7 @@ fn the_current_stays_within_the_limit_in_both_directions() {
 
 #[test]
 fn no_more_than_the_bus_voltage_comes_out() {
-    let mut config = plain();
-    config.limits.speed_limit_rad_s = 1000.0;
-    let mut drive = SoftDrive::new(&config, 1);
+    let mut drive = limited(|limits| limits.speed_limit_rad_s = 1000.0);
     hold(&mut drive, Control::Voltage(500.0), 3.0);
     let telemetry = drive.telemetry();
     assert!((telemetry.voltage_cmd_v - 120.0).abs() < 1e-12);
@@ -179,15 +175,11 @@ fn no_more_than_the_bus_voltage_comes_out() {
 
 #[test]
 fn over_speed_trips() {
-    let mut config = plain();
-    config.limits.speed_limit_rad_s = 100.0;
-    let mut drive = SoftDrive::new(&config, 1);
+    let mut drive = limited(|limits| limits.speed_limit_rad_s = 100.0);
     hold(&mut drive, Control::Voltage(60.0), 1.0);
-    assert_eq!(
-        (drive.state(), drive.fault()),
-        (State::Fault, Fault::OverSpeed)
-    );
-    assert!(drive.plant().speed_rad_s() < 1.0);
+    let told = (drive.state(), drive.fault());
+    assert_eq!(told, (State::Fault, Fault::OverSpeed));
+    assert!(speed_rad_s(&drive) < 1.0);
 }
 
 #[test]
@@ -211,9 +203,9 @@ fn the_inner_loops_reach_their_set_points() {
     hold(&mut drive, Control::Current(3.0), 0.03);
     assert!((drive.plant().current_a() - 3.0).abs() < 0.1);
     hold(&mut drive, Control::Speed(120.0), 2.0);
-    assert!((drive.plant().speed_rad_s() - 120.0).abs() < 0.5);
+    assert!((speed_rad_s(&drive) - 120.0).abs() < 0.5);
     hold(&mut drive, Control::Speed(-80.0), 2.0);
-    assert!((drive.plant().speed_rad_s() + 80.0).abs() < 0.5);
+    assert!((speed_rad_s(&drive) + 80.0).abs() < 0.5);
 }
 
 #[test]
@@ -233,10 +225,10 @@ fn the_inner_loops_do_not_depend_on_how_often_the_host_repeats_itself() {
 fn a_loop_takes_over_without_a_bump() {
     let mut drive = drive();
     hold(&mut drive, Control::Voltage(60.0), 1.0);
-    let speed = drive.plant().speed_rad_s();
+    let speed = speed_rad_s(&drive);
     for _ in 0..2000 {
         send(&mut drive, 1, Control::Speed(speed));
-        assert!((drive.plant().speed_rad_s() - speed).abs() < 0.1);
+        assert!((speed_rad_s(&drive) - speed).abs() < 0.1);
     }
 }
 
@@ -246,28 +238,24 @@ fn the_speed_loop_does_not_wind_up_in_the_current_limit() {
     let mut highest = 0.0_f64;
     for _ in 0..40_000 {
         send(&mut drive, 1, Control::Speed(250.0));
-        highest = highest.max(drive.plant().speed_rad_s());
+        highest = highest.max(speed_rad_s(&drive));
     }
-    assert!(drive.plant().speed_rad_s() > 249.0);
+    assert!(speed_rad_s(&drive) > 249.0);
     assert!(highest < 1.1 * 250.0, "{highest}");
 }
 
 #[test]
 fn an_open_output_lets_the_motor_coast() {
-    let mut config = plain();
-    config.limits.output_off = OutputOff::Open;
-    let (mut open, mut short) = (SoftDrive::new(&config, 1), drive());
+    let mut open = limited(|limits| limits.output_off = OutputOff::Open);
+    let mut short = drive();
     for drive in [&mut open, &mut short] {
         hold(drive, Control::Voltage(60.0), 1.0);
         send(drive, 9, Control::Stop);
         drive.advance_to(1.5);
     }
-    assert!(
-        open.plant().speed_rad_s() > 100.0,
-        "{}",
-        open.plant().speed_rad_s()
-    );
-    assert!(short.plant().speed_rad_s() == 0.0);
+    let coasting = speed_rad_s(&open);
+    assert!(coasting > 100.0, "{coasting}");
+    assert!(speed_rad_s(&short) == 0.0);
 }
 
 /// Everything that telemetry carries, as registers, over a script of commands and reads.
@@ -299,10 +287,8 @@ fn how_often_the_drive_is_advanced_makes_no_difference() {
         fine.advance_to(f64::from(step) * 1e-4);
     }
     coarse.advance_to(0.19);
-    assert_eq!(
-        fine.telemetry().to_registers(),
-        coarse.telemetry().to_registers()
-    );
+    let [fine, coarse] = [fine, coarse].map(|mut drive| drive.telemetry().to_registers());
+    assert_eq!(fine, coarse);
 }
 
 #[test]
@@ -332,9 +318,8 @@ fn registers_show_the_drive() {
         seq: 513,
         control: Control::Voltage(-12.345),
     };
-    drive
-        .write(r::COMMAND_ADDRESS, &command.to_registers())
-        .unwrap();
+    let words = command.to_registers();
+    drive.write(r::COMMAND_ADDRESS, &words).unwrap();
     let mut block = [0; r::TELEMETRY_WORDS];
     drive.read(0, &mut block).unwrap();
     let telemetry = Telemetry::from_registers(&block);
@@ -344,23 +329,20 @@ fn registers_show_the_drive() {
     let mut identity = [0; r::IDENTITY_WORDS];
     drive.read(r::IDENTITY_ADDRESS, &mut identity).unwrap();
     let identity = Identity::from_registers(&identity).unwrap();
-    assert_eq!(
-        (identity.watchdog_ms, identity.control_period_us),
-        (150, 50)
-    );
+    assert_eq!(identity.watchdog_ms, 150);
+    assert_eq!(identity.control_period_us, 50);
     assert!(identity.kind.has(DeviceKind::EMULATOR));
     let mut echoed = [0; r::COMMAND_WORDS];
     drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
-    assert_eq!(echoed, command.to_registers());
+    assert_eq!(echoed, words);
 }
 
 #[test]
 fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
     let mut drive = drive();
     drive.advance_to(0.1);
-    drive
-        .write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
-        .unwrap();
+    let arm = [CaptureControl::Arm.code()];
+    drive.write(r::CAPTURE_CONTROL.address, &arm).unwrap();
     drive.advance_to(0.2);
     hold(&mut drive, Control::Voltage(10.0), 0.5);
     let mut head = [0; 7];
@@ -372,15 +354,11 @@ fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
     let mut window = [0; 1 + 40 * 3];
     drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
     assert_eq!(window[0], 40);
-    let sample =
-        firmware_protocol::CaptureSample::from_registers(&[window[1], window[2], window[3]]);
+    let sample = CaptureSample::from_registers(&[window[1], window[2], window[3]]);
     // Sample 20 is 2 ms after the step: i = U/R (1 - exp(-t R/L)), the shaft still almost at rest.
     let expected = 10.0 / 1.1 * (1.0 - (-0.002_f64 / 0.009).exp());
-    assert!(
-        (sample.current_a - expected).abs() < 0.2,
-        "{} {expected}",
-        sample.current_a
-    );
+    let off = sample.current_a - expected;
+    assert!(off.abs() < 0.2, "{off} {expected}");
     assert!((sample.voltage_v - 10.0).abs() < 0.1);
     // Past the end the window is empty and says so.
     drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();
@@ -390,19 +368,18 @@ fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
 
 #[test]
 fn a_fault_stays_while_its_cause_is_there() {
-    let mut config = plain();
-    config.limits.speed_limit_rad_s = 100.0;
-    config.limits.output_off = OutputOff::Open;
-    let mut drive = SoftDrive::new(&config, 1);
+    let mut drive = limited(|limits| {
+        (limits.speed_limit_rad_s, limits.output_off) = (100.0, OutputOff::Open);
+    });
     while drive.state() != State::Fault {
         send(&mut drive, 1, Control::Voltage(60.0));
     }
     send(&mut drive, 2, Control::ResetFault);
-    assert!(drive.plant().speed_rad_s() > 100.0);
+    assert!(speed_rad_s(&drive) > 100.0);
     assert_eq!(drive.fault(), Fault::OverSpeed, "still too fast");
     let next = drive.time_s() + 0.1;
     drive.advance_to(next);
-    assert!(drive.plant().speed_rad_s() < 100.0);
+    assert!(speed_rad_s(&drive) < 100.0);
     assert_eq!(drive.fault(), Fault::OverSpeed, "latched");
     send(&mut drive, 3, Control::ResetFault);
     assert_eq!(drive.state(), State::Disabled);

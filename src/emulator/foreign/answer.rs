@@ -1,34 +1,30 @@
 //! Requests as this drive answers them: its function codes, its limits of length, its registers.
 
-use firmware_protocol::modbus::{
-    Exception, MAX_PDU, RegisterBank, RtuFrame, TcpFrame, respond, rtu, tcp,
-};
+use firmware_protocol::modbus::{Exception, MAX_PDU, RegisterBank, respond};
 
 use super::ForeignDrive;
-use super::identity::plate;
 use crate::drive::{KickedBy, RegisterTable};
-
-type Answer = Result<Vec<u8>, Exception>;
 
 impl ForeignDrive {
     /// The answer to a request.
     pub fn answer(&mut self, request: &[u8]) -> Vec<u8> {
-        let Some((&function, data)) = request.split_first() else {
+        let Some(&function) = request.first() else {
             return Vec::new();
         };
-        if let Some(code) = self.refusing {
-            return vec![function | 0x80, code];
-        }
         let writes = matches!(function, 6 | 16 | 22 | 23);
-        if let Some(code) = self.refusing_writes.filter(|_| writes) {
+        let refusing = self.refusing.or(self.refusing_writes.filter(|_| writes));
+        let is_known = self.map.functions.contains(&function);
+        let unknown = (!is_known).then_some(Exception::IllegalFunction.code());
+        if let Some(code) = refusing.or(unknown) {
             return vec![function | 0x80, code];
         }
-        let answer = if self.map.functions.contains(&function) {
-            self.execute(function, data, request)
-        } else {
-            Err(Exception::IllegalFunction)
+        let table = match function {
+            4 => RegisterTable::Input,
+            _ => RegisterTable::Holding,
         };
-        if answer.is_ok() {
+        let mut response = [0; MAX_PDU];
+        let length = respond(&mut Bank { drive: self, table }, request, &mut response);
+        if response[0] == function {
             let by = if writes {
                 KickedBy::Write
             } else {
@@ -36,144 +32,66 @@ impl ForeignDrive {
             };
             self.kick(by);
         }
-        answer.unwrap_or_else(|exception| vec![function | 0x80, exception.code()])
+        response[..length].to_vec()
     }
 
-    fn execute(&mut self, function: u8, data: &[u8], request: &[u8]) -> Answer {
-        match function {
-            3 => self.read(function, RegisterTable::Holding, data),
-            4 => self.read(function, RegisterTable::Input, data),
-            6 => {
-                let [a1, a0, v1, v0] = *data else {
-                    return Err(Exception::IllegalValue);
-                };
-                self.write(word(a1, a0), &[word(v1, v0)])?;
-                Ok(request.to_vec())
-            }
-            16 => {
-                let [a1, a0, q1, q0, bytes, values @ ..] = data else {
-                    return Err(Exception::IllegalValue);
-                };
-                let values = self.values(word(*q1, *q0), *bytes, values)?;
-                self.write(word(*a1, *a0), &values)?;
-                Ok(request[..5].to_vec())
-            }
-            23 => {
-                let [r1, r0, n1, n0, a1, a0, q1, q0, bytes, values @ ..] = data else {
-                    return Err(Exception::IllegalValue);
-                };
-                let values = self.values(word(*q1, *q0), *bytes, values)?;
-                self.write(word(*a1, *a0), &values)?;
-                self.read(function, RegisterTable::Holding, &[*r1, *r0, *n1, *n0])
-            }
-            _ => {
-                // Diagnosis and identification are the same for everyone.
-                let mut response = [0; MAX_PDU];
-                let length = respond(&mut Plate(plate(&self.map)), request, &mut response);
-                Ok(response[..length].to_vec())
-            }
-        }
+    fn is_writable(&self, address: u16) -> bool {
+        let points = self.map.set_points.iter().map(|point| point.location);
+        let mut points =
+            points.map(|at| at.address..at.address.saturating_add(at.layout.registers()));
+        let time = self.map.watchdog.time;
+        points.any(|addresses| addresses.contains(&address))
+            || time.is_some_and(|(at, _)| at.address == address)
     }
+}
 
-    fn read(&mut self, function: u8, table: RegisterTable, data: &[u8]) -> Answer {
-        let [a1, a0, q1, q0] = *data else {
-            return Err(Exception::IllegalValue);
-        };
-        let (first, count) = (word(a1, a0), word(q1, q0));
-        let length = u8::try_from(2 * u32::from(count)).map_err(|_| Exception::IllegalValue)?;
-        if count == 0 || count > self.map.max_read {
-            return Err(Exception::IllegalValue);
-        }
+/// One table of a drive's registers.
+struct Bank<'a> {
+    drive: &'a mut ForeignDrive,
+    table: RegisterTable,
+}
+
+impl RegisterBank for Bank<'_> {
+    fn read(&mut self, first: u16, out: &mut [u16]) -> Result<(), Exception> {
+        let map = &self.drive.map;
         let touches = |(at, n): &(u16, u16)| {
-            first < at.saturating_add(*n) && *at < first.saturating_add(count)
+            usize::from(first) < usize::from(*at) + usize::from(*n)
+                && usize::from(*at) < usize::from(first) + out.len()
         };
-        let broken = |block: &(u16, u16)| touches(block) && *block != (first, count);
-        if self.map.exact_reads.iter().any(broken) {
+        let is_whole = |block: &(u16, u16)| *block == (first, count(out));
+        let mut exact = map.exact_reads.iter();
+        if count(out) > map.max_read || exact.any(|block| touches(block) && !is_whole(block)) {
             return Err(Exception::IllegalValue);
         }
-        let mut answer = vec![function, length];
-        for offset in 0..count {
-            let address = first.checked_add(offset).ok_or(Exception::IllegalAddress)?;
-            let register = self
-                .register(table, address)
-                .ok_or(Exception::IllegalAddress)?;
-            answer.extend(register.to_be_bytes());
+        for (address, word) in (first..=u16::MAX).zip(out) {
+            let register = self.drive.register(self.table, address);
+            *word = register.ok_or(Exception::IllegalAddress)?;
         }
-        Ok(answer)
-    }
-
-    fn values(&self, count: u16, bytes: u8, values: &[u8]) -> Result<Vec<u16>, Exception> {
-        let whole = values.len() == usize::from(bytes) && u16::from(bytes) == 2 * count;
-        if count == 0 || count > self.map.max_write || !whole {
-            return Err(Exception::IllegalValue);
-        }
-        Ok(values
-            .chunks_exact(2)
-            .map(|pair| word(pair[0], pair[1]))
-            .collect())
-    }
-
-    fn write(&mut self, first: u16, values: &[u16]) -> Result<(), Exception> {
-        let mut addresses = Vec::new();
-        for (offset, value) in (0_u16..).zip(values) {
-            let address = first.checked_add(offset).ok_or(Exception::IllegalAddress)?;
-            let writable = self.map.set_points.iter().any(|point| {
-                let at = point.location.address;
-                (at..at.saturating_add(point.location.layout.registers())).contains(&address)
-            }) || self
-                .map
-                .watchdog
-                .time
-                .is_some_and(|(at, _)| at.address == address);
-            if !writable {
-                return Err(Exception::IllegalAddress);
-            }
-            addresses.push((address, *value));
-        }
-        let count = u16::try_from(addresses.len()).map_err(|_| Exception::IllegalValue)?;
-        for (address, value) in addresses {
-            self.written(address, value);
-        }
-        self.obey(first, count);
         Ok(())
     }
 
-    pub(in crate::emulator) fn answer_rtu(&mut self, request: &RtuFrame) -> Vec<u8> {
-        let response = self.answer(request.pdu());
-        if request.is_broadcast() || response.is_empty() {
-            return Vec::new();
+    fn write(&mut self, first: u16, values: &[u16]) -> Result<(), Exception> {
+        if count(values) > self.drive.map.max_write {
+            return Err(Exception::IllegalValue);
         }
-        let mut frame = [0; rtu::MAX_FRAME];
-        let length = rtu::encode_frame(request.unit, &response, &mut frame);
-        frame[..length].to_vec()
-    }
-
-    pub(in crate::emulator) fn answer_tcp(&mut self, request: &TcpFrame) -> Vec<u8> {
-        let response = self.answer(request.pdu());
-        let mut frame = [0; tcp::MAX_FRAME];
-        let length = tcp::encode_frame(request.transaction, request.unit, &response, &mut frame);
-        frame[..length].to_vec()
-    }
-}
-
-const fn word(high: u8, low: u8) -> u16 {
-    u16::from_be_bytes([high, low])
-}
-
-/// The type plate for function code 43.
-struct Plate(Vec<(u8, String)>);
-
-impl RegisterBank for Plate {
-    fn read(&mut self, _: u16, _: &mut [u16]) -> Result<(), Exception> {
-        Err(Exception::IllegalAddress)
-    }
-
-    fn write(&mut self, _: u16, _: &[u16]) -> Result<(), Exception> {
-        Err(Exception::IllegalAddress)
+        let words = || (first..=u16::MAX).zip(values);
+        if !words().all(|(address, _)| self.drive.is_writable(address)) {
+            return Err(Exception::IllegalAddress);
+        }
+        for (address, value) in words() {
+            self.drive.written(address, *value);
+        }
+        self.drive.obey(first, count(values));
+        Ok(())
     }
 
     fn identification(&self, object: u8) -> Option<&str> {
-        let known = self.0.iter().find(|(known, _)| *known == object)?;
-        Some(&known.1)
+        let mut plate = self.drive.plate_objects.iter();
+        let (_, text) = plate.find(|(known, _)| *known == object)?;
+        Some(text)
     }
+}
+
+fn count(words: &[u16]) -> u16 {
+    u16::try_from(words.len()).unwrap_or(u16::MAX)
 }

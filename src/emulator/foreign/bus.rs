@@ -3,7 +3,7 @@
 use super::{ForeignDrive, Guise};
 use crate::drive::{
     LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
-    Span,
+    Span, exception_name,
 };
 use crate::emulator::VirtualClock;
 use crate::emulator::pace::Pace;
@@ -71,15 +71,17 @@ impl ForeignBus {
         self.deaf = requests;
     }
 
-    /// The answer and when its first byte came, s. `patience_s`: how long a reply is waited for beyond its usual time.
+    /// The answer, and between when it was asked for and when its first byte came. `patience_s`: how long a reply is waited
+    /// for beyond its usual time.
     fn ask(
         &mut self,
         request: &[u8],
         patience_s: f64,
         what: impl Fn() -> String,
-    ) -> Result<(Vec<u8>, f64), LinkError> {
+    ) -> Result<(Vec<u8>, Span), LinkError> {
         self.statistics.sent += 1;
         self.now_s = RegisterBus::now_s(self);
+        let asked_s = self.pace.departure_s(self.now_s);
         let mut arrived_s = self.now_s;
         for _ in 0..request.len() + FRAME_BYTES {
             arrived_s = self.pace.arrival_s(self.now_s);
@@ -109,22 +111,29 @@ impl ForeignBus {
                 link: self.name().0,
                 request: what(),
                 code,
-                name: match code {
-                    1 => "illegal function",
-                    2 => "illegal data address",
-                    3 => "illegal data value",
-                    _ => "another exception",
-                },
+                name: exception_name(code),
             });
         }
         self.statistics.ok += 1;
         let rest_s = self.pace.wire_s(answer.len() + FRAME_BYTES - 1);
-        Ok((answer, self.now_s - rest_s))
+        let answered_s = self.now_s - rest_s;
+        let span = Span {
+            asked_s,
+            answered_s,
+        };
+        Ok((answer, span))
     }
 
-    /// When the first byte of a request goes out that is asked for now, s.
-    fn departure_s(&self) -> f64 {
-        self.pace.departure_s(RegisterBus::now_s(self))
+    /// Registers that are asked for.
+    fn get(
+        &mut self,
+        request: &[u8],
+        what: impl Fn() -> String,
+    ) -> Result<RegistersRead, LinkError> {
+        let (answer, span) = self.ask(request, DEADLINE_S, what)?;
+        let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
+        let words = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
+        Ok(RegistersRead { words, span })
     }
 
     fn put(
@@ -140,13 +149,8 @@ impl ForeignBus {
             request.extend(counted(values));
         }
         request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        let asked_s = self.departure_s();
         let what = || format!("write {values:04x?} at {address}");
-        let (_, answered_s) = self.ask(&request, patience_s, what)?;
-        Ok(Span {
-            asked_s,
-            answered_s,
-        })
+        self.ask(&request, patience_s, what).map(|(_, span)| span)
     }
 }
 
@@ -156,14 +160,6 @@ fn counted(values: &[u16]) -> [u8; 3] {
     let [high, low] = count.to_be_bytes();
     let bytes = u8::try_from(2 * values.len()).unwrap_or(u8::MAX);
     [high, low, bytes]
-}
-
-/// The registers of an answer.
-fn words(answer: &[u8]) -> Vec<u16> {
-    let pairs = answer.get(2..).unwrap_or_default().chunks_exact(2);
-    pairs
-        .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
-        .collect()
 }
 
 impl RegisterBus for ForeignBus {
@@ -189,17 +185,8 @@ impl RegisterBus for ForeignBus {
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         request.extend(count.to_be_bytes());
-        let what = || format!("read {count} registers at {address}");
         self.now_s = RegisterBus::now_s(self) + self.silence_s;
-        let asked_s = self.departure_s();
-        let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
-        Ok(RegistersRead {
-            words: words(&answer),
-            span: Span {
-                asked_s,
-                answered_s,
-            },
-        })
+        self.get(&request, || format!("read {count} registers at {address}"))
     }
 
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
@@ -227,15 +214,8 @@ impl RegisterBus for ForeignBus {
         request.extend(to.to_be_bytes());
         request.extend(counted(values));
         request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        let asked_s = self.departure_s();
-        let what = || format!("write {values:04x?} at {to} and read {count} registers at {from}");
-        let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
-        Ok(RegistersRead {
-            words: words(&answer),
-            span: Span {
-                asked_s,
-                answered_s,
-            },
+        self.get(&request, || {
+            format!("write {values:04x?} at {to} and read {count} registers at {from}")
         })
     }
 

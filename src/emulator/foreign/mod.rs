@@ -70,6 +70,8 @@ pub struct ForeignDrive {
     map: Arc<RegisterMap>,
     soft: SoftDrive,
     plate: MotorTruth,
+    /// Objects of its device identification.
+    plate_objects: Vec<(u8, String)>,
     limits_a_v: (f64, f64),
     ladder: Ladder,
     /// Registers as they were last written.
@@ -116,6 +118,7 @@ impl ForeignDrive {
             map: Arc::clone(&guise.map),
             soft: SoftDrive::new(config, seed),
             plate: config.motor.clone(),
+            plate_objects: identity::plate(&guise.map),
             limits_a_v: (config.limits.current_limit_a, config.limits.bus_v),
             written: BTreeMap::new(),
             forced: BTreeMap::new(),

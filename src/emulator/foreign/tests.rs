@@ -20,12 +20,18 @@ struct Table {
     seq: u64,
 }
 
-fn profile_with(name: &str, changes: &[(&str, &str)]) -> DriveProfile {
-    let mut text = DriveProfile::text(name).unwrap().to_owned();
-    for (from, to) in changes {
-        assert!(text.contains(from), "{name}: {from}");
-        text = text.replacen(from, to, 1);
-    }
+type Changes<'a> = &'a [(&'a str, &'a str)];
+
+/// The text of a profile with the first of each replaced.
+fn changed(text: &str, changes: Changes<'_>) -> String {
+    changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    })
+}
+
+fn profile_with(name: &str, changes: Changes<'_>) -> DriveProfile {
+    let text = changed(DriveProfile::text(name).unwrap(), changes);
     DriveProfile::parse(name, &text).unwrap()
 }
 
@@ -39,14 +45,17 @@ impl Table {
     }
 
     /// A drive of the profile `name` with `changes` that the host has identified.
-    fn identified(name: &str, changes: &[(&str, &str)]) -> Self {
-        let mut table = Self::of(&profile_with(name, changes), None);
-        table.link.identify().unwrap();
-        table
+    fn identified(name: &str, changes: Changes<'_>) -> Self {
+        Self::of(&profile_with(name, changes), None).known()
+    }
+
+    fn known(mut self) -> Self {
+        self.link.identify().unwrap();
+        self
     }
 
     /// The same, running with this reference for half a second.
-    fn running(name: &str, changes: &[(&str, &str)], reference: Option<(&str, f64)>) -> Self {
+    fn running(name: &str, changes: Changes<'_>, reference: Option<(&str, f64)>) -> Self {
         let mut table = Self::identified(name, changes);
         table.enable(reference);
         table.hold(reference, 0.5);
@@ -119,6 +128,30 @@ impl Table {
         panic!("{} does not run", self.link.map().device.id);
     }
 
+    /// The first error of two hundred cycles.
+    fn first_error(&mut self, reference: Option<(&str, f64)>) -> LinkError {
+        let error = (0..200).find_map(|_| self.run(reference).err());
+        error.unwrap_or_else(|| panic!("{} runs", self.link.map().device.id))
+    }
+
+    /// The same where each cycle has another speed.
+    fn first_error_over(&mut self, speeds: impl IntoIterator<Item = f64>) -> LinkError {
+        let mut speeds = speeds.into_iter();
+        let error = speeds.find_map(|rpm| self.run(Some(("speed_ref", rpm))).err());
+        error.unwrap()
+    }
+
+    fn told(&mut self, set_point: &str) -> Option<u16> {
+        self.far().told_last(set_point)
+    }
+
+    /// The last that the servo amplifier was told is zero, and to be off.
+    #[track_caller]
+    fn assert_told_to_stop(&mut self) {
+        let told = ["speed_ref", "enable_word"].map(|point| self.told(point));
+        assert_eq!(told, [Some(0); 2]);
+    }
+
     fn hold(&mut self, reference: Option<(&str, f64)>, seconds: f64) -> Sample {
         let until_s = self.link.bus().now_s() + seconds;
         loop {
@@ -181,17 +214,12 @@ fn is_identified_enabled_driven_and_stopped(name: &str) {
             channel.key()
         );
     }
-    if let Some(speed) = sample.get(Channel::Speed) {
-        assert!(
-            (speed - true_speed).abs() < 3.0,
-            "{name}: {speed} {true_speed}"
-        );
-    }
-    if let Some(current) = sample.get(Channel::Current) {
-        assert!((0.5..4.0).contains(&current), "{name}: {current}");
-    }
+    let off = sample.get(Channel::Speed).map(|speed| speed - true_speed);
+    assert!(off.is_none_or(|off| off.abs() < 3.0), "{name}: {off:?}");
+    let current = sample.get(Channel::Current);
+    let is_likely = current.is_none_or(|current| (0.5..4.0).contains(&current));
+    assert!(is_likely, "{name}: {current:?}");
     table.link.stop().unwrap();
-    table.far();
     table.pass(3.0);
     let rest = table.demand(Demand::Disable).unwrap();
     assert_ne!(rest.state, Some(DriveState::Running), "{name}");
@@ -209,11 +237,8 @@ fn silence_trips_its_watchdog_and_nothing_old_comes_back(name: &str) {
     let (reference, _) = target(name);
     table.enable(reference);
     table.hold(reference, 1.5);
-    assert!(
-        table.far().speed_rad_s() > 20.0,
-        "{name} {}",
-        table.far().speed_rad_s()
-    );
+    let speed = table.far().speed_rad_s();
+    assert!(speed > 20.0, "{name} {speed}");
     table.pass(4.0);
     let now_s = table.link.bus().now_s();
     table.far().advance_to(now_s);
@@ -223,11 +248,7 @@ fn silence_trips_its_watchdog_and_nothing_old_comes_back(name: &str) {
     let lapse = table.run(reference);
     // The host knows only what the drive tells, or what its profile says of it as delivered.
     if watchdog_s.is_some_and(|time_s| time_s < 4.0) {
-        let error = lapse.unwrap_err().to_string();
-        assert!(
-            error.contains("told to stop before anything else"),
-            "{name}: {error}"
-        );
+        assert_says(&lapse.unwrap_err(), "told to stop before anything else");
     }
     let sample = table.demand(Demand::Disable).unwrap();
     if tells {
@@ -236,10 +257,8 @@ fn silence_trips_its_watchdog_and_nothing_old_comes_back(name: &str) {
     for _ in 0..20 {
         table.demand(Demand::Disable).unwrap();
     }
-    assert!(
-        table.far().speed_rad_s().abs() < 6.0,
-        "{name}: the old set-point came back"
-    );
+    let speed = table.far().speed_rad_s();
+    assert!(speed.abs() < 6.0, "{name}: the old set-point came back");
     // After a reset it can be enabled again.
     for _ in 0..20 {
         table.demand(Demand::ResetFault).unwrap();
@@ -275,9 +294,7 @@ fn a_trip_is_a_fault_and_enable_is_not_repeated(name: &str) {
 fn a_status_that_never_comes_names_the_step_and_the_drive_is_stopped() {
     let mut table = Table::identified("schneider-atv312", &[]);
     table.far().force("status", Some(0x0021));
-    let error = (0..200)
-        .find_map(|_| table.run(Some(("speed_ref", 500.0))).err())
-        .unwrap();
+    let error = table.first_error(Some(("speed_ref", 500.0)));
     let LinkError::Sequence {
         command,
         step,
@@ -301,10 +318,7 @@ fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
     let mut table = Table::identified("abb-dcs-gateway", &[]);
     table.enable(Some(("speed_ref", 100.0)));
     table.far().ignore(Some("speed_ref"));
-    let mut speeds = (1..20).map(|k| 100.0 + f64::from(k));
-    let error = speeds
-        .find_map(|rpm| table.run(Some(("speed_ref", rpm))).err())
-        .unwrap();
+    let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
     assert_says(&error, "3 times in a row");
     for _ in 0..5 {
         table.demand(Demand::Disable).unwrap();
@@ -314,15 +328,9 @@ fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
 
 #[test]
 fn codes_and_values_that_cannot_be_are_missing_and_never_zero() {
-    let profile = profile_with(
-        "siemens-v20",
-        &[(
-            "valid = [0, 163.83]",
-            "valid = [0, 163.83]\ninvalid = [0x7FFF]",
-        )],
-    );
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let valid = "valid = [0, 163.83]";
+    let with_invalid = format!("{valid}\ninvalid = [0x7FFF]");
+    let mut table = Table::identified("siemens-v20", &[(valid, &with_invalid)]);
     let good = table.demand(Demand::Disable).unwrap();
     assert!(good.get(Channel::Current).is_some());
     for (signal, pattern, channel) in [
@@ -346,30 +354,21 @@ fn a_sign_in_the_control_word_turns_the_other_way() {
     table.hold(Some(("speed_ref", 20.0)), 2.0);
     assert!(table.far().speed_rad_s() > 40.0);
     table.hold(Some(("speed_ref", -20.0)), 4.0);
-    assert!(
-        table.far().speed_rad_s() < -40.0,
-        "{}",
-        table.far().speed_rad_s()
-    );
+    let speed = table.far().speed_rad_s();
+    assert!(speed < -40.0, "{speed}");
 }
 
 #[test]
 fn limits_and_slew_hold_a_set_point_back_and_say_so() {
-    let profile = profile_with(
-        "epulse50-dc",
-        &[(
-            "limits = [-3000, 3000]",
-            "limits = [-600, 600]\nslew_per_s = 200.0",
-        )],
-    );
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let slow = "limits = [-600, 600]\nslew_per_s = 200.0";
+    let mut table = Table::identified("epulse50-dc", &[("limits = [-3000, 3000]", slow)]);
     table.enable(Some(("speed_ref", 5000.0)));
     let sample = table.hold(Some(("speed_ref", 5000.0)), 1.0);
     assert!(sample.limited);
     let part = table.far().speed_rad_s();
+    let expected = 10.0..35.0;
     assert!(
-        (10.0..35.0).contains(&part),
+        expected.contains(&part),
         "{part} rad/s after 1 s at 200 rpm/s"
     );
     table.hold(Some(("speed_ref", 5000.0)), 5.0);
@@ -399,20 +398,14 @@ fn a_lost_reply_costs_one_exchange() {
     table.enable(reference);
     table.link.bus_mut().lose(1);
     assert!(table.run(reference).unwrap_err().is_transient());
-    assert_eq!(
-        table.run(reference).unwrap().state,
-        Some(DriveState::Running)
-    );
+    let state = table.run(reference).unwrap().state;
+    assert_eq!(state, Some(DriveState::Running));
 }
 
 #[test]
 fn a_lost_field_is_a_trip() {
-    let profile = profile_with(
-        "abb-dcs-gateway",
-        &[("[rates]", "[limits]\nfield_min_a = 0.3\n\n[rates]")],
-    );
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let limited = "[limits]\nfield_min_a = 0.3\n\n[rates]";
+    let mut table = Table::identified("abb-dcs-gateway", &[("[rates]", limited)]);
     let reference = Some(("speed_ref", 500.0));
     table.enable(reference);
     table.hold(reference, 1.0);
@@ -436,10 +429,8 @@ fn a_profile_for_another_drive_is_refused_before_anything_is_written() {
     // The registers of one make do not exist at another.
     let other = profile_with("siemens-v20", &[]);
     let mut table = Table::mixed(&host, &other, None);
-    assert!(matches!(
-        table.link.identify(),
-        Err(LinkError::Exception { .. })
-    ));
+    let refused = table.link.identify();
+    assert!(matches!(refused, Err(LinkError::Exception { .. })));
 }
 
 #[test]
@@ -454,11 +445,9 @@ fn the_watchdog_register_is_set_and_read_back() {
 
 #[test]
 fn a_memory_that_wears_out_is_not_written_in_a_loop() {
-    let changes = [(
-        "quantity = \"duty\"\nlimits = [-100, 100]\nrefresh_ms = 100.0",
-        "quantity = \"duty\"\nlimits = [-100, 100]\nnvm = true",
-    )];
-    let mut table = Table::identified("roboteq-dc", &changes);
+    const DUTY: &str = "quantity = \"duty\"\nlimits = [-100, 100]\n";
+    let [refreshed, worn] = ["refresh_ms = 100.0", "nvm = true"].map(|key| format!("{DUTY}{key}"));
+    let mut table = Table::identified("roboteq-dc", &[(&refreshed, &worn)]);
     let error = (0..100)
         .find_map(|k| table.run(Some(("power_ref", f64::from(k) * 0.1))).err())
         .unwrap();
@@ -471,23 +460,17 @@ fn what_a_drive_does_not_know_gets_the_exact_exception() {
     let guise = Guise::of(&profile).unwrap();
     let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
     let mut drive = ForeignDrive::new(&guise, &config, 1);
-    assert_eq!(
-        drive.answer(&[3, 0xFD, 0x00, 0, 2]),
-        [0x83, 3],
-        "one register a request"
-    );
-    assert_eq!(
-        drive.answer(&[16, 0xFA, 0x00, 0, 1, 2, 0, 0]),
-        [0x90, 1],
-        "no function code 16"
-    );
-    assert_eq!(drive.answer(&[3, 0x00, 0x00, 0, 1]), [0x83, 2]);
-    assert_eq!(drive.answer(&[8, 0, 0, 1, 2]), [0x88, 1]);
-    assert_eq!(drive.answer(&[3, 0xFE, 0x70, 0, 1]), [3, 2, 0, 57], "5.7 A");
-    assert_eq!(
-        drive.answer(&[6, 0xFA, 0x01, 0x07, 0xD0]),
-        [6, 0xFA, 0x01, 0x07, 0xD0]
-    );
+    let cases: [(&str, &[u8], &[u8]); 6] = [
+        ("one register a request", &[3, 0xFD, 0, 0, 2], &[0x83, 3]),
+        ("no FC16", &[16, 0xFA, 0, 0, 1, 2, 0, 0], &[0x90, 1]),
+        ("no such register", &[3, 0, 0, 0, 1], &[0x83, 2]),
+        ("no diagnosis", &[8, 0, 0, 1, 2], &[0x88, 1]),
+        ("5.7 A", &[3, 0xFE, 0x70, 0, 1], &[3, 2, 0, 57]),
+        ("echo", &[6, 0xFA, 1, 7, 0xD0], &[6, 0xFA, 1, 7, 0xD0]),
+    ];
+    for (name, request, answer) in cases {
+        assert_eq!(drive.answer(request), answer, "{name}");
+    }
 }
 
 /// One test of each kind for each drive, under its name.

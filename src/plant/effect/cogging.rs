@@ -1,29 +1,25 @@
 //! Torque of position, a whole number of times per turn and independent of the current.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, WAVE_ORDERS, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, WAVE_ORDERS, torque};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "cogging",
-        name: "cogging torque",
-        enters: Enters::Torque,
-        equation: "T = s sin(N theta) + c cos(N theta), N times per turn, whatever the current",
-        causes: "magnets that prefer to face the teeth: N is a multiple of slots and poles (their \
-            least common multiple); gear teeth and belt teeth (N is their number); a joint or a \
-            coupling out of line (N = 2). Turn the shaft by hand with the leads open: magnets are \
-            felt as detents, a gear or joint is not felt with the load taken off. A ripple that \
-            grows with the current is torque ripple, not cogging",
-        looks_like: "torque error that repeats with the angle; speed ripple that is largest at low \
-            speed; a shaft at rest that prefers certain angles; a spectral line at N times the \
-            speed",
-        excite: "slow passages and low constant speeds over many turns, both directions, with the \
-            angle recorded (integrated speed serves, with less certainty)",
-        remedy: "feed-forward of the torque over the angle; skewed slots or magnets; avoid long \
-            holds at the resonant speed; check the alignment of the coupling where N is 1 or 2",
-        needs_angle: true,
-        curve: Some((Balance::Torque, Axis::Angle)),
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "cogging",
+    name: "cogging torque",
+    enters: Enters::Torque,
+    equation: "T = s sin(N theta) + c cos(N theta), N times per turn, whatever the current",
+    causes: "magnets that prefer to face the teeth: N is a multiple of slots and poles (their \
+        least common multiple); gear teeth and belt teeth (N is their number); a joint or a \
+        coupling out of line (N = 2). Turn the shaft by hand with the leads open: magnets are felt \
+        as detents, a gear or joint is not felt with the load taken off. A ripple that grows with \
+        the current is torque ripple, not cogging",
+    looks_like: "torque error that repeats with the angle; speed ripple that is largest at low \
+        speed; a shaft at rest that prefers certain angles; a spectral line at N times the speed",
+    excite: "slow passages and low constant speeds over many turns, both directions, with the \
+        angle recorded (integrated speed serves, with less certainty)",
+    remedy: "feed-forward of the torque over the angle; skewed slots or magnets; avoid long holds \
+        at the resonant speed; check the alignment of the coupling where N is 1 or 2",
+    needs_angle: true,
+    curve: Some((Balance::Torque, Axis::Angle)),
     parameters: &[
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),
         ParameterSpec::coefficient("cos_n_m", "N.m", 0.08),
@@ -35,4 +31,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             sin_n_m * sin + cos_n_m * cos
         })
     },
+    ..Card::PLAIN
 };

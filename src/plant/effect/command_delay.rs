@@ -1,30 +1,22 @@
 //! Voltage that reaches the motor later than it was stamped.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, Enters, ParameterSpec, path};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "command_delay",
-        name: "command delay",
-        enters: Enters::Path,
-        equation: "the motor gets u(t - Td)",
-        causes: "the drive's own cycle, a fieldbus or serial line between stamp and bridge, a \
-            modulator that updates once per period, host stamps that were taken too early. Let the \
-            drive return the time at which it applied the command: a delay of the line vanishes, \
-            that of the drive stays. A filtered current looks alike at a step, but does not move \
-            the speed",
-        looks_like: "current and speed answer every step late by the same time; the error is \
-            largest at the edges of the voltage",
-        excite: "many steep steps, a fast dither of the voltage; ramps and holds do not show it",
-        remedy: "stamp the command where it is applied; declare the delay in the profile; count it \
-            into the loop's small time constant",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "command_delay",
+    name: "command delay",
+    enters: Enters::Path,
+    equation: "the motor gets u(t - Td)",
+    causes: "the drive's own cycle, a fieldbus or serial line between stamp and bridge, a \
+        modulator that updates once per period, host stamps that were taken too early. Let the \
+        drive return the time at which it applied the command: a delay of the line vanishes, that \
+        of the drive stays. A filtered current looks alike at a step, but does not move the speed",
+    looks_like: "current and speed answer every step late by the same time; the error is largest \
+        at the edges of the voltage",
+    excite: "many steep steps, a fast dither of the voltage; ramps and holds do not show it",
+    remedy: "stamp the command where it is applied; declare the delay in the profile; count it \
+        into the loop's small time constant",
     parameters: &[ParameterSpec::positive("delay_s", "s", 1e-3).up_to(0.5)],
-    terms: |values| {
-        Box::new(Path {
-            command_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.command_delay_s),
+    ..Card::PLAIN
 };

@@ -1,25 +1,22 @@
 //! Load of one sign, whatever the direction of motion.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "constant_load",
-        name: "constant load",
-        enters: Enters::Torque,
-        equation: "T = T0, whatever the direction",
-        causes: "a weight, a spring, belt tension; Coulomb friction that differs by direction (the \
-            same equation while it is below the Coulomb level: they cannot be told apart by a \
-            run). Turn the machine round, or take the weight off: a weight changes, a friction \
-            stays. An offset of the current sensor looks alike in motion, but shows at rest with \
-            the bridge off",
-        looks_like: "torque error of one sign that turns from driving to braking when the \
-            direction changes",
-        excite: "the same speeds in both directions",
-        remedy: "balance the load, or compensate by a constant feed-forward",
-        curve: Some((Balance::Torque, Axis::Speed)),
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "constant_load",
+    name: "constant load",
+    enters: Enters::Torque,
+    equation: "T = T0, whatever the direction",
+    causes: "a weight, a spring, belt tension; Coulomb friction that differs by direction (the \
+        same equation while it is below the Coulomb level: they cannot be told apart by a run). \
+        Turn the machine round, or take the weight off: a weight changes, a friction stays. An \
+        offset of the current sensor looks alike in motion, but shows at rest with the bridge off",
+    looks_like: "torque error of one sign that turns from driving to braking when the direction \
+        changes",
+    excite: "the same speeds in both directions",
+    remedy: "balance the load, or compensate by a constant feed-forward",
+    curve: Some((Balance::Torque, Axis::Speed)),
     parameters: &[ParameterSpec::coefficient("constant_n_m", "N.m", 0.05)],
     terms: |values| torque(values, |_, [constant_n_m]| constant_n_m),
+    ..Card::PLAIN
 };

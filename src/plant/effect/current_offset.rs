@@ -1,28 +1,21 @@
 //! Current sensor whose zero is off.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, Enters, ParameterSpec, path};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "current_offset",
-        name: "current offset",
-        enters: Enters::Path,
-        equation: "y = i + i0: y is what is measured",
-        causes: "a Hall sensor after an overload (remanence) or warm, an amplifier or converter \
-            whose zero was not taken. At rest with the bridge off the sensor must show zero: what \
-            it shows is the offset. A constant load also shifts the current in one direction only, \
-            but not at standstill without torque",
-        looks_like: "measured current that is off by the same amount at rest, forward and backward",
-        excite: "some tenths of a second at rest at zero volts, and both directions",
-        remedy: "zero the sensor at every start with the bridge off; degauss or replace it when \
-            the offset grows",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "current_offset",
+    name: "current offset",
+    enters: Enters::Path,
+    equation: "y = i + i0: y is what is measured",
+    causes: "a Hall sensor after an overload (remanence) or warm, an amplifier or converter whose \
+        zero was not taken. At rest with the bridge off the sensor must show zero: what it shows \
+        is the offset. A constant load also shifts the current in one direction only, but not at \
+        standstill without torque",
+    looks_like: "measured current that is off by the same amount at rest, forward and backward",
+    excite: "some tenths of a second at rest at zero volts, and both directions",
+    remedy: "zero the sensor at every start with the bridge off; degauss or replace it when the \
+        offset grows",
     parameters: &[ParameterSpec::coefficient("offset_a", "A", 0.1)],
-    terms: |values| {
-        Box::new(Path {
-            current_offset_a: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.current_offset_a),
+    ..Card::PLAIN
 };

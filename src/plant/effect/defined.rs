@@ -75,11 +75,11 @@ pub fn define(
     match family(id).map(|card| card.id) {
         Some("custom") => custom::define(id, settings),
         Some("table") => table::define(id, settings),
-        _ => Err(DefinitionError::new(
-            "id",
-            format!("effect {id:?} is not defined by settings"),
-            "ids that are: custom, custom_NAME, table, table_NAME",
-        )),
+        _ => {
+            let message = format!("effect {id:?} is not defined by settings");
+            let help = "ids that are: custom, custom_NAME, table, table_NAME";
+            Err(DefinitionError::new("id", message, help))
+        }
     }
 }
 
@@ -112,19 +112,16 @@ pub(super) fn text_of<'a>(
     key: &str,
     example: &str,
 ) -> Result<&'a str, DefinitionError> {
-    match settings.get(key) {
-        Some(toml::Value::String(text)) => Ok(text),
-        Some(other) => Err(DefinitionError::new(
+    let (at, message) = match settings.get(key) {
+        Some(toml::Value::String(text)) => return Ok(text),
+        Some(other) => (
             key,
             format!("{key} is a {}, expected a text", other.type_str()),
-            format!("as {key} = {example:?}"),
-        )),
-        None => Err(DefinitionError::new(
-            "id",
-            format!("{key} is missing"),
-            format!("as {key} = {example:?}"),
-        )),
-    }
+        ),
+        None => ("id", format!("{key} is missing")),
+    };
+    let help = format!("as {key} = {example:?}");
+    Err(DefinitionError::new(at, message, help))
 }
 
 /// The key `equation`.
@@ -132,33 +129,31 @@ pub(super) fn balance_of(settings: &toml::Table) -> Result<Balance, DefinitionEr
     match text_of(settings, "equation", "torque")? {
         "torque" => Ok(Balance::Torque),
         "voltage" => Ok(Balance::Voltage),
-        other => Err(DefinitionError::new(
-            "equation",
-            format!("equation {other:?} is not known"),
-            "torque or voltage",
-        )),
+        other => {
+            let message = format!("equation {other:?} is not known");
+            Err(DefinitionError::new(
+                "equation",
+                message,
+                "torque or voltage",
+            ))
+        }
     }
 }
 
 pub(super) fn number_of(key: &str, value: &toml::Value) -> Result<f64, DefinitionError> {
-    let number = match value {
-        toml::Value::Float(number) => *number,
-        toml::Value::Integer(number) => *number as f64,
-        other => {
-            return Err(DefinitionError::new(
-                key,
-                format!("{key} is a {}, expected a number", other.type_str()),
-                "as 0.02",
-            ));
-        }
-    };
-    if number.is_finite() {
-        Ok(number)
-    } else {
-        Err(DefinitionError::new(
-            key,
+    let (message, help) = match value
+        .as_float()
+        .or(value.as_integer().map(|whole| whole as f64))
+    {
+        Some(number) if number.is_finite() => return Ok(number),
+        Some(number) => (
             format!("{key} = {number} is not allowed"),
             "a finite number",
-        ))
-    }
+        ),
+        None => (
+            format!("{key} is a {}, expected a number", value.type_str()),
+            "as 0.02",
+        ),
+    };
+    Err(DefinitionError::new(key, message, help))
 }

@@ -1,29 +1,26 @@
 //! Extra resistance at small currents, where a converter's current has gaps.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, voltage};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, voltage};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "discontinuous_conduction",
-        name: "discontinuous conduction",
-        enters: Enters::Voltage,
-        equation: "U = Rx i inside |i| < Ib, Rx Ib sgn(i) beyond",
-        causes: "a thyristor or diode bridge, or a chopper at low frequency, whose current falls \
-            to zero between pulses below Ib: the mean voltage drops as if by a resistance. Look at \
-            the current with an oscilloscope: gaps between the pulses are proof. A brush or \
-            dead-time drop has the same shape with a far smaller Ib and stays when the converter \
-            is replaced by a battery (brushes) or when the load rises (both)",
-        looks_like: "voltage error that grows steeply with the current up to a boundary and stays \
-            constant above; a sluggish current at small load",
-        excite: "no-load running, and small currents of both signs, as well as currents well above \
-            the boundary",
-        remedy: "a choke or a higher switching frequency lowers the boundary; an adaptive current \
-            controller with another gain inside it",
-        takes_power: true,
-        curve: Some((Balance::Voltage, Axis::Current)),
-        alternatives: &["voltage_drop"],
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "discontinuous_conduction",
+    name: "discontinuous conduction",
+    enters: Enters::Voltage,
+    equation: "U = Rx i inside |i| < Ib, Rx Ib sgn(i) beyond",
+    causes: "a thyristor or diode bridge, or a chopper at low frequency, whose current falls to \
+        zero between pulses below Ib: the mean voltage drops as if by a resistance. Look at the \
+        current with an oscilloscope: gaps between the pulses are proof. A brush or dead-time drop \
+        has the same shape with a far smaller Ib and stays when the converter is replaced by a \
+        battery (brushes) or when the load rises (both)",
+    looks_like: "voltage error that grows steeply with the current up to a boundary and stays \
+        constant above; a sluggish current at small load",
+    excite: "no-load running, and small currents of both signs, as well as currents well above the \
+        boundary",
+    remedy: "a choke or a higher switching frequency lowers the boundary; an adaptive current \
+        controller with another gain inside it",
+    takes_power: true,
+    curve: Some((Balance::Voltage, Axis::Current)),
+    alternatives: &["voltage_drop"],
     parameters: &[
         ParameterSpec::coefficient("extra_ohm", "ohm", 1.0),
         ParameterSpec::shape(
@@ -38,4 +35,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             extra_ohm * at.current_a.clamp(-boundary_a, boundary_a)
         })
     },
+    ..Card::PLAIN
 };

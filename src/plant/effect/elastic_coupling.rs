@@ -1,6 +1,6 @@
 //! A load that is not rigidly on the motor's shaft.
 
-use super::{Card, CatalogueEffect, Coupling, Enters, ParameterSpec};
+use super::{Card, Coupling, Enters, ParameterSpec};
 
 /// Share of the inertia behind the shaft. At either end one of the two sides has no inertia left.
 pub(super) const INERTIA_RATIO: ParameterSpec =
@@ -13,22 +13,18 @@ pub(super) const FRICTION_SPLIT: ParameterSpec =
 /// Below, the run is too short for it; above, samples at 1 kHz no longer show it.
 pub(super) const FREQUENCY_HZ: (f64, f64) = (1.0, 200.0);
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "elastic_coupling",
-        name: "elastic coupling",
-        enters: Enters::Torque,
-        equation: "J1 dw/dt = ... - T, J2 dw2/dt = T - Mc2 sgn(w2), T = k (th - th2) + d (w - w2); \
-            J2 = r J, k = (2 pi f)^2 J r (1 - r), d = 2 zeta sqrt(k J r (1 - r)), Mc2 = split Mc",
-        causes: "a compliant coupling, a long shaft, a belt or a gear between motor and load",
-        looks_like: "speed that rings at one frequency after every step of the voltage, whatever \
-            its size",
-        excite: "fast dither about zero speed and steps of several sizes; slow ramps do not show \
-            it",
-        remedy: "stiffen the coupling, keep the speed loop's bandwidth below a third of f, or a \
-            notch filter at f",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "elastic_coupling",
+    name: "elastic coupling",
+    enters: Enters::Torque,
+    equation: "J1 dw/dt = ... - T, J2 dw2/dt = T - Mc2 sgn(w2), T = k (th - th2) + d (w - w2); J2 \
+        = r J, k = (2 pi f)^2 J r (1 - r), d = 2 zeta sqrt(k J r (1 - r)), Mc2 = split Mc",
+    causes: "a compliant coupling, a long shaft, a belt or a gear between motor and load",
+    looks_like: "speed that rings at one frequency after every step of the voltage, whatever its \
+        size",
+    excite: "fast dither about zero speed and steps of several sizes; slow ramps do not show it",
+    remedy: "stiffen the coupling, keep the speed loop's bandwidth below a third of f, or a notch \
+        filter at f",
     parameters: &[
         ParameterSpec::shape(
             "frequency_hz",
@@ -49,4 +45,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             gap_rad: 0.0,
         })
     },
+    ..Card::PLAIN
 };

@@ -1,26 +1,22 @@
 //! Inertia that is another one from some moment on.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, begun, inertia_gain};
+use super::{Card, Enters, ParameterSpec, begun, inertia_gain};
 
 /// Nothing turns without inertia.
 const LEAST_RATIO: f64 = -0.95;
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "inertia_change",
-        name: "inertia change",
-        enters: Enters::Torque,
-        equation: "J times 1 + r from the time t1 on, found anew in each run; the speed does not \
-            jump",
-        causes: "a workpiece that is clamped or dropped; a clutch that takes another shaft along; \
-            a coil that is wound or unwound; an arm that stretches; a coupling that slips or \
-            breaks. It shows in accelerations only: what also shows at steady speed is a load",
-        looks_like: "slower or faster speed-up after a moment, nothing at steady speed",
-        excite: "the same accelerations before and after the moment, both ways",
-        remedy: "schedule the speed loop's gains with the signal that announces the change, or let \
-            it adapt",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "inertia_change",
+    name: "inertia change",
+    enters: Enters::Torque,
+    equation: "J times 1 + r from the time t1 on, found anew in each run; the speed does not jump",
+    causes: "a workpiece that is clamped or dropped; a clutch that takes another shaft along; a \
+        coil that is wound or unwound; an arm that stretches; a coupling that slips or breaks. It \
+        shows in accelerations only: what also shows at steady speed is a load",
+    looks_like: "slower or faster speed-up after a moment, nothing at steady speed",
+    excite: "the same accelerations before and after the moment, both ways",
+    remedy: "schedule the speed loop's gains with the signal that announces the change, or let it \
+        adapt",
     parameters: &[
         ParameterSpec {
             min: LEAST_RATIO,
@@ -34,4 +30,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             ratio.max(LEAST_RATIO) * begun(at, time_s)
         })
     },
+    ..Card::PLAIN
 };

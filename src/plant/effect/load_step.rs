@@ -1,23 +1,20 @@
 //! Friction-like load that is there from some moment on.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, begun, friction};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, begun, friction};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "load_step",
-        name: "load step",
-        enters: Enters::Torque,
-        equation: "T = T1 sgn(w) from the time t1 on, found anew in each run",
-        causes: "a brake, a clutch or a tool that engages; a belt that begins to rub; a seal that \
-            runs dry. Compare the moment with the machine's log and listen: a brake or tool comes \
-            back at the same place of the cycle, a rub at the same temperature or angle. What \
-            always comes at the same angle is a load of position",
-        looks_like: "torque error that is zero before a moment and constant after it",
-        excite: "let the load come and go within one run, at steady speed",
-        remedy: "a load observer; feed-forward where the load announces itself",
-        curve: Some((Balance::Torque, Axis::Time)),
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "load_step",
+    name: "load step",
+    enters: Enters::Torque,
+    equation: "T = T1 sgn(w) from the time t1 on, found anew in each run",
+    causes: "a brake, a clutch or a tool that engages; a belt that begins to rub; a seal that runs \
+        dry. Compare the moment with the machine's log and listen: a brake or tool comes back at \
+        the same place of the cycle, a rub at the same temperature or angle. What always comes at \
+        the same angle is a load of position",
+    looks_like: "torque error that is zero before a moment and constant after it",
+    excite: "let the load come and go within one run, at steady speed",
+    remedy: "a load observer; feed-forward where the load announces itself",
+    curve: Some((Balance::Torque, Axis::Time)),
     parameters: &[
         ParameterSpec::coefficient("step_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,
@@ -27,4 +24,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             step_n_m * begun(at, time_s)
         })
     },
+    ..Card::PLAIN
 };

@@ -54,7 +54,7 @@ pub use terms::{Coupling, Instant, Path, Sums, Terms};
 
 use parameter::WAVE_ORDERS;
 use terms::{
-    begun, current_rate_gain, friction, inertia_gain, torque, voltage, voltage_and_torque,
+    begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
 };
 
 /// Every effect that the program can name, add and remove.
@@ -128,6 +128,15 @@ impl Balance {
     }
 }
 
+impl From<Balance> for Enters {
+    fn from(balance: Balance) -> Self {
+        match balance {
+            Balance::Voltage => Self::Voltage,
+            Balance::Torque => Self::Torque,
+        }
+    }
+}
+
 impl Enters {
     /// Whether it adds a term to this balance.
     pub const fn includes(self, balance: Balance) -> bool {
@@ -138,7 +147,7 @@ impl Enters {
     }
 }
 
-/// What a person should know about an effect.
+/// An effect: what a person should know about it, its parameters and its terms.
 #[derive(Debug)]
 pub struct Card {
     pub id: &'static str,
@@ -161,10 +170,14 @@ pub struct Card {
     /// Effects that say the same thing, of which a model holds one: simple ones that this one contains, or nearly, and
     /// ones that are this one to first order.
     pub alternatives: &'static [&'static str],
+    /// The first gives the effect its size.
+    pub parameters: &'static [ParameterSpec],
+    /// What it adds to the equations, for values in the order of the parameters.
+    pub terms: fn(&[f64]) -> Box<dyn Terms>,
 }
 
 impl Card {
-    /// A card without texts, for what most effects have in common.
+    /// A card without texts that adds nothing, for what most effects have in common.
     pub const PLAIN: Self = Self {
         id: "",
         name: "",
@@ -178,16 +191,24 @@ impl Card {
         takes_power: false,
         curve: None,
         alternatives: &[],
+        parameters: &[],
+        terms: |_| Box::new(Path::default()),
     };
 }
 
-/// A physical effect: its card, its parameters and its terms for given parameter values.
+/// A physical effect: of the catalogue, or one that a user or the data define.
 pub trait Effect: Sync {
-    fn card(&self) -> &'static Card;
+    fn card(&self) -> &Card;
+
     /// The first gives the effect its size.
-    fn parameters(&self) -> &'static [ParameterSpec];
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        self.card().parameters
+    }
+
     /// `values` in the order of [`Effect::parameters`].
-    fn terms(&self, values: &[f64]) -> Box<dyn Terms>;
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        (self.card().terms)(values)
+    }
 
     /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
@@ -205,24 +226,10 @@ pub trait Effect: Sync {
     }
 }
 
-/// An effect of the catalogue: what its file states.
-struct CatalogueEffect {
-    card: &'static Card,
-    parameters: &'static [ParameterSpec],
-    terms: fn(&[f64]) -> Box<dyn Terms>,
-}
-
-impl Effect for CatalogueEffect {
-    fn card(&self) -> &'static Card {
-        self.card
-    }
-
-    fn parameters(&self) -> &'static [ParameterSpec] {
-        self.parameters
-    }
-
-    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
-        (self.terms)(values)
+/// An effect of the catalogue is what its file states.
+impl Effect for Card {
+    fn card(&self) -> &Card {
+        self
     }
 }
 

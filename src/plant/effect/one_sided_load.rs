@@ -1,24 +1,20 @@
 //! Load that pulls one way whichever way the shaft turns, and is there from some moment on.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, begun, torque};
+use super::{Card, Enters, ParameterSpec, begun, torque};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "one_sided_load",
-        name: "one-sided load from a moment on",
-        enters: Enters::Torque,
-        equation: "T = T1 from the time t1 on, whichever way the shaft turns; found anew in each \
-            run",
-        causes: "a weight that is picked up or set down; a spring or a web that comes under \
-            tension; wind or a stream that sets in; a second drive on the same shaft that begins \
-            to pull. Compare the moment with the machine's log",
-        looks_like: "torque error that is zero before a moment and of one sign after it, in both \
-            directions",
-        excite: "let the load come within a run that turns both ways: in one direction it looks \
-            like friction",
-        remedy: "a load observer; feed-forward where the load announces itself",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "one_sided_load",
+    name: "one-sided load from a moment on",
+    enters: Enters::Torque,
+    equation: "T = T1 from the time t1 on, whichever way the shaft turns; found anew in each run",
+    causes: "a weight that is picked up or set down; a spring or a web that comes under tension; \
+        wind or a stream that sets in; a second drive on the same shaft that begins to pull. \
+        Compare the moment with the machine's log",
+    looks_like: "torque error that is zero before a moment and of one sign after it, in both \
+        directions",
+    excite: "let the load come within a run that turns both ways: in one direction it looks like \
+        friction",
+    remedy: "a load observer; feed-forward where the load announces itself",
     parameters: &[
         ParameterSpec::coefficient("load_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,
@@ -28,4 +24,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             load_n_m * begun(at, time_s)
         })
     },
+    ..Card::PLAIN
 };

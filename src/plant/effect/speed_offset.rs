@@ -1,27 +1,20 @@
 //! Speed sensor whose zero is off.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, Enters, ParameterSpec, path};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "speed_offset",
-        name: "speed offset",
-        enters: Enters::Path,
-        equation: "y = w + w0: y is what is measured",
-        causes: "a tachometer amplifier or an analogue input whose zero is off; a resolver \
-            converter that runs away slowly. An encoder cannot have it: there look for a reference \
-            or scaling that is added in the drive. At rest the sensor must show zero. A voltage \
-            offset moves the shaft in truth: compare with the angle",
-        looks_like: "measured speed that is off by the same amount at rest, forward and backward",
-        excite: "some tenths of a second at rest at zero volts, and both directions",
-        remedy: "zero the input at rest; take the speed from the angle",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "speed_offset",
+    name: "speed offset",
+    enters: Enters::Path,
+    equation: "y = w + w0: y is what is measured",
+    causes: "a tachometer amplifier or an analogue input whose zero is off; a resolver converter \
+        that runs away slowly. An encoder cannot have it: there look for a reference or scaling \
+        that is added in the drive. At rest the sensor must show zero. A voltage offset moves the \
+        shaft in truth: compare with the angle",
+    looks_like: "measured speed that is off by the same amount at rest, forward and backward",
+    excite: "some tenths of a second at rest at zero volts, and both directions",
+    remedy: "zero the input at rest; take the speed from the angle",
     parameters: &[ParameterSpec::coefficient("offset_rad_s", "rad/s", 0.5)],
-    terms: |values| {
-        Box::new(Path {
-            speed_offset_rad_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.speed_offset_rad_s),
+    ..Card::PLAIN
 };

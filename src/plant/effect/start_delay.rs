@@ -1,6 +1,6 @@
 //! Drive that enables late: it applies zero for a while after the first command.
 
-use super::{Card, CatalogueEffect, Enters, ParameterSpec, Path};
+use super::{Card, Enters, ParameterSpec, path};
 
 /// A shape: a late start is found by trying, the way to it is not straight.
 pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
@@ -10,28 +10,21 @@ pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
     &[0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7],
 );
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "start_delay",
-        name: "start delay",
-        enters: Enters::Path,
-        equation: "u = 0 for Td after the first command that is not zero, then as commanded",
-        causes: "a drive that charges its bus, releases a brake or finds its commutation angle \
-            before it enables; an interlock; a contactor. The status word or the bus voltage tells \
-            which. A shaft that is stuck also starts late, but its current flows at once",
-        looks_like: "neither current nor speed for some time after the first command, then \
-            everything as it should be",
-        excite: "start from standstill with a step, more than once in a run: a delay at every edge \
-            is a command delay",
-        remedy: "wait for the drive's ready bit before the first command; hold zero volts for that \
-            time after enabling",
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "start_delay",
+    name: "start delay",
+    enters: Enters::Path,
+    equation: "u = 0 for Td after the first command that is not zero, then as commanded",
+    causes: "a drive that charges its bus, releases a brake or finds its commutation angle before \
+        it enables; an interlock; a contactor. The status word or the bus voltage tells which. A \
+        shaft that is stuck also starts late, but its current flows at once",
+    looks_like: "neither current nor speed for some time after the first command, then everything \
+        as it should be",
+    excite: "start from standstill with a step, more than once in a run: a delay at every edge is \
+        a command delay",
+    remedy: "wait for the drive's ready bit before the first command; hold zero volts for that \
+        time after enabling",
     parameters: &[LATE_START],
-    terms: |values| {
-        Box::new(Path {
-            start_delay_s: values[0],
-            ..Path::default()
-        })
-    },
+    terms: |values| path(values[0], |path| &mut path.start_delay_s),
+    ..Card::PLAIN
 };

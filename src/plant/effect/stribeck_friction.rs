@@ -1,26 +1,22 @@
 //! Extra friction near standstill.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, friction};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, friction};
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "stribeck_friction",
-        name: "Stribeck friction",
-        enters: Enters::Torque,
-        equation: "T = Ts exp(-(w/ws)^2) sgn(w), added to the Coulomb level, stiction included",
-        causes: "boundary lubrication in plain bearings, seals and gears; stiction of a machine \
-            that stood still. By hand: a breakaway that is harder than the motion after it. It \
-            falls after some warm-up and after re-greasing; cogging feels alike when turned by \
-            hand but stands at fixed angles, a compliant drive with backlash jerks only at \
-            reversals",
-        looks_like: "torque error below a few per cent of speed and at reversals; stick-slip when \
-            creeping",
-        excite: "repeated slow passages through zero speed in both directions",
-        remedy: "lubrication, dither or friction feed-forward at low speed",
-        takes_power: true,
-        curve: Some((Balance::Torque, Axis::Speed)),
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "stribeck_friction",
+    name: "Stribeck friction",
+    enters: Enters::Torque,
+    equation: "T = Ts exp(-(w/ws)^2) sgn(w), added to the Coulomb level, stiction included",
+    causes: "boundary lubrication in plain bearings, seals and gears; stiction of a machine that \
+        stood still. By hand: a breakaway that is harder than the motion after it. It falls after \
+        some warm-up and after re-greasing; cogging feels alike when turned by hand but stands at \
+        fixed angles, a compliant drive with backlash jerks only at reversals",
+    looks_like: "torque error below a few per cent of speed and at reversals; stick-slip when \
+        creeping",
+    excite: "repeated slow passages through zero speed in both directions",
+    remedy: "lubrication, dither or friction feed-forward at low speed",
+    takes_power: true,
+    curve: Some((Balance::Torque, Axis::Speed)),
     parameters: &[
         ParameterSpec::coefficient("stribeck_n_m", "N.m", 0.1),
         ParameterSpec::shape(
@@ -45,4 +41,5 @@ pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
             },
         )
     },
+    ..Card::PLAIN
 };

@@ -91,12 +91,8 @@ pub(super) fn define(
     let balance = balance_of(settings)?;
     let axis = text_of(settings, "axis", Axis::Speed.key())?;
     let axis = Axis::from_key(axis).ok_or_else(|| {
-        let known: Vec<&str> = Axis::ALL.into_iter().map(Axis::key).collect();
-        DefinitionError::new(
-            "axis",
-            format!("axis {axis:?} is not known"),
-            known.join(", "),
-        )
+        let known = Axis::ALL.map(Axis::key).join(", ");
+        DefinitionError::new("axis", format!("axis {axis:?} is not known"), known)
     })?;
     let knots = list(settings, "knots")?.ok_or_else(|| {
         DefinitionError::new("id", "knots are missing", "as knots = [-100.0, 0.0, 100.0]")
@@ -105,29 +101,22 @@ pub(super) fn define(
     let mut values = vec![None; knots.len()];
     if let Some(given) = list(settings, "values")? {
         if given.len() != knots.len() {
-            return Err(DefinitionError::new(
-                "values",
-                format!("{} values for {} knots", given.len(), knots.len()),
-                "one value for each knot, or none at all: they are fitted then",
-            ));
+            let message = format!("{} values for {} knots", given.len(), knots.len());
+            let help = "one value for each knot, or none at all: they are fitted then";
+            return Err(DefinitionError::new("values", message, help));
         }
         values = given.into_iter().map(Some).collect();
     }
+    let known = ["id", "equation", "axis", "knots", "values", "value_1"];
     for (key, value) in settings {
-        if ["id", "equation", "axis", "knots", "values"].contains(&key.as_str()) {
-            continue;
-        }
-        let place = key
+        let number = key
             .strip_prefix("value_")
-            .and_then(|number| number.parse::<usize>().ok())
-            .filter(|number| (1..=knots.len()).contains(number));
-        let Some(place) = place else {
-            return Err(unknown_key(
-                key,
-                &["id", "equation", "axis", "knots", "values", "value_1"],
-            ));
-        };
-        values[place - 1] = Some(number_of(key, value)?);
+            .and_then(|n| n.parse::<usize>().ok());
+        match number.and_then(|number| values.get_mut(number.checked_sub(1)?)) {
+            Some(place) => *place = Some(number_of(key, value)?),
+            None if known[..5].contains(&key.as_str()) => {}
+            None => return Err(unknown_key(key, &known)),
+        }
     }
     let key = format!("{id}|{balance:?}|{axis:?}|{knots:?}");
     let effect = interned(&key, || {
@@ -135,25 +124,21 @@ pub(super) fn define(
             Balance::Torque => "N.m",
             Balance::Voltage => "V",
         };
+        let value = |number| {
+            let key = leaked(&format!("value_{number}"));
+            ParameterSpec::coefficient(key, unit, 0.1)
+        };
+        let values: Vec<ParameterSpec> = (1..=knots.len()).map(value).collect();
         let card = Card {
             id: leaked(id),
             name: leaked(&format!("{} over {}", CARD.name, axis.key())),
-            enters: match balance {
-                Balance::Torque => Enters::Torque,
-                Balance::Voltage => Enters::Voltage,
-            },
+            enters: balance.into(),
             needs_angle: axis == Axis::Angle,
+            parameters: values.leak(),
             ..CARD
         };
-        let specs: Vec<ParameterSpec> = (1..=knots.len())
-            .map(|number| {
-                let key = leaked(&format!("value_{number}"));
-                ParameterSpec::coefficient(key, unit, 0.1)
-            })
-            .collect();
         Box::new(Table {
-            card: Box::leak(Box::new(card)),
-            specs: specs.leak(),
+            card,
             balance,
             axis,
             knots: knots.leak(),
@@ -170,53 +155,38 @@ fn list(settings: &toml::Table, key: &str) -> Result<Option<Vec<f64>>, Definitio
         let message = format!("{key} is a {}, expected a list", value.type_str());
         DefinitionError::new(key, message, "a list of numbers, as [-100.0, 0.0, 100.0]")
     })?;
-    items
-        .iter()
-        .map(|item| number_of(key, item))
-        .collect::<Result<_, _>>()
-        .map(Some)
+    let numbers = items.iter().map(|item| number_of(key, item));
+    numbers.collect::<Result<_, _>>().map(Some)
 }
 
 fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
+    let refused = |message: String, help: String| Err(DefinitionError::new("knots", message, help));
     if !(FEWEST_KNOTS..=MOST_KNOTS).contains(&knots.len()) {
-        let message = format!("{} knots", knots.len());
         let help = format!("{FEWEST_KNOTS} to {MOST_KNOTS} are allowed");
-        return Err(DefinitionError::new("knots", message, help));
+        return refused(format!("{} knots", knots.len()), help);
     }
     if let Some([before, after, ..]) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
-        let message = format!("knot {after} follows {before}");
-        return Err(DefinitionError::new(
-            "knots",
-            message,
-            "knots must rise from one to the next",
-        ));
+        let help = "knots must rise from one to the next".to_owned();
+        return refused(format!("knot {after} follows {before}"), help);
     }
-    if axis.is_periodic() && !(knots[0] >= 0.0 && knots[knots.len() - 1] < TAU) {
-        let message = format!("knots from {} to {} rad", knots[0], knots[knots.len() - 1]);
-        return Err(DefinitionError::new(
-            "knots",
-            message,
-            "angles lie from 0 to below 2 pi",
-        ));
+    let (first, last) = (knots[0], knots[knots.len() - 1]);
+    if axis.is_periodic() && !(first >= 0.0 && last < TAU) {
+        let help = "angles lie from 0 to below 2 pi".to_owned();
+        return refused(format!("knots from {first} to {last} rad"), help);
     }
     Ok(())
 }
 
 struct Table {
-    card: &'static Card,
-    specs: &'static [ParameterSpec],
+    card: Card,
     balance: Balance,
     axis: Axis,
     knots: &'static [f64],
 }
 
 impl Effect for Table {
-    fn card(&self) -> &'static Card {
-        self.card
-    }
-
-    fn parameters(&self) -> &'static [ParameterSpec] {
-        self.specs
+    fn card(&self) -> &Card {
+        &self.card
     }
 
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
@@ -251,9 +221,9 @@ struct Curve {
 
 impl Curve {
     fn at(&self, at: &Instant) -> f64 {
-        weights(self.axis, self.knots, self.axis.of(at))
-            .iter()
-            .map(|(knot, weight)| weight * self.values[*knot])
+        let weights = weights(self.axis, self.knots, self.axis.of(at)).into_iter();
+        weights
+            .map(|(knot, weight)| weight * self.values[knot])
             .sum()
     }
 }
@@ -316,23 +286,15 @@ mod tests {
         let (effect, values) = table(&format!("{SPEED}values = [1.0, 0.0, 4]")).unwrap();
         let values: Vec<f64> = values.into_iter().flatten().collect();
         let terms = effect.terms(&values);
-        for (speed_rad_s, expected) in [
-            (-50.0, 1.0),
-            (-10.0, 1.0),
-            (-5.0, 0.5),
-            (0.0, 0.0),
-            (5.0, 1.0),
-            (20.0, 4.0),
-            (30.0, 4.0),
-        ] {
+        let speeds = [-50.0, -10.0, -5.0, 0.0, 5.0, 20.0, 30.0];
+        let torques = [1.0, 1.0, 0.5, 0.0, 1.0, 4.0, 4.0];
+        for (speed_rad_s, expected) in speeds.into_iter().zip(torques) {
             let at = Instant {
                 speed_rad_s,
                 ..Instant::default()
             };
-            assert!(
-                (terms.torque_n_m(&at, &[]) - expected).abs() < 1e-12,
-                "{speed_rad_s}"
-            );
+            let off = terms.torque_n_m(&at, &[]) - expected;
+            assert!(off.abs() < 1e-12, "{speed_rad_s}");
             assert!(terms.voltage_v(&at, &[]).abs() < 1e-300);
         }
     }
@@ -341,9 +303,9 @@ mod tests {
     fn over_the_angle_it_closes_the_turn() {
         let knots = [1.0, 2.0, 5.0];
         let value = |angle: f64| -> f64 {
-            weights(Axis::Angle, &knots, angle)
-                .iter()
-                .map(|(knot, weight)| weight * [10.0, 20.0, 50.0][*knot])
+            let weights = weights(Axis::Angle, &knots, angle).into_iter();
+            weights
+                .map(|(knot, weight)| weight * [10.0, 20.0, 50.0][knot])
                 .sum()
         };
         // From 5 to 1 + 2 pi the curve falls from 50 to 10.
@@ -355,11 +317,8 @@ mod tests {
             (1.0 + 3.0 * TAU, 10.0),
             (1.5 - 2.0 * TAU, 15.0),
         ] {
-            assert!(
-                (value(angle) - expected).abs() < 1e-9,
-                "{angle}: {}",
-                value(angle)
-            );
+            let off = value(angle) - expected;
+            assert!(off.abs() < 1e-9, "{angle}: {off}");
         }
         assert!(value(f64::NAN).is_nan());
     }

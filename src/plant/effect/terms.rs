@@ -185,16 +185,24 @@ const FRICTION: u8 = 2;
 const CURRENT_RATE: u8 = 3;
 const INERTIA: u8 = 4;
 
-/// Terms that are one law of the instant and the effect's values.
+/// A law of the instant and the effect's values.
+pub(super) trait OneLaw<const N: usize>:
+    Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static
+{
+}
+
+impl<F, const N: usize> OneLaw<N> for F where
+    F: Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static
+{
+}
+
+/// Terms that are one law.
 struct Law<F, const N: usize, const METHOD: u8> {
     values: [f64; N],
     law: F,
 }
 
-impl<F, const N: usize, const METHOD: u8> Law<F, N, METHOD>
-where
-    F: Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-{
+impl<F: OneLaw<N>, const N: usize, const METHOD: u8> Law<F, N, METHOD> {
     /// `values` as they stand in the effect's parameters.
     fn boxed(values: &[f64], law: F) -> Box<dyn Terms> {
         let values = std::array::from_fn(|index| values[index]);
@@ -211,10 +219,7 @@ where
     }
 }
 
-impl<F, const N: usize, const METHOD: u8> Terms for Law<F, N, METHOD>
-where
-    F: Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-{
+impl<F: OneLaw<N>, const N: usize, const METHOD: u8> Terms for Law<F, N, METHOD> {
     fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
         self.of(VOLTAGE, at)
     }
@@ -237,42 +242,30 @@ where
 }
 
 /// Terms of a voltage drop, V.
-pub(super) fn voltage<const N: usize>(
-    values: &[f64],
-    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-) -> Box<dyn Terms> {
+pub(super) fn voltage<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
     Law::<_, N, VOLTAGE>::boxed(values, law)
 }
 
 /// Terms of a torque against positive motion, N.m.
-pub(super) fn torque<const N: usize>(
-    values: &[f64],
-    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-) -> Box<dyn Terms> {
+pub(super) fn torque<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
     Law::<_, N, TORQUE>::boxed(values, law)
 }
 
 /// Terms of an addition to the Coulomb level, N.m.
-pub(super) fn friction<const N: usize>(
-    values: &[f64],
-    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-) -> Box<dyn Terms> {
+pub(super) fn friction<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
     Law::<_, N, FRICTION>::boxed(values, law)
 }
 
 /// Terms of a relative addition to the rate of the current.
 pub(super) fn current_rate_gain<const N: usize>(
     values: &[f64],
-    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
+    law: impl OneLaw<N>,
 ) -> Box<dyn Terms> {
     Law::<_, N, CURRENT_RATE>::boxed(values, law)
 }
 
 /// Terms of a relative addition to the inertia.
-pub(super) fn inertia_gain<const N: usize>(
-    values: &[f64],
-    law: impl Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static,
-) -> Box<dyn Terms> {
+pub(super) fn inertia_gain<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
     Law::<_, N, INERTIA>::boxed(values, law)
 }
 
@@ -300,6 +293,13 @@ impl Terms for Path {
     fn path(&self) -> Path {
         *self
     }
+}
+
+/// Terms of one value on the way of command and measurement.
+pub(super) fn path(value: f64, field: fn(&mut Path) -> &mut f64) -> Box<dyn Terms> {
+    let mut path = Path::default();
+    *field(&mut path) = value;
+    Box::new(path)
 }
 
 impl Terms for Coupling {

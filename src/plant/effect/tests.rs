@@ -1,7 +1,11 @@
 //! The contract that every effect of the catalogue keeps.
 
+use std::collections::BTreeSet;
+
 use super::*;
-use crate::plant::{Input, Model, ModelFile, Motor, Plant, Scenario, State, Trajectory};
+use crate::plant::{
+    ActiveEffect, Input, Model, ModelFile, Motor, Plant, Scenario, State, Trajectory,
+};
 use crate::sample::Channel;
 
 /// Ids and keys that model files, JSON and the command line use; a change here breaks files in the field.
@@ -132,51 +136,40 @@ const END_S: f64 = 2.0;
 
 /// Steps both ways with a hold at rest before and between: every effect of the catalogue shows in it.
 fn scenario() -> Scenario {
-    let samples = 1000;
-    let sample_time_s: Vec<f64> = (0..samples).map(|k| 0.002 * f64::from(k)).collect();
-    let speed_rad_s: Vec<f64> = sample_time_s
-        .iter()
-        .map(|t| 30.0 * (2.0 * t).sin())
-        .collect();
+    let sample_time_s: Vec<f64> = (0..1000).map(|k| 0.002 * f64::from(k)).collect();
+    let speed_rad_s = sample_time_s.iter().map(|t| 30.0 * (2.0 * t).sin());
+    let speed_rad_s = speed_rad_s.collect();
+    let events = vec![
+        (0.0, 0.0),
+        (0.1, 25.0),
+        (0.6, 50.0),
+        (1.0, -30.0),
+        (1.5, 6.0),
+        (1.8, 0.0),
+    ];
+    let channel = Channel::VoltageCmd;
     Scenario {
-        name: "contract".to_owned(),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events: vec![
-            (0.0, 0.0),
-            (0.1, 25.0),
-            (0.6, 50.0),
-            (1.0, -30.0),
-            (1.5, 6.0),
-            (1.8, 0.0),
-        ],
-        current_a: vec![0.0; speed_rad_s.len()],
-        sample_time_s,
+        current_a: vec![0.0; sample_time_s.len()],
         speed_rad_s,
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        scored: 0..1000,
+        ..Scenario::planned("contract", Input::Voltage, channel, events, sample_time_s)
     }
 }
 
 fn trajectory(effect: Option<(&'static dyn Effect, f64)>) -> Trajectory {
     let mut model = Model::baseline(Motor::zk_22fc());
     if let Some((effect, share)) = effect {
-        model = model.with_effect(effect.card().id).unwrap();
-        model.effects[0].values = sized(effect, share).into_iter().map(Some).collect();
+        let active = ActiveEffect::with(effect, &sized(effect, share));
+        model.effects.push(active);
     }
-    Plant::new(&model, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario(), State::default())
+    let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+    plant.simulate(&scenario(), State::default())
 }
 
 /// Largest differences of current and speed.
 fn distance(one: &Trajectory, other: &Trajectory) -> (f64, f64) {
     let most = |a: &[f64], b: &[f64]| {
-        a.iter()
-            .zip(b)
-            .fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()))
+        let pairs = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        pairs.fold(0.0, f64::max)
     };
     (
         most(&one.current_a, &other.current_a),
@@ -189,23 +182,12 @@ fn ids_and_keys_are_those_that_files_use_and_are_unique() {
     assert_eq!(CATALOGUE.len(), KEYS.len(), "an id that files use is gone");
     for effect in CATALOGUE {
         let id = effect.card().id;
-        let (_, expected) = KEYS
-            .iter()
-            .find(|(known, _)| *known == id)
-            .unwrap_or_else(|| panic!("{id} has no keys in the table"));
-        let mut keys: Vec<&str> = effect.parameters().iter().map(|spec| spec.key).collect();
-        let mut expected = expected.to_vec();
-        keys.sort_unstable();
-        expected.sort_unstable();
-        assert_eq!(keys, expected, "{id}");
-        assert_eq!(
-            CATALOGUE
-                .iter()
-                .filter(|other| other.card().id == id)
-                .count(),
-            1,
-            "{id}"
-        );
+        let row = KEYS.iter().find(|(known, _)| *known == id);
+        let expected = row.map(|(_, keys)| BTreeSet::from_iter(*keys));
+        let keys = effect.parameters().iter().map(|spec| &spec.key);
+        assert_eq!(Some(keys.collect()), expected, "keys of {id}");
+        let alike = CATALOGUE.iter().filter(|other| other.card().id == id);
+        assert_eq!(alike.count(), 1, "{id}");
     }
 }
 
@@ -243,22 +225,16 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
                 ParameterRole::EventTime => (0.0, 1.0),
                 _ => (spec.min, spec.max),
             };
-            assert!(
-                spec.shapes
-                    .iter()
-                    .all(|shape| (bounds.0..=bounds.1).contains(shape)),
-                "{at}"
-            );
+            let is_within = |shape: &f64| (bounds.0..=bounds.1).contains(shape);
+            assert!(spec.shapes.iter().all(is_within), "{at}");
         }
     }
 }
 
 #[test]
 fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
-    for effect in CATALOGUE
-        .iter()
-        .filter(|effect| !is_finite_by_nature(**effect))
-    {
+    let vanish = |effect: &&&dyn Effect| !is_finite_by_nature(**effect);
+    for effect in CATALOGUE.iter().filter(vanish) {
         let id = effect.card().id;
         let all = |share: f64| [&added(*effect, share)[..], &on_the_way(*effect, share)].concat();
         assert!(all(0.0).iter().all(|term| term.abs() < 1e-15), "{id}");
@@ -325,9 +301,9 @@ fn every_effect_changes_a_simulated_run_and_none_of_size_zero_does() {
 fn a_model_file_gives_every_effect_back() {
     for effect in CATALOGUE {
         let id = effect.card().id;
-        let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
+        let mut model = Model::baseline(Motor::zk_22fc());
         let values = sized(*effect, 1.234_567_890_123);
-        model.effects[0].values = values.iter().copied().map(Some).collect();
+        model.effects.push(ActiveEffect::with(*effect, &values));
         let file = ModelFile {
             model,
             ..ModelFile::default()

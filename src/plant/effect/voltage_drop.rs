@@ -1,31 +1,28 @@
 //! Drop across brushes or switches: its size hardly depends on the current, its sign does.
 
-use super::{Axis, Balance, Card, CatalogueEffect, Enters, ParameterSpec, voltage};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, voltage};
 
 /// Current over which the drop builds up, A; the sign of the current, smoothed.
 const SMOOTHING_A: f64 = 0.1;
 
-pub(super) const EFFECT: CatalogueEffect = CatalogueEffect {
-    card: &Card {
-        id: "voltage_drop",
-        name: "voltage drop",
-        enters: Enters::Voltage,
-        equation: "U = Ud sgn(i), smoothed over 0.1 A",
-        causes: "brush contact, transistor and diode drops, dead time of the inverter. Measure at \
-            the terminals: a drop of the drive is seen there, that of the brushes is not. Dead \
-            time grows with the bus voltage and the switching frequency, a diode's drop does not; \
-            a brush's changes with its wear and its material (about 1 V a brush for carbon, 0.3 V \
-            for metal)",
-        looks_like: "voltage error that jumps when the current changes its sign",
-        excite: "current reversals, and small currents as well as large ones",
-        remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
-        curve: Some((Balance::Voltage, Axis::Current)),
-        ..Card::PLAIN
-    },
+pub(super) const EFFECT: Card = Card {
+    id: "voltage_drop",
+    name: "voltage drop",
+    enters: Enters::Voltage,
+    equation: "U = Ud sgn(i), smoothed over 0.1 A",
+    causes: "brush contact, transistor and diode drops, dead time of the inverter. Measure at the \
+        terminals: a drop of the drive is seen there, that of the brushes is not. Dead time grows \
+        with the bus voltage and the switching frequency, a diode's drop does not; a brush's \
+        changes with its wear and its material (about 1 V a brush for carbon, 0.3 V for metal)",
+    looks_like: "voltage error that jumps when the current changes its sign",
+    excite: "current reversals, and small currents as well as large ones",
+    remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
+    curve: Some((Balance::Voltage, Axis::Current)),
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],
     terms: |values| {
         voltage(values, |at, [drop_v]| {
             drop_v * (at.current_a / SMOOTHING_A).tanh()
         })
     },
+    ..Card::PLAIN
 };

@@ -12,7 +12,7 @@ const ONE_BLOCK: (&str, &str) = (
 /// The servo amplifier's first signal.
 const FIRST: &str = "[signals.enabled]";
 
-fn servo(changes: &[(&str, &str)]) -> Table {
+fn servo(changes: Changes<'_>) -> Table {
     Table::identified("epulse50-dc", changes)
 }
 
@@ -21,6 +21,13 @@ fn with_clock(kind: &str, unit: &str, scale: &str) -> String {
     format!(
         "[signals.uptime]\naddress = 0x1219\ntype = \"{kind}\"\nunit = \"{unit}\"\nscale = {scale}\nquantity = \"clock\"\npoll = \"fast\"\n\n{FIRST}"
     )
+}
+
+/// Why the servo amplifier's profile with these changes is none.
+fn refused(changes: Changes<'_>) -> String {
+    let text = changed(DriveProfile::text("epulse50-dc").unwrap(), changes);
+    let profile = DriveProfile::parse("x", &text).map(drop);
+    profile.unwrap_err().to_string()
 }
 
 #[test]
@@ -123,32 +130,26 @@ fn a_silence_does_not_move_what_the_drive_stamps_and_a_command_is_on_the_same_cl
 
 #[test]
 fn a_clock_that_cannot_be_followed_is_refused_with_its_turn() {
-    let parse = |part: &str| {
-        let text = DriveProfile::text("epulse50-dc")
-            .unwrap()
-            .replacen(FIRST, part, 1);
-        DriveProfile::parse("x", &text)
-            .map(drop)
-            .unwrap_err()
-            .to_string()
-    };
-    let error = parse(&with_clock("u16", "us", "1.0"));
-    assert_says(&error, "comes round every 0.066 s (expected 2 s or more");
-    let error = parse(&with_clock("i16", "ms", "1.0"));
-    assert_says(&error, "expected type u16 or u32");
-    let error = parse(&with_clock("u32", "rpm", "1.0"));
-    assert_says(
-        &error,
-        "does not fit quantity \"clock\" (expected us, ms or s)",
-    );
-    let error = parse(&with_clock("u32", "us", "1.0").replace("\"fast\"", "\"slow\""));
-    assert_says(&error, "a clock stamps every sample");
-    let twice = with_clock("u32", "us", "1.0")
-        .replace("uptime", "second")
-        .replace("0x1219", "0x1240")
-        .replace(FIRST, &with_clock("u32", "us", "1.0"));
-    let error = parse(&twice);
-    assert_says(&error, "are both clocks");
+    let good = with_clock("u32", "us", "1.0");
+    let second = good.replace("uptime", "second").replace("0x1219", "0x1240");
+    for (clock, part) in [
+        (
+            with_clock("u16", "us", "1.0"),
+            "comes round every 0.066 s (expected 2 s or more",
+        ),
+        (with_clock("i16", "ms", "1.0"), "expected type u16 or u32"),
+        (
+            with_clock("u32", "rpm", "1.0"),
+            "does not fit quantity \"clock\" (expected us, ms or s)",
+        ),
+        (
+            good.replace("\"fast\"", "\"slow\""),
+            "a clock stamps every sample",
+        ),
+        (second.replace(FIRST, &good), "are both clocks"),
+    ] {
+        assert_says(&refused(&[(FIRST, &clock)]), part);
+    }
 }
 
 /// The servo amplifier at 19200 baud, with or without function code 23.
@@ -182,51 +183,40 @@ fn one_transaction_a_cycle_is_faster_than_two_and_applies_before_it_reads() {
     println!("write and read {by_two:.1} Hz, both in one {by_one:.1} Hz");
     assert!(by_one > 1.15 * by_two, "{by_one} {by_two}");
     for (promised, found) in [(promised_two, by_two), (promised_one, by_one)] {
-        assert!(
-            (promised - found).abs() < 0.05 * found,
-            "{promised} {found}"
-        );
+        let off = (promised / found - 1.0).abs();
+        assert!(off < 0.05, "{promised} {found}");
     }
     // The drive writes first and reads then, at one instant of its own.
     let sample = one.run(Some(("speed_ref", 700.0))).unwrap();
-    assert_eq!(one.far().told_last("speed_ref"), Some(700));
-    assert_eq!(
-        sample.applied.unwrap().time_s.to_bits(),
-        sample.time_s.to_bits()
-    );
+    assert_eq!(one.told("speed_ref"), Some(700));
+    let applied_s = sample.applied.unwrap().time_s;
+    assert_eq!(applied_s.to_bits(), sample.time_s.to_bits());
 }
 
 #[test]
 fn a_lost_reply_of_both_in_one_leaves_the_set_point_in_doubt_and_a_stop_does_not_wait_for_it() {
     let mut table = at_19200("functions = [3, 6, 16, 23]");
     table.link.bus_mut().lose_replies(1);
-    assert!(
-        table
-            .run(Some(("speed_ref", 700.0)))
-            .unwrap_err()
-            .is_transient()
-    );
-    assert_eq!(table.far().told_last("speed_ref"), Some(700));
+    let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
+    assert!(lost.is_transient(), "{lost}");
+    assert_eq!(table.told("speed_ref"), Some(700));
     // The value before it has to be written again.
     table.run(REFERENCE).unwrap();
-    assert_eq!(table.far().told_last("speed_ref"), Some(900));
+    assert_eq!(table.told("speed_ref"), Some(900));
     table.demand(Demand::Stop).unwrap();
-    assert_eq!(table.far().told_last("speed_ref"), Some(0));
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    table.assert_told_to_stop();
+}
+
+/// The position of an encoder, in front of the first signal.
+fn with_position(kind: &str, keys: &str) -> String {
+    format!(
+        "[signals.position]\naddress = 0x1240\ntype = \"{kind}\"\nunit = \"counts\"\n{keys}quantity = \"angle\"\norigin = \"measured\"\npoll = \"fast\"\n\n{FIRST}"
+    )
 }
 
 #[test]
 fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter() {
-    let device = (
-        "kind = \"servo\"",
-        "kind = \"servo\"\ncounts_per_turn = 4096",
-    );
-    let text = DriveProfile::text("epulse50-dc").unwrap();
-    let device = if text.contains(device.0) {
-        device
-    } else {
-        ("kind = \"dc\"", "kind = \"dc\"\ncounts_per_turn = 4096")
-    };
+    let device = ("kind = \"dc\"", "kind = \"dc\"\ncounts_per_turn = 4096");
     let speed = (
         "type = \"i16\"\nunit = \"rpm\"\nquantity = \"shaft_speed\"",
         "type = \"i32\"\nunit = \"counts/s\"\nquantity = \"shaft_speed\"",
@@ -237,9 +227,7 @@ fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter()
         ("u32", ""),
         ("u16", "wraps_at = 4096\n"),
     ] {
-        let position = format!(
-            "[signals.position]\naddress = 0x1240\ntype = \"{kind}\"\nunit = \"counts\"\n{wraps}quantity = \"angle\"\norigin = \"measured\"\npoll = \"fast\"\n\n{FIRST}"
-        );
+        let position = with_position(kind, wraps);
         let mut table = servo(&[device, speed, (FIRST, &position)]);
         table.enable(REFERENCE);
         let mut last = table.hold(REFERENCE, 0.1);
@@ -251,18 +239,12 @@ fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter()
             let true_rad_s = table.far().speed_rad_s();
             let speed_rad_s = sample.get(Channel::Speed).unwrap();
             let is_steady = k == 149 || k == 399;
-            assert!(
-                !is_steady || (speed_rad_s - true_rad_s).abs() < 3.0,
-                "{speed_rad_s} {true_rad_s}"
-            );
+            let off_rad_s = speed_rad_s - true_rad_s;
+            assert!(!is_steady || off_rad_s.abs() < 3.0, "{off_rad_s}");
             let step_s = sample.time_s - last.time_s;
-            let mean = 0.5 * (speed_rad_s + last.get(Channel::Speed).unwrap());
-            let step = angle - last.get(Channel::Angle).unwrap();
-            assert!(
-                (step - mean * step_s).abs() < 0.8,
-                "{kind} {wraps}: {step} {}",
-                mean * step_s
-            );
+            let turned = 0.5 * (speed_rad_s + last.get(Channel::Speed).unwrap()) * step_s;
+            let off = angle - last.get(Channel::Angle).unwrap() - turned;
+            assert!(off.abs() < 0.8, "{kind} {wraps}: {off} of {turned}");
             last = sample;
         }
     }
@@ -270,37 +252,13 @@ fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter()
 
 #[test]
 fn counts_without_a_turn_and_positions_that_go_round_too_fast_are_refused() {
-    let position = |keys: &str| {
-        format!(
-            "[signals.position]\naddress = 0x1240\ntype = \"u16\"\nunit = \"counts\"\n{keys}quantity = \"angle\"\norigin = \"measured\"\npoll = \"fast\"\n\n{FIRST}"
-        )
-    };
-    let parse = |changes: &[(&str, &str)]| {
-        let mut text = DriveProfile::text("epulse50-dc").unwrap().to_owned();
-        for (from, to) in changes {
-            assert!(text.contains(from), "{from}");
-            text = text.replacen(from, to, 1);
-        }
-        DriveProfile::parse("x", &text)
-            .map(drop)
-            .unwrap_err()
-            .to_string()
-    };
-    let error = parse(&[(FIRST, &position(""))]);
-    assert_says(
-        &error,
-        "unit \"counts\" needs counts_per_turn, here or in [device]",
-    );
-    let error = parse(&[(FIRST, &position("counts_per_turn = 0\n"))]);
-    assert_says(&error, "counts_per_turn 0 is not allowed");
+    let position = |keys: &str| with_position("u16", keys);
     let rpm = "unit = \"rpm\"\nquantity = \"shaft_speed\"";
-    let error = parse(&[(rpm, &format!("counts_per_turn = 4096\n{rpm}"))]);
-    assert_says(&error, "counts_per_turn does not fit unit \"rpm\"");
-    let error = parse(&[
-        (
-            FIRST,
-            &position("counts_per_turn = 4096\nwraps_at = 4096\n"),
-        ),
+    let (none, zero) = (position(""), position("counts_per_turn = 0\n"));
+    let speed = format!("counts_per_turn = 4096\n{rpm}");
+    let turns = position("counts_per_turn = 4096\nwraps_at = 4096\n");
+    let only_position: Changes<'_> = &[
+        (FIRST, &turns),
         (
             "quantity = \"shaft_speed\"\norigin = \"measured\"",
             "quantity = \"other\"",
@@ -311,6 +269,22 @@ fn counts_without_a_turn_and_positions_that_go_round_too_fast_are_refused() {
             "[missing]\nspeed_rad_s = \"only the position\"",
         ),
         ("[rates]", "[limits]\nspeed_rpm = 3000\n\n[rates]"),
-    ]);
-    assert_says(&error, "which way cannot be told (expected less than 50 %");
+    ];
+    for (changes, part) in [
+        (
+            &[(FIRST, &none[..])][..],
+            "unit \"counts\" needs counts_per_turn, here or in [device]",
+        ),
+        (&[(FIRST, &zero)], "counts_per_turn 0 is not allowed"),
+        (
+            &[(rpm, &speed)],
+            "counts_per_turn does not fit unit \"rpm\"",
+        ),
+        (
+            only_position,
+            "which way cannot be told (expected less than 50 %",
+        ),
+    ] {
+        assert_says(&refused(changes), part);
+    }
 }

@@ -26,11 +26,9 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
     // From here on whoever asks for a run gets nothing written, and is told why.
     for _ in 0..50 {
         let _ = table.run(REFERENCE);
-        assert_eq!(table.far().told_last("speed_ref"), Some(0));
-        assert_eq!(table.far().told_last("enable_word"), Some(0));
+        table.assert_told_to_stop();
     }
-    let error = table.run(REFERENCE).unwrap_err().to_string();
-    assert_says(&error, "under local control");
+    assert_says(&table.run(REFERENCE).unwrap_err(), "under local control");
     // Given back it runs only after somebody asked for zero first.
     table.far().take_local(false);
     for _ in 0..20 {
@@ -43,17 +41,17 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
 
 #[test]
 fn safe_torque_off_refuses_the_start_and_ends_a_run() {
-    let mut table = Table::of(
-        &profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]),
-        None,
-    );
+    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
+    let mut table = Table::of(&profile, None);
     table.far().switch_torque_off(true);
     table.link.identify().unwrap();
     let rest = table.demand(Demand::Disable).unwrap();
     assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
-    let error = table.run(REFERENCE).unwrap_err().to_string();
-    assert_says(&error, "safe torque off (STO) is active");
-    assert_eq!(table.far().told_last("enable_word"), None);
+    assert_says(
+        &table.run(REFERENCE).unwrap_err(),
+        "safe torque off (STO) is active",
+    );
+    assert_eq!(table.told("enable_word"), None);
     table.far().switch_torque_off(false);
     table.demand(Demand::Disable).unwrap();
     table.enable(REFERENCE);
@@ -61,24 +59,23 @@ fn safe_torque_off_refuses_the_start_and_ends_a_run() {
     let sample = table.run(REFERENCE).unwrap();
     assert_eq!(sample.hindrance, Some(Hindrance::TorqueOff));
     assert_ne!(sample.state, Some(DriveState::Running));
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    assert_eq!(table.told("enable_word"), Some(0));
 }
 
 #[test]
 fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
     let mut table = table();
     table.far().refuse(Some(2));
-    let error = table.demand(Demand::Disable).unwrap_err();
-    let text = error.to_string();
-    assert!(matches!(error, LinkError::Exception { code: 2, .. }));
+    let text = table.demand(Demand::Disable).unwrap_err();
+    assert!(matches!(text, LinkError::Exception { code: 2, .. }));
     let profile = DriveProfile::text("epulse50-dc").unwrap();
     let line = 1 + profile
         .lines()
         .position(|line| line.starts_with("[signals.enabled]"))
         .unwrap();
-    assert!(
-        text.contains(&format!("profile epulse50-dc: enabled in line {line}")),
-        "{text}"
+    assert_says(
+        &text,
+        &format!("profile epulse50-dc: enabled in line {line}"),
     );
 }
 
@@ -100,7 +97,7 @@ fn a_busy_drive_is_asked_less_often_keeps_its_set_point_and_is_stopped_at_once_w
     // A stop does not wait for the pause, and goes on where the drive answers again.
     table.far().refuse(None);
     table.demand(Demand::Stop).unwrap();
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    assert_eq!(table.told("enable_word"), Some(0));
 }
 
 #[test]
@@ -125,8 +122,7 @@ fn a_drive_whose_supply_was_lost_does_not_resume_and_is_brought_to_rest() {
     }
     assert_eq!(table.link.recognise().unwrap(), before);
     table.link.bring_to_rest().unwrap();
-    assert_eq!(table.far().told_last("speed_ref"), Some(0));
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    table.assert_told_to_stop();
     assert!(table.link.confirms_stop());
 }
 
@@ -147,39 +143,27 @@ fn recognising_a_drive_writes_nothing_also_where_the_profile_sets_its_watchdog()
 
 #[test]
 fn a_fault_code_is_read_at_once_and_told_in_words() {
-    let profile = profile_with(
-        "schneider-atv312",
-        &[(
-            "[watchdog]",
-            "[fault_codes]\n5 = \"overbraking\"\n\n[watchdog]",
-        )],
-    );
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let codes = "[fault_codes]\n5 = \"overbraking\"\n\n[watchdog]";
+    let mut table = Table::identified("schneider-atv312", &[("[watchdog]", codes)]);
     table.enable(Some(("speed_ref", 900.0)));
     table.far().trip();
     let sample = table.run(Some(("speed_ref", 900.0))).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
     assert_eq!(sample.fault, Some(5));
     assert_eq!(sample.fault_text.as_deref(), Some("overbraking"));
-    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    assert_eq!(table.told("speed_ref"), Some(0));
 }
 
 #[test]
 fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
     let time = |table: &mut Table| {
         table.link.identify().unwrap();
-        table
-            .link
-            .bus_mut()
-            .read(crate::drive::ReadRequest::holding(0, 1))
-            .unwrap()
-            .words[0]
+        let read = crate::drive::ReadRequest::holding(0, 1);
+        table.link.bus_mut().read(read).unwrap().words[0]
     };
     let mut idle = Table::new("siemens-v20");
     assert_eq!(time(&mut idle), 1000);
-    let mut runs = Table::new("siemens-v20");
-    runs.link.identify().unwrap();
+    let mut runs = Table::identified("siemens-v20", &[]);
     runs.enable(Some(("speed_ref", 10.0)));
     runs.link.bus_mut().write(16, 0, &[0]).unwrap();
     assert_eq!(time(&mut runs), 0, "as somebody else has set it");
@@ -193,14 +177,14 @@ const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
 #[test]
 fn a_set_point_whose_acknowledgement_was_lost_is_written_again_whatever_is_asked_next() {
     let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
-    let before = table.far().told_last("speed_ref");
+    let before = table.told("speed_ref");
     table.link.bus_mut().lose_replies(1);
     let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
     assert!(lost.is_transient(), "{lost}");
-    assert_ne!(table.far().told_last("speed_ref"), before);
+    assert_ne!(table.told("speed_ref"), before);
     // As asked before the reply was lost: the drive must not keep what nobody wants any more.
     table.run(REFERENCE).unwrap();
-    assert_eq!(table.far().told_last("speed_ref"), before);
+    assert_eq!(table.told("speed_ref"), before);
 }
 
 #[test]
@@ -220,20 +204,15 @@ fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
 }
 
 /// The servo amplifier whose watchdog trips it and says so on a bit of its status word.
-fn telling_comm_loss() -> DriveProfile {
-    profile_with(
-        "epulse50-dc",
-        &[(
-            RUNNING,
-            "[signals.fault_code]\naddress = 0x1300\ntype = \"u16\"\nquantity = \"fault_code\"\npoll = \"slow\"\n\n[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
-        )],
-    )
-}
+const TELLING_COMM_LOSS: (&str, &str) = (
+    RUNNING,
+    "[signals.fault_code]\naddress = 0x1300\ntype = \"u16\"\nquantity = \"fault_code\"\npoll = \"slow\"\n\n[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
+);
 
 #[test]
 fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
-    let mut table = Table::of(&telling_comm_loss(), Some(0.3));
-    table.link.identify().unwrap();
+    let profile = profile_with("epulse50-dc", &[TELLING_COMM_LOSS]);
+    let mut table = Table::of(&profile, Some(0.3)).known();
     table.enable(REFERENCE);
     table.hold(REFERENCE, 0.5);
     table.far().force("enabled", Some(0x08));
@@ -255,11 +234,7 @@ fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
     table.far().refuse_writes(Some(4));
     let sample = table.run(reference).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
-    assert_eq!(
-        sample.fault,
-        Some(5),
-        "read with the first sight of the fault"
-    );
+    assert_eq!(sample.fault, Some(5), "with the first sight of the fault");
 }
 
 #[test]
@@ -283,23 +258,21 @@ const WORD_BEHIND_A_WAIT: (&str, &str) = (
 #[test]
 fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
     let profile = profile_with("schneider-atv312", &[WORD_BEHIND_A_WAIT]);
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let mut table = Table::of(&profile, None).known();
     let reference = Some(("speed_ref", 900.0));
     table.enable(reference);
-    let running = table.far().told_last("control_word");
+    let running = table.told("control_word");
     table.far().trip();
     table.run(reference).unwrap();
-    let word = table.far().told_last("control_word");
+    let word = table.told("control_word");
     assert_ne!(word, running, "the word to run is taken back");
-    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    assert_eq!(table.told("speed_ref"), Some(0));
     // The same without a session: a stop of a drive that went into fault before.
-    let mut table = Table::of(&profile, None);
-    table.link.identify().unwrap();
+    let mut table = Table::of(&profile, None).known();
     table.enable(reference);
     table.far().trip();
     table.link.stop().unwrap();
-    assert_eq!(table.far().told_last("control_word"), word);
+    assert_eq!(table.told("control_word"), word);
 }
 
 #[test]
@@ -309,12 +282,10 @@ fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
         table.next_cycle();
         let began_s = table.link.bus().now_s();
         table.link.bus_mut().lose_replies(lost);
-        let seq = table.seq;
-        let demand = Demand::Stop;
+        let (seq, demand) = (table.seq, Demand::Stop);
         let error = table.link.exchange(Command { seq, demand }).unwrap_err();
         assert!(error.is_transient(), "{error}");
-        assert_eq!(table.far().told_last("speed_ref"), Some(0));
-        assert_eq!(table.far().told_last("enable_word"), Some(0), "{lost}");
+        table.assert_told_to_stop();
         // Both writes and one deadline of 100 ms.
         let took_s = table.link.bus().now_s() - began_s;
         let write_s = table.link.bus().wire_s(11, 8).unwrap();
@@ -332,8 +303,7 @@ fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over
     assert!(table.demand(Demand::Stop).unwrap_err().is_transient());
     // The first of both was lost, the second has come.
     table.demand(Demand::Stop).unwrap();
-    assert_eq!(table.far().told_last("speed_ref"), Some(0));
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    table.assert_told_to_stop();
 }
 
 #[test]
@@ -342,18 +312,15 @@ fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
     let mut table = Table::identified("epulse50-dc", &[readback]);
     table.enable(REFERENCE);
     table.hold(REFERENCE, 3.0);
-    let ours = table.far().told_last("speed_ref").unwrap();
+    let ours = table.told("speed_ref").unwrap();
     table.far().overwrite("speed_ref", ours / 2);
-    let error = (0..200).find_map(|_| table.run(REFERENCE).err()).unwrap();
-    let text = error.to_string();
+    let text = table.first_error(REFERENCE).to_string();
     assert_says(&text, "somebody else writes it");
     assert!(!text.contains("ignores"), "{text}");
-    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    assert_eq!(table.told("enable_word"), Some(0));
     // One that takes nothing keeps what it had.
     let mut table = Table::running("epulse50-dc", &[readback], REFERENCE);
     table.far().ignore(Some("speed_ref"));
-    let mut speeds = (1..20).map(|k| 100.0 + f64::from(k));
-    let error = speeds.find_map(|rpm| table.run(Some(("speed_ref", rpm))).err());
-    let text = error.unwrap().to_string();
-    assert_says(&text, "so it ignores what is written");
+    let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
+    assert_says(&error, "so it ignores what is written");
 }

@@ -1,7 +1,6 @@
 //! Drag that differs by direction: a lip seal that lifts off when the shaft turns one way.
 
-use super::Draw::Signed;
-use super::{Acts, Allowed, HiddenKind, Parameter, drag};
+use super::{Acts, HiddenKind, Signed, drag};
 
 /// Speed at which the seal begins to lift, as a share of rated speed: 1 % less torque than `a |w|` at rated speed.
 const LIFT_SPEED_RATIO: f64 = 0.01;
@@ -10,14 +9,8 @@ const LIFT_SPEED_RATIO: f64 = 0.01;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "asymmetric_viscous",
     names: &["asymmetric_viscous"],
-    parameters: &[Parameter::new(
-        "asymmetry_n_m_s_per_rad",
-        "N.m.s/rad",
-        Allowed::Signed,
-        1e-4,
-    )],
+    parameters: &[Signed.of("asymmetry_n_m_s_per_rad", "N.m.s/rad", 1e-4, 2e-4..5e-4)],
     mystery: Some(|dice| vec![dice.sign() * dice.torque_n_m / dice.speed_rad_s]),
-    study: &[Signed("asymmetry_n_m_s_per_rad", 2e-4, 5e-4)],
     acts: Acts::Inside(|values, site| {
         let slope = values[0];
         let w0 = LIFT_SPEED_RATIO * site.motor.rated_speed_rad_s;

@@ -1,7 +1,6 @@
 //! Cogging: magnets against slots, as a harmonic series.
 
-use super::Draw::{OneOf, Phase};
-use super::{Acts, Allowed, HiddenKind, Mechanism, Parameter, load, named};
+use super::{Acts, HiddenKind, Mechanism, Parameter, Wave, load, named};
 
 /// Second harmonic as a share of the first: 1 % of the torque's power, so that one sine explains 99 % of it.
 pub(super) const SECOND_HARMONIC: f64 = 0.1;
@@ -12,19 +11,15 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     names: &["cogging"],
     parameters: &[
         // N, periods per turn.
-        Parameter::new("order", "-", Allowed::Order, 7.0),
-        Parameter::new("sin_n_m", "N.m", Allowed::Signed, 0.1),
-        Parameter::new("cos_n_m", "N.m", Allowed::Signed, 0.0),
+        Parameter::order(&[4.0, 6.0, 8.0, 9.0, 12.0, 14.0]),
+        Wave.of("sin_n_m", "N.m", 0.1, 0.07..0.15),
+        Wave.of("cos_n_m", "N.m", 0.0, 0.07..0.15),
     ],
     mystery: Some(|dice| {
         let order = dice.order();
         let [sin, cos] = dice.wave(dice.torque_n_m);
         vec![order, sin, cos]
     }),
-    study: &[
-        OneOf("order", &[4.0, 6.0, 8.0, 9.0, 12.0, 14.0]),
-        Phase(["sin_n_m", "cos_n_m"], 0.07, 0.15),
-    ],
     acts: Acts::Inside(|values, _| slots(named(values), SECOND_HARMONIC)),
 };
 

@@ -1,7 +1,6 @@
 //! A load behind a rubber coupling.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, Shaft, named};
+use super::{Acts, Fraction, HiddenKind, Positive, Shaft, Share, named};
 
 /// Rubber is so much stiffer at rated torque than without load, as a share.
 const STIFFENING: f64 = 0.03;
@@ -11,11 +10,11 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     id: "elastic_coupling",
     names: &["elastic_coupling"],
     parameters: &[
-        Parameter::new("frequency_hz", "Hz", Allowed::Positive, 22.0),
-        Parameter::new("inertia_ratio", "-", Allowed::Share, 0.4),
-        Parameter::new("damping_ratio", "-", Allowed::Fraction, 0.03),
+        Positive.of("frequency_hz", "Hz", 22.0, 14.0..30.0),
+        Share.of("inertia_ratio", "-", 0.4, 0.35..0.6),
+        Fraction.of("damping_ratio", "-", 0.03, 0.03..0.08),
         // Share of the Coulomb friction behind the coupling.
-        Parameter::new("friction_split", "-", Allowed::Fraction, 0.5),
+        Fraction.of("friction_split", "-", 0.5, 0.2..0.6),
     ],
     mystery: Some(|dice| {
         vec![
@@ -25,12 +24,6 @@ pub(super) const KIND: HiddenKind = HiddenKind {
             dice.between(0.2, 0.8),
         ]
     }),
-    study: &[
-        Between("frequency_hz", 14.0, 30.0),
-        Between("inertia_ratio", 0.35, 0.6),
-        Between("damping_ratio", 0.03, 0.08),
-        Between("friction_split", 0.2, 0.6),
-    ],
     // See [`Shaft`]: it stiffens under torque, the host's does not.
     acts: Acts::Behind(|values, site| Shaft::new(site, named(values), 0.0, STIFFENING)),
 };

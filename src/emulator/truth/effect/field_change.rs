@@ -1,7 +1,6 @@
 //! Magnets that warm up and lose flux.
 
-use super::Draw::Signed;
-use super::{Acts, Allowed, HiddenKind, Parameter, flux_factor};
+use super::{Acts, HiddenKind, Signed, flux_factor};
 
 /// Thermal time constant of the magnets, s.
 const MAGNET_TIME_CONSTANT_S: f64 = 60.0;
@@ -10,12 +9,11 @@ const MAGNET_TIME_CONSTANT_S: f64 = 60.0;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "field_change",
     names: &["field_change"],
-    parameters: &[Parameter::new("drift_per_s", "1/s", Allowed::Signed, -5e-3)],
+    parameters: &[Signed.of("drift_per_s", "1/s", -5e-3, 0.003..0.009)],
     mystery: Some(|dice| {
         // Warm magnets lose flux: 3 to 10 % in ten seconds.
         vec![-dice.size(0.003, 0.01)]
     }),
-    study: &[Signed("drift_per_s", 0.003, 0.009)],
     acts: Acts::Inside(|values, _| {
         let settled = values[0] * MAGNET_TIME_CONSTANT_S;
         // phi = 1 + drift T (1 - exp(-t/T)), T = 60 s: over a run of 12 s it bends by a tenth from the host's 1 + drift t.

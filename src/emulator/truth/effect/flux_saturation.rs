@@ -1,7 +1,6 @@
 //! Armature reaction: current weakens the field, less and less.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, flux_factor};
+use super::{Acts, HiddenKind, NotNegative, flux_factor};
 use crate::emulator::truth::MotorTruth;
 
 /// Current at which the weakening has used up 58 % of its reach, in rated currents.
@@ -11,18 +10,12 @@ const REACH_RATED_CURRENTS: f64 = 6.0;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "flux_saturation",
     names: &["flux_saturation"],
-    parameters: &[Parameter::new(
-        "saturation_per_a2",
-        "1/A2",
-        Allowed::NotNegative,
-        4e-4,
-    )],
+    parameters: &[NotNegative.of("saturation_per_a2", "1/A2", 4e-4, 1.5e-4..4e-4)],
     mystery: Some(|dice| {
         // By so much at rated current. From 2 % on, the back-EMF at full speed falls faster with the current than the
         // resistance's voltage grows, and the current runs away; above 0.0128 that of the weakest specimen does.
         vec![dice.size(0.005, 0.0125) / (dice.current_a * dice.current_a)]
     }),
-    study: &[Between("saturation_per_a2", 1.5e-4, 4e-4)],
     acts: Acts::Inside(|values, site| {
         let rated = site.motor.rated_current_a;
         let weakened = 1.0 - 1.0 / (1.0 + values[0] * rated * rated);
@@ -55,7 +48,7 @@ pub fn largest_stable(motor: &MotorTruth, current_limit_a: f64, tolerance: f64) 
 #[cfg(test)]
 mod tests {
     use super::super::super::motor::zk_22fc;
-    use super::super::{Moment, Site};
+    use super::super::Moment;
     use super::*;
 
     #[test]
@@ -64,7 +57,7 @@ mod tests {
         let most = largest_stable(&motor, 11.4, 0.0);
         assert!((5e-4..6e-4).contains(&most), "{most}");
         let slope_at_limit = |saturation_per_a2| {
-            let field = KIND.mechanism(&[saturation_per_a2], &Site::of(&motor));
+            let field = KIND.mechanism(&[saturation_per_a2]);
             let volts = |current_a: f64| {
                 let at = Moment {
                     current_a,

@@ -1,7 +1,6 @@
 //! A bearing that begins to drag some time after the drive was started.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
+use super::{Acts, HiddenKind, NotNegative, friction, named};
 
 /// Time constant with which the film breaks down, s.
 const DRY_S: f64 = 0.02;
@@ -11,19 +10,10 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     id: "friction_onset",
     names: &["friction_onset"],
     parameters: &[
-        Parameter::new(
-            "viscous_n_m_s_per_rad",
-            "N.m.s/rad",
-            Allowed::NotNegative,
-            4e-4,
-        ),
-        Parameter::new("time_s", "s", Allowed::NotNegative, 0.6),
+        NotNegative.of("viscous_n_m_s_per_rad", "N.m.s/rad", 4e-4, 4e-4..8e-4),
+        NotNegative.of("time_s", "s", 0.6, 3.0..6.0),
     ],
     mystery: Some(|dice| vec![dice.torque_n_m / dice.speed_rad_s, dice.between(3.0, 9.0)]),
-    study: &[
-        Between("viscous_n_m_s_per_rad", 4e-4, 8e-4),
-        Between("time_s", 3.0, 6.0),
-    ],
     acts: Acts::Inside(|values, _| {
         let [viscous, time_s] = named(values);
         // B w (1 - exp(-(t - t1)/20 ms)). The host's catalogue has a logistic curve about t1.

@@ -1,24 +1,17 @@
 //! Iron that saturates: the flux linkage of the armature bends over.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, inductance_factor};
+use super::{Acts, HiddenKind, NotNegative, inductance_factor};
 
 /// Incremental inductance that is 1/(1 + `saturation_per_a2` i^2) of the one without current, exactly so at rated
 /// current.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "inductance_saturation",
     names: &["inductance_saturation"],
-    parameters: &[Parameter::new(
-        "saturation_per_a2",
-        "1/A2",
-        Allowed::NotNegative,
-        5e-3,
-    )],
+    parameters: &[NotNegative.of("saturation_per_a2", "1/A2", 5e-3, 2e-3..5e-3)],
     mystery: Some(|dice| {
         // By so much at rated current.
         vec![dice.size(0.2, 0.6) / (dice.current_a * dice.current_a)]
     }),
-    study: &[Between("saturation_per_a2", 2e-3, 5e-3)],
     acts: Acts::Inside(|values, site| {
         let rated = site.motor.rated_current_a;
         let drop = 1.0 + values[0] * rated * rated;

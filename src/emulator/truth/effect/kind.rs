@@ -1,5 +1,7 @@
 //! Kind of a hidden effect: what its file states, parameters, sizes and what it does.
 
+use std::ops::Range;
+
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
@@ -20,15 +22,31 @@ pub(super) struct HiddenKind {
     pub(super) parameters: &'static [Parameter],
     /// How a mystery draws the values, in the order of the parameters; `None` where no mystery hides it.
     pub(super) mystery: Option<fn(&mut Dice<'_>) -> Vec<f64>>,
-    /// How the study of the diagnosis draws them; empty where it does not.
-    pub(super) study: &'static [Draw],
     pub(super) acts: Acts,
 }
 
-#[cfg(test)]
 impl HiddenKind {
-    /// What it does inside the machine with these values.
-    pub(super) fn mechanism(&self, values: &[f64], site: &Site) -> Box<dyn Mechanism> {
+    /// Whether the study of the diagnosis draws it.
+    pub(super) fn is_studied(&self) -> bool {
+        self.parameters.iter().all(Parameter::is_studied)
+    }
+
+    /// Its values as the study draws them, in the order of the parameters.
+    pub(super) fn study(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut other_part = None;
+        let parameters = self.parameters.iter();
+        let drawn = parameters.map(|p| p.drawn(rng, &mut other_part));
+        drawn.collect()
+    }
+
+    /// What it does inside the motor of paper A with these values.
+    #[cfg(test)]
+    pub(super) fn mechanism(&self, values: &[f64]) -> Box<dyn Mechanism> {
+        self.mechanism_on(&Site::of(&crate::emulator::truth::motor::zk_22fc()), values)
+    }
+
+    #[cfg(test)]
+    pub(super) fn mechanism_on(&self, site: &Site, values: &[f64]) -> Box<dyn Mechanism> {
         match self.acts {
             Acts::Inside(make) => make(values, site),
             _ => panic!("{} does nothing inside the machine", self.id),
@@ -41,8 +59,8 @@ impl HiddenKind {
 pub(super) enum Acts {
     /// Inside the machine on this site, from rest and cold.
     Inside(fn(&[f64], &Site) -> Box<dyn Mechanism>),
-    /// Between command, machine and measurement.
-    Between(fn(f64) -> Path),
+    /// Between command, machine and measurement, as this value of the path.
+    Between(fn(&mut Path) -> &mut f64),
     /// Behind the shaft, as a second inertia.
     Behind(fn(&[f64], &Site) -> Shaft),
     /// In several other effects, of which it is made.
@@ -63,20 +81,46 @@ pub(super) struct Parameter {
     /// In the machines of the tests.
     #[cfg_attr(not(test), expect(dead_code, reason = "only tests use it"))]
     pub(super) usual: f64,
+    /// Between which the study draws it, evenly; empty where it does not.
+    studied: Range<f64>,
+    /// Of these the study draws one.
+    one_of: &'static [f64],
 }
 
+/// In place of a range: the study does not draw it.
+pub(super) const NOT_STUDIED: Range<f64> = 0.0..0.0;
+
 impl Parameter {
-    pub(super) const fn new(
-        key: &'static str,
-        unit: &'static str,
-        allowed: Allowed,
-        usual: f64,
-    ) -> Self {
+    /// N, periods per turn; the study draws one of these.
+    pub(super) const fn order(one_of: &'static [f64]) -> Self {
         Self {
-            key,
-            unit,
-            allowed,
-            usual,
+            one_of,
+            ..Allowed::Order.of("order", "-", 7.0, 1.0..400.0)
+        }
+    }
+
+    pub(super) const fn is_studied(&self) -> bool {
+        self.studied.start < self.studied.end
+    }
+
+    /// As the study draws it. `other_part`: of the wave of which this parameter is the first part, for the next one.
+    fn drawn(&self, rng: &mut ChaCha8Rng, other_part: &mut Option<f64>) -> f64 {
+        if !self.one_of.is_empty() {
+            return self.one_of[rng.random_range(0..self.one_of.len())];
+        }
+        let size = |rng: &mut ChaCha8Rng| rng.random_range(self.studied.clone());
+        match self.allowed {
+            Allowed::Signed => {
+                let sign = if rng.random() { 1.0 } else { -1.0 };
+                sign * size(rng)
+            }
+            Allowed::Wave => other_part.take().unwrap_or_else(|| {
+                let amplitude = size(rng);
+                let phase = rng.random_range(0.0..std::f64::consts::TAU);
+                *other_part = Some(amplitude * phase.cos());
+                amplitude * phase.sin()
+            }),
+            _ => size(rng),
         }
     }
 }
@@ -84,8 +128,10 @@ impl Parameter {
 /// What a parameter may be.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Allowed {
-    /// Any number.
+    /// Any number; the study draws either sign.
     Signed,
+    /// Any number: the sine and then the cosine of a wave, whose amplitude is what the study draws.
+    Wave,
     NotNegative,
     Positive,
     /// 0 to 1.
@@ -101,9 +147,27 @@ pub(super) enum Allowed {
 }
 
 impl Allowed {
+    /// The parameter that may be this, its size in the tests, and the range in which the study draws it.
+    pub(super) const fn of(
+        self,
+        key: &'static str,
+        unit: &'static str,
+        usual: f64,
+        studied: Range<f64>,
+    ) -> Parameter {
+        Parameter {
+            key,
+            unit,
+            allowed: self,
+            usual,
+            studied,
+            one_of: &[],
+        }
+    }
+
     pub(super) fn refuses(self, value: f64) -> Option<&'static str> {
         let (ok, text) = match self {
-            Self::Signed => (true, "a number"),
+            Self::Signed | Self::Wave => (true, "a number"),
             Self::NotNegative => (value >= 0.0, "0 or more"),
             Self::Positive => (value > 0.0, "above 0"),
             Self::Fraction => ((0.0..=1.0).contains(&value), "0 to 1"),
@@ -179,38 +243,5 @@ impl<'a> Dice<'a> {
     /// Whole ticks of the drive.
     pub(super) fn delay_s(&mut self, low_ms: f64, high_ms: f64) -> f64 {
         (self.size(low_ms, high_ms) * 20.0).round() * 50e-6
-    }
-}
-
-/// How the study draws one key of an effect, or two of one amplitude: evenly.
-#[derive(Debug)]
-pub(super) enum Draw {
-    Between(&'static str, f64, f64),
-    /// Of either sign.
-    Signed(&'static str, f64, f64),
-    OneOf(&'static str, &'static [f64]),
-    /// Sine and cosine of one amplitude at a random phase.
-    Phase([&'static str; 2], f64, f64),
-}
-
-impl Draw {
-    /// The keys with their values.
-    pub(super) fn values(&self, rng: &mut ChaCha8Rng) -> Vec<(&'static str, f64)> {
-        match self {
-            Self::Between(key, low, high) => vec![(key, rng.random_range(*low..*high))],
-            Self::Signed(key, low, high) => {
-                let sign = if rng.random() { 1.0 } else { -1.0 };
-                vec![(key, sign * rng.random_range(*low..*high))]
-            }
-            Self::OneOf(key, values) => vec![(key, values[rng.random_range(0..values.len())])],
-            Self::Phase([sine, cosine], low, high) => {
-                let amplitude = rng.random_range(*low..*high);
-                let phase = rng.random_range(0.0..std::f64::consts::TAU);
-                vec![
-                    (sine, amplitude * phase.sin()),
-                    (cosine, amplitude * phase.cos()),
-                ]
-            }
-        }
     }
 }

@@ -1,7 +1,6 @@
 //! A brake that engages some time after the drive was started.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
+use super::{Acts, HiddenKind, NotNegative, friction, named};
 
 /// Time constant with which the brake takes hold, s.
 const GRIP_S: f64 = 0.015;
@@ -11,11 +10,10 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     id: "load_step",
     names: &["load_step"],
     parameters: &[
-        Parameter::new("step_n_m", "N.m", Allowed::NotNegative, 0.12),
-        Parameter::new("time_s", "s", Allowed::NotNegative, 0.6),
+        NotNegative.of("step_n_m", "N.m", 0.12, 0.08..0.2),
+        NotNegative.of("time_s", "s", 0.6, 3.0..6.0),
     ],
     mystery: Some(|dice| vec![dice.torque_n_m, dice.between(3.0, 9.0)]),
-    study: &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
     acts: Acts::Inside(|values, _| {
         let [step_n_m, time_s] = named(values);
         // T (1 - exp(-(t - t1)/15 ms)), the current of the brake's coil. The host's catalogue has a logistic curve

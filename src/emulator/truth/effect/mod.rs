@@ -54,7 +54,8 @@ use serde::de::Error as _;
 use serde::ser::SerializeMap as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use kind::{Acts, Allowed, Dice, Draw, HiddenKind, Parameter, named};
+use kind::Allowed::{Delay, Fraction, Loss, NotNegative, Positive, Share, Signed, Wave};
+use kind::{Acts, Dice, HiddenKind, NOT_STUDIED, Parameter, named};
 pub use kind::{Refused, TrueParameter};
 pub use mechanism::{Mechanism, Moment, Site};
 use mechanism::{
@@ -157,16 +158,17 @@ impl HiddenEffect {
 
     /// Ids that the study of the diagnosis draws, with the names of the host's catalogue that are right for each.
     pub fn studied() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
-        let drawn = CATALOGUE.iter().filter(|kind| !kind.study.is_empty());
+        let drawn = CATALOGUE.iter().filter(|kind| kind.is_studied());
         drawn.map(|kind| (kind.id, kind.names))
     }
 
     /// The effect as the study draws it, each value multiplied by `share` of its key.
     pub fn study(id: &str, share: impl Fn(&str) -> f64, rng: &mut ChaCha8Rng) -> Option<Self> {
-        let kind = CATALOGUE.iter().find(|kind| kind.id == id)?;
-        let drawn = kind.study.iter().flat_map(|draw| draw.values(rng));
-        let values: Vec<(&str, f64)> = drawn.map(|(key, v)| (key, share(key) * v)).collect();
-        Self::new(id, &values)
+        let mut studied = CATALOGUE.iter().filter(|kind| kind.is_studied());
+        let kind = studied.find(|kind| kind.id == id)?;
+        let drawn = kind.parameters.iter().zip(kind.study(rng));
+        let values = drawn.map(|(p, value)| share(p.key) * value).collect();
+        Some(Self { kind, values })
     }
 
     pub const fn id(&self) -> &'static str {
@@ -211,7 +213,11 @@ impl HiddenEffect {
     /// What it does between command, machine and measurement, its parts included.
     pub fn path(&self, site: &Site) -> Path {
         match self.kind.acts {
-            Acts::Between(make) => make(self.values[0]),
+            Acts::Between(field) => {
+                let mut path = Path::default();
+                *field(&mut path) = self.values[0];
+                path
+            }
             Acts::Together(make) => make(self.values[0], site)
                 .iter()
                 .fold(Path::default(), |path, part| path.plus(part.path(site))),

@@ -1,7 +1,6 @@
 //! A fan or pump on the shaft.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, drag};
+use super::{Acts, HiddenKind, NotNegative, drag};
 
 /// Measured fans follow a power of the speed a little below two.
 const FAN_EXPONENT: f64 = 1.95;
@@ -10,14 +9,13 @@ const FAN_EXPONENT: f64 = 1.95;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "quadratic_load",
     names: &["quadratic_load"],
-    parameters: &[Parameter::new(
+    parameters: &[NotNegative.of(
         "quadratic_n_m_s2_per_rad2",
         "N.m.s2/rad2",
-        Allowed::NotNegative,
         1.8e-6,
+        1.2e-6..2.8e-6,
     )],
     mystery: Some(|dice| vec![dice.torque_n_m / (dice.speed_rad_s * dice.speed_rad_s)]),
-    study: &[Between("quadratic_n_m_s2_per_rad2", 1.2e-6, 2.8e-6)],
     acts: Acts::Inside(|values, site| {
         let rated_speed_rad_s = site.motor.rated_speed_rad_s;
         let torque_at_rated_n_m = values[0] * rated_speed_rad_s.powi(2);
@@ -31,13 +29,11 @@ pub(super) const KIND: HiddenKind = HiddenKind {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     #[test]
     fn equals_the_square_law_at_rated_speed_only() {
-        let fan = KIND.mechanism(&[1.8e-6], &Site::of(&zk_22fc()));
+        let fan = KIND.mechanism(&[1.8e-6]);
         let square = |speed: f64| 1.8e-6 * speed * speed.abs();
         assert!((fan.drag_torque_n_m(-293.2) - square(-293.2)).abs() < 1e-12);
         assert!(fan.drag_torque_n_m(100.0) > 1.04 * square(100.0));

@@ -1,7 +1,6 @@
 //! Stribeck friction with memory: a bristle that stretches, slips and relaxes.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
+use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
 /// Shaft angle over which the bristle stretches to its full torque, rad: it sets the memory of the friction. Asperities
 /// yield over some micrometres (15 um with the stiffness and level of the paper below), here at a radius of 10 mm.
@@ -12,14 +11,10 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     id: "stribeck_friction",
     names: &["stribeck_friction"],
     parameters: &[
-        Parameter::new("stribeck_n_m", "N.m", Allowed::NotNegative, 0.16),
-        Parameter::new("stribeck_speed_rad_s", "rad/s", Allowed::Positive, 10.0),
+        NotNegative.of("stribeck_n_m", "N.m", 0.16, 0.08..0.16),
+        Positive.of("stribeck_speed_rad_s", "rad/s", 10.0, 6.0..18.0),
     ],
     mystery: Some(|dice| vec![dice.torque_n_m, dice.between(5.0, 20.0)]),
-    study: &[
-        Between("stribeck_n_m", 0.08, 0.16),
-        Between("stribeck_speed_rad_s", 6.0, 18.0),
-    ],
     acts: Acts::Inside(|values, _| {
         Box::new(Bristle {
             torque_n_m: values[0],
@@ -68,8 +63,6 @@ impl Mechanism for Bristle {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     fn turning(speed_rad_s: f64) -> Moment {
@@ -80,7 +73,7 @@ mod tests {
     }
 
     fn bristle() -> Box<dyn Mechanism> {
-        KIND.mechanism(&[0.16, 10.0], &Site::of(&zk_22fc()))
+        KIND.mechanism(&[0.16, 10.0])
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! A supply that gives way under load: source resistance and the capacitor of the intermediate circuit.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
+use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative};
 use crate::plant::REFERENCE_SUPPLY_V;
 
 /// Time constant of source resistance and capacitor, s. It is a smoothing that samples at 1 kHz hardly see.
@@ -12,9 +11,8 @@ const BUS_TIME_CONSTANT_S: f64 = 2e-3;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "supply_sag",
     names: &["supply_sag"],
-    parameters: &[Parameter::new("sag_ohm", "ohm", Allowed::NotNegative, 0.4)],
+    parameters: &[NotNegative.of("sag_ohm", "ohm", 0.4, 0.25..0.6)],
     mystery: Some(|dice| vec![dice.size(0.02, 0.06) * dice.voltage_v / dice.current_a]),
-    study: &[Between("sag_ohm", 0.25, 0.6)],
     acts: Acts::Inside(|values, site| {
         let referred = site.bus_v / REFERENCE_SUPPLY_V;
         Box::new(Supply {
@@ -62,7 +60,7 @@ mod tests {
                 bus_v,
                 ..Site::of(&zk_22fc())
             };
-            let mut bus = KIND.mechanism(&[0.4], &site);
+            let mut bus = KIND.mechanism_on(&site, &[0.4]);
             for _ in 0..1000 {
                 bus.advance(50e-6, &at, 55.0);
             }
@@ -74,7 +72,7 @@ mod tests {
 
     #[test]
     fn settles_on_the_duty_cycle_law_and_lags() {
-        let mut bus = KIND.mechanism(&[0.4], &Site::of(&zk_22fc()));
+        let mut bus = KIND.mechanism(&[0.4]);
         let at = Moment {
             current_a: 6.0,
             ..Moment::default()

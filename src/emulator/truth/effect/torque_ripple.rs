@@ -1,8 +1,7 @@
 //! Torque ripple: commutation modulates what the current makes of torque.
 
-use super::Draw::{OneOf, Phase};
 use super::cogging::{Harmonics, SECOND_HARMONIC};
-use super::{Acts, Allowed, HiddenKind, Parameter, load, named};
+use super::{Acts, HiddenKind, Parameter, Wave, load, named};
 
 /// Torque against positive speed of `(sin_ratio sin(N th) + cos_ratio cos(N th)) Kt i`: nothing without current.
 pub(super) const KIND: HiddenKind = HiddenKind {
@@ -10,9 +9,9 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     names: &["torque_ripple"],
     parameters: &[
         // N, periods per turn.
-        Parameter::new("order", "-", Allowed::Order, 7.0),
-        Parameter::new("sin_ratio", "-", Allowed::Signed, 0.05),
-        Parameter::new("cos_ratio", "-", Allowed::Signed, 0.0),
+        Parameter::order(&[3.0, 6.0, 8.0, 12.0]),
+        Wave.of("sin_ratio", "-", 0.05, 0.05..0.12),
+        Wave.of("cos_ratio", "-", 0.0, 0.05..0.12),
     ],
     mystery: Some(|dice| {
         let order = dice.order();
@@ -20,10 +19,6 @@ pub(super) const KIND: HiddenKind = HiddenKind {
         let [sin, cos] = dice.wave(ratio);
         vec![order, sin, cos]
     }),
-    study: &[
-        OneOf("order", &[3.0, 6.0, 8.0, 12.0]),
-        Phase(["sin_ratio", "cos_ratio"], 0.05, 0.12),
-    ],
     acts: Acts::Inside(|values, _| {
         // Commutation is no sine: its second harmonic is a tenth of the first. The host's catalogue has the sine.
         let commutator = Harmonics::new(named(values), SECOND_HARMONIC);

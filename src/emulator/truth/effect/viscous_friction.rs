@@ -1,7 +1,6 @@
 //! Viscous drag of a lubricant that thins with shear.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, drag};
+use super::{Acts, HiddenKind, NotNegative, drag};
 
 /// Speed scale of the thinning as a multiple of rated speed: 4 % less drag than linear at rated speed.
 const THINNING_SPEED_RATIO: f64 = 2.0;
@@ -10,14 +9,8 @@ const THINNING_SPEED_RATIO: f64 = 2.0;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "viscous_friction",
     names: &["viscous_friction"],
-    parameters: &[Parameter::new(
-        "viscous_n_m_s_per_rad",
-        "N.m.s/rad",
-        Allowed::NotNegative,
-        4e-4,
-    )],
+    parameters: &[NotNegative.of("viscous_n_m_s_per_rad", "N.m.s/rad", 4e-4, 4e-4..8e-4)],
     mystery: Some(|dice| vec![dice.torque_n_m / dice.speed_rad_s]),
-    study: &[Between("viscous_n_m_s_per_rad", 4e-4, 8e-4)],
     acts: Acts::Inside(|values, site| {
         let viscous = values[0];
         let w0 = THINNING_SPEED_RATIO * site.motor.rated_speed_rad_s;
@@ -28,13 +21,11 @@ pub(super) const KIND: HiddenKind = HiddenKind {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     #[test]
     fn linear_at_low_speed_and_a_few_percent_less_at_rated_speed() {
-        let drag = KIND.mechanism(&[4e-4], &Site::of(&zk_22fc()));
+        let drag = KIND.mechanism(&[4e-4]);
         assert!((drag.drag_torque_n_m(1.0) / 4e-4 - 1.0).abs() < 1e-5);
         let ratio = drag.drag_torque_n_m(-293.2) / (-293.2 * 4e-4);
         assert!((0.95..0.97).contains(&ratio), "{ratio}");

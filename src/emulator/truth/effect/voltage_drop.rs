@@ -1,7 +1,6 @@
 //! Contact drop of the brushes.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, voltage_loss};
+use super::{Acts, HiddenKind, NotNegative, voltage_loss};
 
 /// Current at which the contact film carries 71 % of its full drop, A.
 const FILM_CURRENT_A: f64 = 0.1;
@@ -10,9 +9,8 @@ const FILM_CURRENT_A: f64 = 0.1;
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "voltage_drop",
     names: &["voltage_drop"],
-    parameters: &[Parameter::new("drop_v", "V", Allowed::NotNegative, 1.2)],
+    parameters: &[NotNegative.of("drop_v", "V", 1.2, 0.8..2.0)],
     mystery: Some(|dice| vec![dice.size(0.01, 0.04) * dice.voltage_v]),
-    study: &[Between("drop_v", 0.8, 2.0)],
     acts: Acts::Inside(|values, _| {
         let drop_v = values[0];
         // drop = V i/sqrt(i^2 + i0^2). The host's catalogue has a hyperbolic tangent.
@@ -22,13 +20,11 @@ pub(super) const KIND: HiddenKind = HiddenKind {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     #[test]
     fn odd_and_saturating() {
-        let film = KIND.mechanism(&[1.2], &Site::of(&zk_22fc()));
+        let film = KIND.mechanism(&[1.2]);
         assert!((film.voltage_loss_v(5.7) - 1.2).abs() < 1e-3);
         assert!((film.voltage_loss_v(-0.1) + 1.2 / 2.0_f64.sqrt()).abs() < 1e-12);
     }

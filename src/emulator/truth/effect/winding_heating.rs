@@ -1,7 +1,6 @@
 //! Copper that warms up: winding and frame as two heat stores.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
+use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
 /// Temperature coefficient of copper at 25 C, 1/K.
 const COPPER_PER_K: f64 = 0.00393;
@@ -15,14 +14,10 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     id: "winding_heating",
     names: &["winding_heating"],
     parameters: &[
-        Parameter::new("gain_per_a2_s", "1/(A2.s)", Allowed::NotNegative, 2e-3),
-        Parameter::new("time_constant_s", "s", Allowed::Positive, 20.0),
+        NotNegative.of("gain_per_a2_s", "1/(A2.s)", 2e-3, 0.8e-3..2.2e-3),
+        Positive.of("time_constant_s", "s", 20.0, 8.0..40.0),
     ],
     mystery: Some(|dice| vec![dice.size(1e-3, 4e-3), dice.between(10.0, 40.0)]),
-    study: &[
-        Between("gain_per_a2_s", 0.8e-3, 2.2e-3),
-        Between("time_constant_s", 8.0, 40.0),
-    ],
     acts: Acts::Inside(|values, _| {
         Box::new(CopperAndFrame {
             rise_per_a2_s: values[0] / COPPER_PER_K,
@@ -65,8 +60,6 @@ impl Mechanism for CopperAndFrame {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     fn carrying(current_a: f64) -> Moment {
@@ -78,7 +71,7 @@ mod tests {
 
     #[test]
     fn warms_with_the_stated_gain_and_cools_again() {
-        let mut winding = KIND.mechanism(&[2e-3, 20.0], &Site::of(&zk_22fc()));
+        let mut winding = KIND.mechanism(&[2e-3, 20.0]);
         for _ in 0..2_000 {
             winding.advance(50e-6, &carrying(5.0), 0.0);
         }
@@ -93,7 +86,7 @@ mod tests {
 
     #[test]
     fn the_loss_grows_with_the_resistance() {
-        let mut winding = KIND.mechanism(&[2e-3, 20.0], &Site::of(&zk_22fc()));
+        let mut winding = KIND.mechanism(&[2e-3, 20.0]);
         for _ in 0..400_000 {
             winding.advance(50e-6, &carrying(5.0), 0.0);
         }

@@ -55,14 +55,11 @@ impl Written {
 
     fn call(self, function: &str) -> Self {
         let Self { value, smooth } = self;
-        match function {
-            "abs" => Self {
-                value: format!("abs({value})"),
-                smooth: format!("sqrt(({smooth})^2)"),
-            },
-            other => Self {
-                value: format!("{other}({value})"),
-                smooth: format!("{other}({smooth})"),
+        Self {
+            value: format!("{function}({value})"),
+            smooth: match function {
+                "abs" => format!("sqrt(({smooth})^2)"),
+                other => format!("{other}({smooth})"),
             },
         }
     }
@@ -98,10 +95,7 @@ pub(super) fn read(
             "`)` closes nothing",
             "take it out, or open a parenthesis before it",
         )),
-        Some(other) => Err(reader.mistake(
-            &format!("an operator is missing before {other:?}"),
-            "a product needs its sign: a*w",
-        )),
+        Some(other) => Err(reader.no_operator(other)),
     }
 }
 
@@ -125,6 +119,11 @@ impl Reader<'_> {
             message: message.to_owned(),
             help: help.to_owned(),
         }
+    }
+
+    fn no_operator(&self, before: char) -> Mistake {
+        let message = format!("an operator is missing before {before:?}");
+        self.mistake(&message, "a product needs its sign: a*w")
     }
 
     /// The next character that is not a space.
@@ -221,21 +220,14 @@ impl Reader<'_> {
                 "a function of two arguments is not known",
                 &format!("functions of one argument: {}", FUNCTIONS.join(", ")),
             )),
-            Some(other) => Err(self.mistake(
-                &format!("an operator is missing before {other:?}"),
-                "a product needs its sign: a*w",
-            )),
+            Some(other) => Err(self.no_operator(other)),
         }
     }
 
     fn number(&mut self) -> Result<Written, Mistake> {
         let rest = &self.text.as_bytes()[self.at..];
-        let digits = |from: usize| {
-            from + rest[from..]
-                .iter()
-                .take_while(|byte| byte.is_ascii_digit() || **byte == b'.')
-                .count()
-        };
+        let is_digit = |byte: &&u8| byte.is_ascii_digit() || **byte == b'.';
+        let digits = |from: usize| from + rest[from..].iter().take_while(is_digit).count();
         let mut end = digits(0);
         if matches!(rest.get(end), Some(b'e' | b'E')) {
             let sign = usize::from(matches!(rest.get(end + 1), Some(b'+' | b'-')));
@@ -264,10 +256,8 @@ impl Reader<'_> {
         if FUNCTIONS.contains(&name) {
             self.at += length;
             if self.peek() != Some('(') {
-                return Err(self.mistake(
-                    &format!("the function `{name}` needs its argument in parentheses"),
-                    &format!("as {name}(w)"),
-                ));
+                let message = format!("the function `{name}` needs its argument in parentheses");
+                return Err(self.mistake(&message, &format!("as {name}(w)")));
             }
             let open = self.at;
             let argument = self.parenthesis()?;
@@ -294,10 +284,8 @@ impl Reader<'_> {
                 self.at += length;
                 if self.peek() == Some('(') {
                     self.at = begin;
-                    return Err(self.mistake(
-                        &format!("`{name}` is not a function"),
-                        &format!("functions: {}", FUNCTIONS.join(", ")),
-                    ));
+                    let help = format!("functions: {}", FUNCTIONS.join(", "));
+                    return Err(self.mistake(&format!("`{name}` is not a function"), &help));
                 }
                 Ok(Written::plain(format!("{{{}}}", variable(index))))
             }
@@ -349,13 +337,8 @@ mod tests {
         for function in FUNCTIONS {
             let text = format!("{}a{}", format!("{function}(").repeat(60), ")".repeat(60));
             let written = read(&text, &names, 9).unwrap();
-            let longest = 16 * text.len();
-            assert!(
-                written.value.len() < longest && written.smooth.len() < longest,
-                "{function}: {} {}",
-                written.value.len(),
-                written.smooth.len()
-            );
+            let length = written.value.len().max(written.smooth.len());
+            assert!(length < 16 * text.len(), "{function}: {length}");
         }
     }
 

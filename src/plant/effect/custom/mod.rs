@@ -51,23 +51,17 @@ pub(super) fn define(
     let balance = balance_of(settings)?;
     let text = text_of(settings, "expression", "a*abs(w)*w")?;
     if text.len() > LONGEST {
-        return Err(DefinitionError::new(
-            "expression",
-            format!(
-                "expression has {} characters, at most {LONGEST} are allowed",
-                text.len()
-            ),
-            "split it into two effects, custom_one and custom_two",
-        ));
+        let length = text.len();
+        let message = format!("expression has {length} characters, at most {LONGEST} are allowed");
+        let help = "split it into two effects, custom_one and custom_two";
+        return Err(DefinitionError::new("expression", message, help));
     }
     let mut declared = parameters::read(settings.get("parameters"))?;
     let most = MOST_NAMES - PARAMETERS;
     if declared.len() > most {
-        return Err(DefinitionError::new(
-            "parameters",
-            format!("{} parameters, at most {most} are allowed", declared.len()),
-            "a model with as many cannot be identified from one run",
-        ));
+        let message = format!("{} parameters, at most {most} are allowed", declared.len());
+        let help = "a model with as many cannot be identified from one run";
+        return Err(DefinitionError::new("parameters", message, help));
     }
     let compile = |declared: &[Declared]| {
         let names: Vec<&str> = declared.iter().map(|one| one.name.as_str()).collect();
@@ -79,11 +73,9 @@ pub(super) fn define(
     let expression = compile(&declared)?;
     for (index, one) in declared.iter().enumerate() {
         if !expression.has(PARAMETERS + index) {
-            return Err(DefinitionError::new(
-                "parameters",
-                format!("parameter `{}` does not stand in the expression", one.name),
-                "take it out, or use it in the expression",
-            ));
+            let message = format!("parameter `{}` does not stand in the expression", one.name);
+            let help = "take it out, or use it in the expression";
+            return Err(DefinitionError::new("parameters", message, help));
         }
     }
     let linear = coefficients(&expression, declared.len());
@@ -111,24 +103,17 @@ pub(super) fn define(
         let splits = balance == Balance::Torque
             && expression.has(DIRECTION)
             && expression.is_affine_in(&[DIRECTION]);
-        let needs_angle = expression.has(ANGLE);
+        let specs: Vec<ParameterSpec> = declared.iter().map(Declared::spec).collect();
         Box::new(Custom {
-            card: Box::leak(Box::new(Card {
+            card: Card {
                 id: leaked(id),
                 name: leaked(if id == CARD.id { CARD.name } else { id }),
-                enters: match balance {
-                    Balance::Torque => Enters::Torque,
-                    Balance::Voltage => Enters::Voltage,
-                },
+                enters: balance.into(),
                 equation: leaked(text),
-                needs_angle,
+                needs_angle: expression.has(ANGLE),
+                parameters: specs.leak(),
                 ..CARD
-            })),
-            specs: declared
-                .iter()
-                .map(Declared::spec)
-                .collect::<Vec<_>>()
-                .leak(),
+            },
             body: Box::leak(Box::new(Body {
                 expression,
                 balance,
@@ -160,8 +145,7 @@ fn coefficients(expression: &Expression, parameters: usize) -> Vec<usize> {
 }
 
 struct Custom {
-    card: &'static Card,
-    specs: &'static [ParameterSpec],
+    card: Card,
     body: &'static Body,
     declared: Vec<Declared>,
 }
@@ -174,12 +158,8 @@ struct Body {
 }
 
 impl Effect for Custom {
-    fn card(&self) -> &'static Card {
-        self.card
-    }
-
-    fn parameters(&self) -> &'static [ParameterSpec] {
-        self.specs
+    fn card(&self) -> &Card {
+        &self.card
     }
 
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
@@ -192,12 +172,8 @@ impl Effect for Custom {
     }
 
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
-        let equation = match self.body.balance {
-            Balance::Torque => "torque",
-            Balance::Voltage => "voltage",
-        };
         vec![
-            ("equation", equation.into()),
+            ("equation", self.body.balance.key().into()),
             ("expression", self.card.equation.into()),
         ]
     }
@@ -250,40 +226,26 @@ impl Evaluated {
 }
 
 impl Terms for Evaluated {
-    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
-        match self.body.balance {
-            Balance::Voltage => self.value(at, sign(at.speed_rad_s)),
-            Balance::Torque => 0.0,
-        }
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sums(at, own).voltage_v
     }
 
-    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        match self.body.balance {
-            Balance::Voltage => 0.0,
-            Balance::Torque => self.split(at).0,
-        }
+    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sums(at, own).torque_n_m
     }
 
     fn friction_n_m(&self, at: &Instant) -> f64 {
-        match self.body.balance {
-            Balance::Voltage => 0.0,
-            Balance::Torque => self.split(at).1,
-        }
+        self.sums(at, &[]).friction_n_m
     }
 
-    fn sums(&self, at: &Instant, own: &[f64]) -> Sums {
+    fn add_to(&self, sums: &mut Sums, at: &Instant, _own: &[f64]) {
         if self.body.balance == Balance::Voltage {
-            return Sums {
-                voltage_v: self.voltage_v(at, own),
-                ..Sums::default()
-            };
+            sums.voltage_v += self.value(at, sign(at.speed_rad_s));
+            return;
         }
         let (torque_n_m, friction_n_m) = self.split(at);
-        Sums {
-            torque_n_m,
-            friction_n_m,
-            ..Sums::default()
-        }
+        sums.torque_n_m += torque_n_m;
+        sums.friction_n_m += friction_n_m;
     }
 }
 

@@ -13,7 +13,7 @@ const NO_UNIT: &str = "-";
 /// Share of the guess, and multiple of it, between which a shape is sought that has no bounds of its own.
 const WIDE: f64 = 100.0;
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Declared {
     pub(super) name: String,
     pub(super) value: Option<f64>,
@@ -26,26 +26,28 @@ pub(super) struct Declared {
 
 /// Reads the declarations, in the order of their names.
 pub(super) fn read(value: Option<&toml::Value>) -> Result<Vec<Declared>, DefinitionError> {
-    let declared = match value {
+    let nothing = toml::Value::Table(toml::Table::new());
+    let declared: Vec<Declared> = match value {
         None => Vec::new(),
-        Some(toml::Value::Array(names)) => names
-            .iter()
-            .map(|name| match name.as_str() {
-                Some(name) => one(name, &toml::Value::Table(toml::Table::new())),
-                None => Err(wrong_form()),
-            })
-            .collect::<Result<Vec<Declared>, _>>()?,
-        Some(toml::Value::Table(table)) => table
-            .iter()
-            .map(|(name, value)| one(name, value))
-            .collect::<Result<Vec<Declared>, _>>()?,
+        Some(toml::Value::Array(names)) => {
+            let names = names
+                .iter()
+                .map(|name| name.as_str().ok_or_else(wrong_form));
+            let declared = names.map(|name| one(name?, &nothing));
+            declared.collect::<Result<_, _>>()?
+        }
+        Some(toml::Value::Table(table)) => {
+            let declared = table.iter().map(|(name, value)| one(name, value));
+            declared.collect::<Result<_, _>>()?
+        }
         Some(_) => return Err(wrong_form()),
     };
     for (index, one) in declared.iter().enumerate() {
         if declared[..index].iter().any(|other| other.name == one.name) {
+            let message = format!("parameter `{}` stands twice", one.name);
             return Err(DefinitionError::new(
                 "parameters",
-                format!("parameter `{}` stands twice", one.name),
+                message,
                 "each name once",
             ));
         }
@@ -74,24 +76,14 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
         ));
     }
     if VARIABLES.contains(&name) || FUNCTIONS.contains(&name) || name == PI {
-        return Err(DefinitionError::new(
-            name,
-            format!("`{name}` has a meaning already and cannot name a parameter"),
-            format!(
-                "taken: {}, {PI}, {}",
-                VARIABLES.join(", "),
-                FUNCTIONS.join(", ")
-            ),
-        ));
+        let message = format!("`{name}` has a meaning already and cannot name a parameter");
+        let (variables, functions) = (VARIABLES.join(", "), FUNCTIONS.join(", "));
+        let help = format!("taken: {variables}, {PI}, {functions}");
+        return Err(DefinitionError::new(name, message, help));
     }
     let mut declared = Declared {
         name: name.to_owned(),
-        value: None,
-        is_coefficient: false,
-        guess: None,
-        min: None,
-        max: None,
-        unit: None,
+        ..Declared::default()
     };
     let toml::Value::Table(table) = value else {
         declared.value = Some(number_of(name, value)?);
@@ -105,11 +97,8 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
             "max" => declared.max = Some(number_of(name, value)?),
             "unit" => {
                 let unit = value.as_str().ok_or_else(|| {
-                    DefinitionError::new(
-                        name,
-                        format!("unit of `{name}` is not a text"),
-                        "as \"N.m\"",
-                    )
+                    let message = format!("unit of `{name}` is not a text");
+                    DefinitionError::new(name, message, "as \"N.m\"")
                 })?;
                 declared.unit = Some(unit.to_owned());
             }
@@ -193,18 +182,11 @@ impl Declared {
         let key = leaked(&self.name);
         let unit = leaked(self.unit.as_deref().unwrap_or(NO_UNIT));
         if self.is_coefficient {
+            let size = self.guess.filter(|guess| *guess != 0.0);
             return ParameterSpec {
-                key,
-                unit,
                 min,
                 max,
-                scale: self
-                    .guess
-                    .filter(|guess| *guess != 0.0)
-                    .map_or(1.0, f64::abs),
-                role: ParameterRole::Coefficient,
-                logarithmic: false,
-                shapes: &[],
+                ..ParameterSpec::coefficient(key, unit, size.map_or(1.0, f64::abs))
             };
         }
         let guess = self.guess.unwrap_or(0.5 * (min + max));
@@ -233,21 +215,17 @@ impl Declared {
 
     /// The declaration with a value, as a file holds it.
     pub(super) fn written(&self, value: Option<f64>) -> toml::Value {
-        let known = [
-            ("value", value),
-            ("guess", self.guess),
-            ("min", self.min),
-            ("max", self.max),
+        let known: [(&str, Option<toml::Value>); 5] = [
+            ("value", value.map(Into::into)),
+            ("guess", self.guess.map(Into::into)),
+            ("min", self.min.map(Into::into)),
+            ("max", self.max.map(Into::into)),
+            ("unit", self.unit.clone().map(Into::into)),
         ];
-        let mut table = toml::Table::new();
-        for (key, value) in known {
-            if let Some(value) = value {
-                table.insert(key.to_owned(), value.into());
-            }
-        }
-        if let Some(unit) = &self.unit {
-            table.insert("unit".to_owned(), unit.clone().into());
-        }
+        let known = known.into_iter();
+        let table: toml::Table = known
+            .filter_map(|(key, value)| Some((key.to_owned(), value?)))
+            .collect();
         match value {
             Some(value) if table.len() == 1 => value.into(),
             _ => toml::Value::Table(table),

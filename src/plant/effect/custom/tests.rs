@@ -82,16 +82,9 @@ fn what_falls_below_zero_beside_the_sign_of_the_speed_still_pushes() {
 #[test]
 fn a_parameter_that_leaves_a_part_at_zero_gives_no_size() {
     let effect = torque("(1 + a*w)*z", "{ a = 0.01, z = {} }");
-    let roles: Vec<(&str, ParameterRole)> = (effect.parameters().iter())
-        .map(|spec| (spec.key, spec.role))
-        .collect();
-    assert_eq!(
-        roles,
-        [
-            ("z", ParameterRole::Coefficient),
-            ("a", ParameterRole::Shape)
-        ]
-    );
+    let [size, shape] = [0, 1].map(|n| (effect.parameters()[n].key, effect.parameters()[n].role));
+    assert_eq!(size, ("z", ParameterRole::Coefficient));
+    assert_eq!(shape, ("a", ParameterRole::Shape));
     let text = "equation = \"torque\"\nexpression = \"0.1 + a*w\"\nparameters = [\"a\"]";
     let error = defined(text).err().unwrap();
     assert!(error.message.contains("stands without one"), "{error}");
@@ -110,53 +103,39 @@ fn signs_within_signs_are_read_at_once() {
 
 #[test]
 fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
-    let scenario = Scenario {
-        name: "r".into(),
-        input: Input::Voltage,
-        input_channel: Channel::Voltage,
-        // 0.3 N.m holds against 0.8 A times 0.3538, and not against 4 A.
-        events: vec![(0.0, 0.8 * 1.1), (1.0, 12.0), (2.0, 0.5)],
-        sample_time_s: (0..3000).map(|k| f64::from(k) * 0.001).collect(),
-        current_a: vec![0.0; 3000],
-        speed_rad_s: vec![0.0; 3000],
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        scored: 0..3000,
-    };
+    // 0.3 N.m holds against 0.8 A times 0.3538, and not against 4 A.
+    let events = vec![(0.0, 0.8 * 1.1), (1.0, 12.0), (2.0, 0.5)];
+    let times = (0..3000).map(|k| f64::from(k) * 0.001).collect();
+    let scenario = Scenario::planned("r", Input::Voltage, Channel::Voltage, events, times);
     let run = |level: f64, own: f64| {
         let motor = Motor::zk_22fc().with(crate::plant::MotorKey::LoadTorque, level);
         let mut model = Model::baseline(motor);
-        model.effects.push(ActiveEffect {
-            effect: torque("level*sgn(w)", "[\"level\"]"),
-            values: vec![Some(own)],
-        });
-        Plant::new(&model, Input::Voltage)
-            .unwrap()
-            .simulate(&scenario, State::default())
+        let friction = torque("level*sgn(w)", "[\"level\"]");
+        model.effects.push(ActiveEffect::with(friction, &[own]));
+        let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+        plant.simulate(&scenario, State::default())
     };
     let (baseline, own) = (run(0.3, 0.0), run(0.0, 0.3));
     for (a, b) in baseline.speed_rad_s.iter().zip(&own.speed_rad_s) {
         assert!((a - b).abs() < 1e-9, "{a} {b}");
     }
-    assert!(
-        own.speed_rad_s[..1000]
-            .iter()
-            .all(|speed| speed.abs() < 1e-12)
-    );
+    let mut at_rest = own.speed_rad_s[..1000].iter();
+    assert!(at_rest.all(|speed| speed.abs() < 1e-12));
     assert!(own.speed_rad_s[1900] > 10.0);
 }
 
 #[test]
 fn a_definition_is_kept_once_whatever_its_values() {
-    let (one, _) =
-        defined("equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 1 }").unwrap();
-    let (same, values) =
-        defined("equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 2.5 }").unwrap();
+    let drag = |equation: &str, parameters: &str| {
+        let text = "expression = \"a*w\"";
+        let text = format!("equation = \"{equation}\"\n{text}\nparameters = {parameters}");
+        defined(&text).unwrap()
+    };
+    let (one, _) = drag("torque", "{ a = 1 }");
+    let (same, values) = drag("torque", "{ a = 2.5 }");
     assert!(std::ptr::addr_eq(one, same));
     assert_eq!(values, [Some(2.5)]);
-    let (other, _) =
-        defined("equation = \"voltage\"\nexpression = \"a*w\"\nparameters = [\"a\"]").unwrap();
+    let (other, _) = drag("voltage", "[\"a\"]");
     assert!(!std::ptr::addr_eq(one, other));
 }
 
@@ -185,8 +164,6 @@ fn wrong_definitions_are_named() {
     }
     let two = "equation = \"torque\"\nexpression = \"a*sin(b*t)\"\nparameters = [\"a\", \"b\"]";
     let error = defined(two).err().unwrap();
-    assert!(
-        error.key == "b" && error.message.contains("needs a guess"),
-        "{error}"
-    );
+    let is_named = error.key == "b" && error.message.contains("needs a guess");
+    assert!(is_named, "{error}");
 }

@@ -1,6 +1,6 @@
 //! What a real bench has besides: random torque, a little drag and cogging, a late command, a supply that gives way.
 
-use super::{Acts, Allowed, HiddenEffect, HiddenKind, Parameter, Site};
+use super::{Acts, HiddenEffect, HiddenKind, NOT_STUDIED, NotNegative, Site};
 
 /// Shares of the rated torque.
 const RANDOM_SHARE: f64 = 0.0075;
@@ -15,9 +15,8 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
     id: "messy",
     names: &[],
     // 1: the sizes above; every size is multiplied by it.
-    parameters: &[Parameter::new("scale", "-", Allowed::NotNegative, 1.0)],
+    parameters: &[NotNegative.of("scale", "-", 1.0, NOT_STUDIED)],
     mystery: None,
-    study: &[],
     acts: Acts::Together(parts),
 };
 

@@ -17,6 +17,6 @@ pub(super) mod soft_drop;
 pub(super) mod torque_bump;
 
 use super::{
-    Acts, Allowed, Draw, HiddenEffect, HiddenKind, Mechanism, Moment, Parameter, Site, drag,
-    friction, load, named, voltage_loss,
+    Acts, HiddenEffect, HiddenKind, Mechanism, Moment, NOT_STUDIED, NotNegative, Parameter,
+    Positive, Site, Wave, drag, friction, load, named, voltage_loss,
 };

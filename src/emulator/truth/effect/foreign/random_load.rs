@@ -4,8 +4,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Mechanism, Moment, Parameter};
+use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
 /// Stream of the generator: sensor noise and tolerances have their own.
 const LOAD_STREAM: u64 = 3;
@@ -15,9 +14,9 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
     names: &[],
     parameters: &[
         // Standard deviation.
-        Parameter::new("std_n_m", "N.m", Allowed::NotNegative, 0.06),
+        NotNegative.of("std_n_m", "N.m", 0.06, 0.06..0.12),
         // Time over which it forgets.
-        Parameter::new("correlation_s", "s", Allowed::Positive, 0.05),
+        Positive.of("correlation_s", "s", 0.05, 0.15..0.4),
     ],
     mystery: Some(|dice| {
         vec![
@@ -25,10 +24,6 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
             dice.between(0.03, 0.2),
         ]
     }),
-    study: &[
-        Between("std_n_m", 0.06, 0.12),
-        Between("correlation_s", 0.15, 0.4),
-    ],
     acts: Acts::Inside(|values, site| {
         let mut rng = ChaCha8Rng::seed_from_u64(site.seed);
         rng.set_stream(LOAD_STREAM);
@@ -64,13 +59,11 @@ impl Mechanism for Wander {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::super::motor::zk_22fc;
-    use super::super::Site;
     use super::*;
 
     #[test]
     fn has_the_stated_spread_and_memory() {
-        let mut load = KIND.mechanism(&[0.02, 0.05], &Site::of(&zk_22fc()));
+        let mut load = KIND.mechanism(&[0.02, 0.05]);
         let step = 1e-3;
         let torque: Vec<f64> = (0..400_000)
             .map(|_| {

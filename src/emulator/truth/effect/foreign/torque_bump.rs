@@ -1,15 +1,14 @@
 //! Friction that is higher about one speed, in either direction: a resonance that takes up power there.
 
-use super::Draw::Between;
-use super::{Acts, Allowed, HiddenKind, Parameter, friction, named};
+use super::{Acts, HiddenKind, NotNegative, Positive, friction, named};
 
 pub(in super::super) const KIND: HiddenKind = HiddenKind {
     id: "torque_bump",
     names: &[],
     parameters: &[
-        Parameter::new("bump_n_m", "N.m", Allowed::NotNegative, 0.12),
-        Parameter::new("speed_rad_s", "rad/s", Allowed::Positive, 95.0),
-        Parameter::new("width_rad_s", "rad/s", Allowed::Positive, 20.0),
+        NotNegative.of("bump_n_m", "N.m", 0.12, 0.12..0.2),
+        Positive.of("speed_rad_s", "rad/s", 95.0, 70.0..130.0),
+        Positive.of("width_rad_s", "rad/s", 20.0, 12.0..22.0),
     ],
     mystery: Some(|dice| {
         vec![
@@ -18,11 +17,6 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
             dice.between(10.0, 30.0),
         ]
     }),
-    study: &[
-        Between("bump_n_m", 0.12, 0.2),
-        Between("speed_rad_s", 70.0, 130.0),
-        Between("width_rad_s", 12.0, 22.0),
-    ],
     acts: Acts::Inside(|values, _| {
         let [bump_n_m, speed_rad_s, width_rad_s] = named(values);
         // T exp(-((|w| - w0)/width)^2) against the motion.
