@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::identify;
 use super::*;
 use crate::identification::testing::{self, *};
 
