@@ -16,7 +16,7 @@ use crate::app::evidence::{before_identify, model, name_voltage, signals as sign
 use crate::app::identify::{
     Answer, OneRun, absolute, caution, identify, is_usable, plate, trace_csv,
 };
-use crate::identification::kalman::{LoadOptions, LoadTrace, load_torque_trace};
+use crate::identification::kalman::{LoadTrace, load_torque_trace};
 use crate::identification::{nameplate, repeat, scheme};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
@@ -356,7 +356,7 @@ fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), F
         let help = "choose another name for --load-torque";
         return Err(Failure::usage(headline, help));
     }
-    let trace = load_torque_trace(run, model, LoadOptions::default())?;
+    let trace = load_torque_trace(run, model)?;
     output::file(path, &trace_csv(&trace))?;
     let extreme = |better: fn(f64, f64) -> bool| {
         let points = trace.points.iter();
@@ -374,7 +374,7 @@ fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), F
         "rows_followed": trace.rows_followed,
         "input": format!("{:?}", trace.input).to_lowercase(),
         "rate_n_m_per_sqrt_s": trace.rate_n_m_per_sqrt_s,
-        "rate_from_data": trace.rate_from_data,
+        "rate_from_data": true,
         "median_std_n_m": trace.median_std_n_m(),
         "least": extreme(|a, b| a < b),
         "most": extreme(|a, b| a > b),
@@ -386,16 +386,11 @@ fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), F
 
 fn trace_text(trace: &LoadTrace, path: &Path) -> String {
     let mut text = format!(
-        "load torque at {} instants written to {}\nmedian standard deviation {:.2e} N.m; expected change {:.2e} N.m/sqrt(s){}; motor turning at {} rows\n",
+        "load torque at {} instants written to {}\nmedian standard deviation {:.2e} N.m; expected change {:.2e} N.m/sqrt(s), found from the run; motor turning at {} rows\n",
         trace.points.len(),
         path.display(),
         trace.median_std_n_m(),
         trace.rate_n_m_per_sqrt_s,
-        if trace.rate_from_data {
-            ", found from the run"
-        } else {
-            ""
-        },
         trace.rows_followed
     );
     lines(&mut text, "", &trace.notes);

@@ -25,6 +25,8 @@ const DOUBT: f64 = 2.0;
 /// Forgetting factor of paper A's Figure 6.
 const FORGETTING: f64 = 0.96;
 
+const NOT_SETTLED: &str = "the estimate is not settled";
+
 /// What the regulator is made of.
 #[derive(Clone, Debug)]
 pub struct AddcSettings {
@@ -46,14 +48,6 @@ impl AddcSettings {
     }
 }
 
-/// Why the gains do not move in this cycle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Still {
-    No,
-    NotSettled,
-    Limited,
-}
-
 /// The self-tuning regulator.
 #[derive(Clone, Debug)]
 pub struct Addc {
@@ -64,7 +58,8 @@ pub struct Addc {
     model_acceleration_per_a: f64,
     /// Mechanical time constant of the model, s.
     model_mechanical_s: f64,
-    still: Still,
+    /// Why the gains do not move in this cycle.
+    still: Option<&'static str>,
     /// The gains moved in this cycle.
     moved: bool,
     swing: Swing,
@@ -101,7 +96,7 @@ impl Addc {
             estimator,
             model_acceleration_per_a: acceleration_per_a,
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
-            still: Still::NotSettled,
+            still: Some(NOT_SETTLED),
             moved: false,
             swing: Swing::new(settings.noise_rad_s),
             swung: None,
@@ -159,21 +154,14 @@ impl Addc {
     fn adapt(&mut self, error_rad_s: f64, period_s: f64) {
         let load = self.estimator.load();
         self.moved = false;
-        self.still = if !load.settled {
-            Still::NotSettled
-        } else if self.pi.is_limited() {
-            Still::Limited
-        } else {
-            Still::No
-        };
-        if self.still != Still::No {
+        let limited = self.pi.is_limited().then_some("the output is limited");
+        self.still = (!load.settled).then_some(NOT_SETTLED).or(limited);
+        if self.still.is_some() {
             return;
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
-        let wanted = self.schedule.within(
-            ratio(load.acceleration_per_a + DOUBT * load.std),
-            ratio(load.acceleration_per_a),
-        );
+        let quickest = load.acceleration_per_a + DOUBT * load.std;
+        let wanted = (self.schedule).within(ratio(quickest), ratio(load.acceleration_per_a));
         let share = self.swing.share();
         let now = *self.pi.gains();
         let proportional = share * wanted.gains.proportional;
@@ -201,8 +189,7 @@ impl SpeedController for Addc {
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
-        self.estimator
-            .push(now.current_a, now.speed_rad_s, period_s);
+        (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
         self.still_the_swing(reference_rad_s, now.speed_rad_s);
         self.adapt(reference_rad_s - now.speed_rad_s, period_s);
         self.pi.step(reference_rad_s, now, period_s)
@@ -218,11 +205,8 @@ impl SpeedController for Addc {
 
     fn explain(&self) -> Vec<String> {
         let gains = self.pi.gains();
-        let state = match self.still {
-            Still::No => "follow the estimate",
-            Still::NotSettled => "stand still: the estimate is not settled",
-            Still::Limited => "stand still: the output is limited",
-        };
+        let still = self.still.map(|why| format!("stand still: {why}"));
+        let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
             format!(
                 "Kp = {:.4} per rad/s, Tn = {:.4} s; {}",
@@ -249,11 +233,9 @@ impl SpeedController for Addc {
                 "the loop swings by {swing_rad_s:.1} rad/s: {:.0} % of the tuned gain",
                 100.0 * share
             ),
-            Some(Verdict::GiveBack { swing_rad_s }) => {
-                format!(
-                    "the swing of {swing_rad_s:.1} rad/s is not the loop's: softer gains did not help"
-                )
-            }
+            Some(Verdict::GiveBack { swing_rad_s }) => format!(
+                "the swing of {swing_rad_s:.1} rad/s is not the loop's: softer gains did not help"
+            ),
             None if jumped => "the load changed: the memory of the estimate was dropped".to_owned(),
             None => "the estimate moved".to_owned(),
         };

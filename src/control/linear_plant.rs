@@ -154,12 +154,8 @@ impl LinearPlant {
     pub fn held_over(&self, time_s: f64) -> (Matrix2<f64>, Vector2<f64>) {
         // exp([[A, b], [0, 0]] t) holds both (Van Loan 1978).
         let mut joint = Matrix3::zeros();
-        joint
-            .fixed_view_mut::<2, 2>(0, 0)
-            .copy_from(&(self.a * time_s));
-        joint
-            .fixed_view_mut::<2, 1>(0, 2)
-            .copy_from(&(self.b * time_s));
+        (joint.fixed_view_mut::<2, 2>(0, 0)).copy_from(&(self.a * time_s));
+        (joint.fixed_view_mut::<2, 1>(0, 2)).copy_from(&(self.b * time_s));
         let grown = joint.exp();
         (
             grown.fixed_view::<2, 2>(0, 0).into_owned(),
@@ -169,11 +165,8 @@ impl LinearPlant {
 }
 
 fn torque_constant(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
-    given(
-        MotorKey::TorqueConstant,
-        model.motor.torque_constant(),
-        actuator,
-    )
+    let value = model.motor.torque_constant();
+    given(MotorKey::TorqueConstant, value, actuator)
 }
 
 fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, PlantError> {
@@ -190,11 +183,10 @@ fn given(key: MotorKey, value: Option<f64>, actuator: Actuator) -> Result<f64, P
 }
 
 fn checked(key: &'static str, value: f64) -> Result<f64, PlantError> {
-    if value.is_finite() && value > 0.0 {
-        Ok(value)
-    } else {
-        Err(PlantError::NotPhysical { key, value })
-    }
+    let physical = value.is_finite() && value > 0.0;
+    physical
+        .then_some(value)
+        .ok_or(PlantError::NotPhysical { key, value })
 }
 
 #[cfg(test)]
@@ -208,10 +200,8 @@ mod tests {
         let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0228);
         let plant = LinearPlant::voltage(&Model::baseline(motor.clone()), 0.0).unwrap();
         let found = plant.dominant().unwrap();
-        let (tm, ta) = (
-            motor.mechanical_time_constant_s().unwrap(),
-            motor.electrical_time_constant_s().unwrap(),
-        );
+        let tm = motor.mechanical_time_constant_s().unwrap();
+        let ta = motor.electrical_time_constant_s().unwrap();
         let large_s = found.large_s.unwrap();
         assert_close(large_s * found.small_s, tm * ta, 1e-12);
         assert_close(large_s + found.small_s, tm, 1e-12);

@@ -29,17 +29,6 @@ pub struct PiGains {
     pub reference_filter_s: f64,
 }
 
-impl PiGains {
-    pub fn is_valid(&self) -> bool {
-        self.proportional.is_finite()
-            && self.proportional > 0.0
-            && self.integral_time_s.is_finite()
-            && self.integral_time_s > 0.0
-            && self.reference_filter_s.is_finite()
-            && self.reference_filter_s >= 0.0
-    }
-}
-
 /// How far a loop is from swinging; infinite where a crossing does not exist.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Margins {

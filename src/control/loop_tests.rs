@@ -79,14 +79,11 @@ fn adaptive() -> Addc {
 /// Responses to each step of a square wave.
 fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
     let rows = whole((half_s / PERIOD_S).round());
-    trace
-        .chunks(rows)
-        .skip(1)
-        .map(|chunk| {
-            let points: Vec<_> = chunk.iter().map(|p| (p.time_s, p.speed_rad_s)).collect();
-            response(&points, points[0].1, chunk[0].reference_rad_s)
-        })
-        .collect()
+    let of = |chunk: &[TrialPoint]| {
+        let points: Vec<_> = chunk.iter().map(|p| (p.time_s, p.speed_rad_s)).collect();
+        response(&points, points[0].1, chunk[0].reference_rad_s)
+    };
+    trace.chunks(rows).skip(1).map(of).collect()
 }
 
 /// A reference of 80 rad/s, and from 3 s on a load of 1 N.m: the speed is there before and after.
@@ -159,16 +156,11 @@ fn start_and_brake(controller: &mut dyn SpeedController) -> Vec<f64> {
     };
     let trace = trial(&machine(0.0), &course, controller, &limiter(), 6000, 1);
     // Mean square error over the last two seconds of each step.
+    let square = |p: &TrialPoint| (p.reference_rad_s - p.speed_rad_s).powi(2);
+    let mean = |end: &[TrialPoint]| end.iter().map(square).sum::<f64>() / end.len() as f64;
     trace
         .chunks(500)
-        .map(|chunk| {
-            let end = &chunk[300..];
-            let sum: f64 = end
-                .iter()
-                .map(|p| (p.reference_rad_s - p.speed_rad_s).powi(2))
-                .sum();
-            (sum / end.len() as f64).sqrt()
-        })
+        .map(|chunk| mean(&chunk[300..]).sqrt())
         .collect()
 }
 

@@ -43,7 +43,7 @@ pub struct Mrac {
     rate_s: f64,
     model: [f64; 2],
     late: VecDeque<f64>,
-    last_speed: Option<f64>,
+    begun: bool,
     last_error: f64,
     disconnects: bool,
     wanted: f64,
@@ -85,7 +85,7 @@ impl Mrac {
             rate_s: RATE_SMALL_TIMES * small_s,
             model: [0.0; 2],
             late: vec![0.0; timing.whole_cycles()].into(),
-            last_speed: None,
+            begun: false,
             last_error: 0.0,
             disconnects,
             wanted: 0.0,
@@ -95,15 +95,13 @@ impl Mrac {
 
     /// Gains of reference, speed and current, V per rad/s and V per A, and the constant part, V.
     pub fn gains(&self) -> [f64; 4] {
-        let MracScales {
-            speed_rad_s,
-            current_a,
-        } = self.scales;
+        let ([reference, speed, current, constant], scales) = (self.now, &self.scales);
+        let per_speed = [reference, speed].map(|gain| gain / scales.speed_rad_s);
         [
-            self.now[0] / speed_rad_s,
-            self.now[1] / speed_rad_s,
-            self.now[2] / current_a,
-            self.now[3],
+            per_speed[0],
+            per_speed[1],
+            current / scales.current_a,
+            constant,
         ]
     }
 
@@ -144,7 +142,7 @@ impl SpeedController for Mrac {
             -now.current_a.unwrap_or(0.0) / self.scales.current_a,
             1.0,
         ];
-        if self.last_speed.replace(speed).is_none() {
+        if !std::mem::replace(&mut self.begun, true) {
             self.model = [speed; 2];
             self.late.iter_mut().for_each(|late| *late = speed);
         }
@@ -156,12 +154,8 @@ impl SpeedController for Mrac {
         } else {
             self.adapt(&signals, speed, period_s);
         }
-        self.wanted = self
-            .now
-            .iter()
-            .zip(&signals)
-            .map(|(gain, x)| gain * x)
-            .sum();
+        let parts = self.now.iter().zip(&signals).map(|(gain, x)| gain * x);
+        self.wanted = parts.sum();
         self.wanted
     }
 
@@ -173,7 +167,7 @@ impl SpeedController for Mrac {
         let speed = now.speed_rad_s;
         self.model = [speed; 2];
         self.late.iter_mut().for_each(|late| *late = speed);
-        self.last_speed = Some(speed);
+        self.begun = true;
         self.last_error = 0.0;
         self.limited = false;
         // The constant part takes what the others do not give at this speed.

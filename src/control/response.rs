@@ -31,13 +31,8 @@ pub fn response(trace: &[(f64, f64)], from: f64, to: f64) -> Response {
         let point = trace.iter().find(|point| progress(point.1) >= share)?;
         Some(point.0 - begin_s)
     };
-    let last_outside = trace
-        .iter()
-        .rposition(|point| (progress(point.1) - 1.0).abs() > SETTLED_SHARE);
-    let settled = match last_outside {
-        None => trace.first(),
-        Some(index) => trace.get(index + 1),
-    };
+    let outside = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() > SETTLED_SHARE;
+    let settled = trace.get(trace.iter().rposition(outside).map_or(0, |last| last + 1));
     let absolute_error_rad = trace
         .windows(2)
         .map(|pair| (to - pair[0].1).abs() * (pair[1].0 - pair[0].0))
@@ -77,16 +72,10 @@ mod tests {
 
     #[test]
     fn a_damping_of_one_over_root_two_overshoots_by_4_3_percent() {
-        let found = response(
-            &trace(|t| 1.0 - (-5.0 * t).exp() * ((5.0 * t).cos() + (5.0 * t).sin())),
-            0.0,
-            1.0,
-        );
-        assert_close(
-            found.overshoot_percent,
-            100.0 * (-std::f64::consts::PI).exp(),
-            1e-3,
-        );
+        let speed = |t: f64| 1.0 - (-5.0 * t).exp() * ((5.0 * t).cos() + (5.0 * t).sin());
+        let found = response(&trace(speed), 0.0, 1.0);
+        let expected = 100.0 * (-std::f64::consts::PI).exp();
+        assert_close(found.overshoot_percent, expected, 1e-3);
     }
 
     #[test]

@@ -69,20 +69,16 @@ impl SpeedSensor for HallSensor {
             return;
         };
         let at = |index: f64| last_s + (time_s - last_s) * (index - last) / (now - last);
-        let (mut index, until) = (last.min(now).floor() + 1.0, last.max(now).floor());
-        if now < last {
-            // Downwards the edges come in the other order.
-            let lowest = index;
-            index = until;
-            while index >= lowest {
-                self.passes(at(index), index);
-                index -= 1.0;
-            }
+        let (lowest, highest) = (last.min(now).floor() + 1.0, last.max(now).floor());
+        // Downwards the edges come in the other order.
+        let (mut index, step) = if now < last {
+            (highest, -1.0)
         } else {
-            while index <= until {
-                self.passes(at(index), index);
-                index += 1.0;
-            }
+            (lowest, 1.0)
+        };
+        while (lowest..=highest).contains(&index) {
+            self.passes(at(index), index);
+            index += step;
         }
     }
 
@@ -90,12 +86,8 @@ impl SpeedSensor for HallSensor {
         let Some(edge) = self.edge else {
             return 0.0;
         };
-        let waited_s = time_s - edge.time_s;
-        let most = if waited_s > 0.0 {
-            self.edge_rad / waited_s
-        } else {
-            f64::INFINITY
-        };
+        // Infinite where the edge comes in this very instant.
+        let most = self.edge_rad / (time_s - edge.time_s).max(0.0);
         self.speed_rad_s.clamp(-most, most)
     }
 }

@@ -103,12 +103,8 @@ impl Swing {
     }
 
     fn judge(&mut self) -> Option<Verdict> {
-        let (least, most) = self
-            .halves
-            .iter()
-            .fold((f64::MAX, 0.0_f64), |(least, most), half| {
-                (least.min(*half), most.max(*half))
-            });
+        let least = self.halves.iter().copied().fold(f64::MAX, f64::min);
+        let most = self.halves.iter().copied().fold(0.0, f64::max);
         let floor = (NOISES * self.noise_rad_s).max(REFERENCE_SHARE * self.reference_rad_s.abs());
         let swings = self.known == HALVES && least > floor && most < ALIKE * least;
         if !swings || self.gave_back {

@@ -87,15 +87,8 @@ pub fn trial(
     cycles: usize,
     seed: u64,
 ) -> Vec<TrialPoint> {
-    trial_seen_by(
-        &mut Direct,
-        machine,
-        course,
-        controller,
-        limiter,
-        cycles,
-        seed,
-    )
+    let sensor = &mut Direct;
+    trial_seen_by(sensor, machine, course, controller, limiter, cycles, seed)
 }
 
 /// The same with another sensor of the speed; the machine's noise comes on top of what it reads.
@@ -185,19 +178,11 @@ impl TrialMachine {
             // Without friction nothing holds a shaft that passes zero.
             let rubs = self.friction_n_m > 0.0;
             let sticks = rubs && speed == 0.0 && drive_n_m.abs() <= self.friction_n_m;
-            let direction = if speed == 0.0 {
-                drive_n_m.signum()
-            } else {
-                speed.signum()
-            };
+            let direction = (if speed == 0.0 { drive_n_m } else { speed }).signum();
             let resisting_n_m = load_n_m + self.friction_n_m * direction;
             let next = propagator.apply(*x, [given_v / l, -resisting_n_m / inertia]);
             let stops = rubs && next[1] * direction < 0.0;
-            *x = if sticks || stops {
-                [next[0], 0.0]
-            } else {
-                next
-            };
+            *x = [next[0], if sticks || stops { 0.0 } else { next[1] }];
             moved(speed, x[1]);
         }
         limited

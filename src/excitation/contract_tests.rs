@@ -119,15 +119,15 @@ fn a_sequence_can_be_written_and_read_back() {
 
 /// How far the asked-for voltage goes from zero; the slew limit can only make it less.
 fn peak_of_target(segments: &[Segment]) -> f64 {
-    let mut peak_v: f64 = 0.0;
-    for segment in segments {
-        if let Target::Voltage(pieces) = segment.excitation().target() {
-            for piece in pieces {
-                peak_v = peak_v.max(piece.from_v.abs()).max(piece.to_v.abs());
-            }
-        }
-    }
-    peak_v
+    let pieces = |segment: &Segment| match segment.excitation().target() {
+        Target::Voltage(pieces) => pieces,
+        Target::Coast => Vec::new(),
+    };
+    let ends = segments
+        .iter()
+        .flat_map(pieces)
+        .flat_map(|piece| [piece.from_v, piece.to_v]);
+    ends.fold(0.0, |peak_v, volts| peak_v.max(volts.abs()))
 }
 
 proptest! {
@@ -167,10 +167,10 @@ const POINTS: usize = 400;
 fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) {
     let program = Program::new(segments, slew_v_per_s).unwrap();
     let duration_s = program.duration_s();
-    let asked_s: f64 = segments
+    let lengths = segments
         .iter()
-        .map(|segment| segment.excitation().duration_s())
-        .sum();
+        .map(|segment| segment.excitation().duration_s());
+    let asked_s: f64 = lengths.sum();
     let peak_v = program.peak_v();
     assert!(duration_s >= asked_s - 1e-9);
     assert!(duration_s <= asked_s + peak_v / slew_v_per_s + 1e-9);
@@ -178,7 +178,7 @@ fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) 
 
     let step_s = (duration_s + 0.2) / POINTS as f64;
     let at = |index: usize| -0.1 + index as f64 * step_s;
-    let in_order: Vec<Output> = (0..POINTS)
+    let in_order: Vec<_> = (0..POINTS)
         .map(|index| program.value_at(at(index)))
         .collect();
     for index in order {

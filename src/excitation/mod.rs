@@ -2,40 +2,34 @@
 //!
 //! ```text
 //! [Segment] (configuration) -> target pieces -> slew limit -> Program -> value_at(t): Output
-//!   one file per kind           straight lines   exact        polyline    in any order
+//!   a kind of excitation        straight lines   exact        polyline    in any order
 //! ```
 //!
 //! Everything is a polyline: the slew limit is then exact, and the value at an instant is found by searching, so it does
-//! not depend on what was asked before. A new kind is a new file and one line in the catalogue below; the contract test
+//! not depend on what was asked before. A new kind is one struct and one line in the catalogue below; the contract test
 //! in `contract_tests.rs` then covers it.
 
-mod coast_down;
 mod dither;
 mod error;
+mod levels;
 mod lfsr;
 mod piece;
 mod prbs;
 mod program;
-mod ramp;
+mod rest;
 mod rich;
 mod sine;
 mod slew;
-mod staircase;
-mod standstill;
-mod steps;
 
-pub use coast_down::CoastDown;
 pub use dither::Dither;
 pub use error::ExcitationError;
+pub use levels::{Ramp, Staircase, Steps};
 pub use piece::{Piece, Target};
 pub use prbs::Prbs;
 pub use program::{Output, Program, Span};
-pub use ramp::Ramp;
+pub use rest::{CoastDown, Standstill};
 pub use rich::{RICH_SECONDS, rich};
 pub use sine::Sine;
-pub use staircase::Staircase;
-pub use standstill::Standstill;
-pub use steps::Steps;
 
 use error::Refusal;
 

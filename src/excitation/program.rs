@@ -86,14 +86,13 @@ impl Program {
             }
             let earlier = segments[..index]
                 .iter()
-                .filter(|other| other.card().id == kind)
-                .count();
+                .filter(|other| other.card().id == kind);
+            let name = match earlier.count() {
+                0 => kind.to_owned(),
+                earlier => format!("{kind} {}", earlier + 1),
+            };
             spans.push(Span {
-                name: if earlier == 0 {
-                    kind.to_owned()
-                } else {
-                    format!("{kind} {}", earlier + 1)
-                },
+                name,
                 start_s,
                 end_s,
                 coast,
@@ -137,18 +136,17 @@ impl Program {
 
     /// Farthest voltage from zero, V.
     pub fn peak_v(&self) -> f64 {
-        self.pieces
+        let ends = self
+            .pieces
             .iter()
-            .map(|piece| piece.from_v.abs().max(piece.to_v.abs()))
-            .fold(0.0, f64::max)
+            .map(|piece| piece.from_v.abs().max(piece.to_v.abs()));
+        ends.fold(0.0, f64::max)
     }
 
     /// Steepest change, V/s; the jump to output off is none.
     pub fn peak_slew_v_per_s(&self) -> f64 {
-        self.pieces
-            .iter()
-            .map(|piece| piece.slope_v_per_s().abs())
-            .fold(0.0, f64::max)
+        let slopes = self.pieces.iter().map(|piece| piece.slope_v_per_s().abs());
+        slopes.fold(0.0, f64::max)
     }
 
     /// Corners `(time_s, voltage_v)` for a plot; two at one instant where a coast-down begins.

@@ -16,18 +16,18 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
     let full_v = voltage_v - dither_v;
     // Long enough to arrive at the level and to stay on it for a while.
     let hold_s = (full_v / slew_v_per_s + 0.15).max(0.3);
-    let levels_v: Vec<f64> = [1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0]
-        .iter()
+    let levels_v = [1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0]
         .map(|share| share * full_v)
-        .collect();
+        .to_vec();
     let random_v = 0.5 * voltage_v;
     let (standstill_s, ramp_s, sine_s) = (0.5, 2.0, 2.5);
     let other_s = levels_v.len() as f64 * hold_s + 2.0 * standstill_s + ramp_s + sine_s;
     let ramp_v = 0.25 * voltage_v;
+    let rest = Segment::Standstill(Standstill {
+        seconds: standstill_s,
+    });
     vec![
-        Segment::Standstill(Standstill {
-            seconds: standstill_s,
-        }),
+        rest.clone(),
         Segment::Steps(Steps {
             levels_v,
             hold_s,
@@ -57,9 +57,7 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
             frequency_hz: 1.0 / sine_s,
             seconds: sine_s,
         }),
-        Segment::Standstill(Standstill {
-            seconds: standstill_s,
-        }),
+        rest,
     ]
 }
 
@@ -72,11 +70,13 @@ mod tests {
         Program::new(&rich(voltage_v, slew_v_per_s, seed), slew_v_per_s).unwrap()
     }
 
-    fn volts(program: &Program, time_s: f64) -> f64 {
-        match program.value_at(time_s) {
+    /// Every 10 ms.
+    fn volts(program: &Program) -> Vec<f64> {
+        let volts = |tick: u32| match program.value_at(f64::from(tick) * 0.01) {
             Output::Voltage(volts) => volts,
             Output::Coast => 0.0,
-        }
+        };
+        (0..1200).map(volts).collect()
     }
 
     #[test]
@@ -88,18 +88,13 @@ mod tests {
             assert!(program.peak_v() <= voltage_v * (1.0 + 1e-12));
             assert!(program.peak_v() > 0.9 * voltage_v);
             assert!(program.peak_slew_v_per_s() <= slew_v_per_s * (1.0 + 1e-6));
-            assert!((0..40).all(|tick| volts(&program, f64::from(tick) * 0.01) == 0.0));
+            let all = volts(&program);
+            assert!(all[..40].iter().all(|volts| *volts == 0.0));
             let last = program.polyline().last().copied().unwrap();
             assert!(last.1.abs() < 1e-9, "ends at {last:?}");
-            let all: Vec<f64> = (0..1200)
-                .map(|tick| volts(&program, f64::from(tick) * 0.01))
-                .collect();
             let share = |up: bool| {
-                let count = all
-                    .iter()
-                    .filter(|v| (**v > 0.0) == up && **v != 0.0)
-                    .count();
-                count as f64 / 1200.0
+                let those = all.iter().filter(|v| (**v > 0.0) == up && **v != 0.0);
+                those.count() as f64 / 1200.0
             };
             assert!(share(true) > 0.3 && share(false) > 0.3);
         }
@@ -107,19 +102,11 @@ mod tests {
 
     #[test]
     fn another_seed_is_another_run() {
-        let at = |seed| {
-            let program = program(24.0, 400.0, seed);
-            (0..1200)
-                .map(|tick| volts(&program, f64::from(tick) * 0.01))
-                .collect::<Vec<_>>()
-        };
+        let at = |seed| volts(&program(24.0, 400.0, seed));
         assert_eq!(at(1), at(1));
         let (one, two) = (at(1), at(2));
-        let differ = one
-            .iter()
-            .zip(&two)
-            .filter(|(a, b)| (*a - *b).abs() > 1e-9)
-            .count();
+        let pairs = one.iter().zip(&two);
+        let differ = pairs.filter(|(a, b)| (*a - *b).abs() > 1e-9).count();
         assert!(differ > 300, "{differ} of 1200 instants differ");
     }
 
@@ -130,8 +117,7 @@ mod tests {
         for seed in 0..5 {
             let program = program(110.0, 400.0, seed);
             let (mut i, mut w, mut peak_a): (f64, f64, f64) = (0.0, 0.0, 0.0);
-            for tick in 0..1200 {
-                let u = volts(&program, f64::from(tick) * 0.01);
+            for u in volts(&program) {
                 for _ in 0..200 {
                     let step_s = 5e-5;
                     let torque = ke * i;

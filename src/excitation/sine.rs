@@ -56,10 +56,8 @@ impl Excitation for Sine {
         let mut pieces: Vec<Piece> = Vec::new();
         let mut start_s = 0.0;
         for end_s in ends {
-            pieces.push(Piece::line(
-                (start_s, sine_v(start_s)),
-                (end_s, sine_v(end_s)),
-            ));
+            let corner = |time_s| (time_s, sine_v(time_s));
+            pieces.push(Piece::line(corner(start_s), corner(end_s)));
             start_s = end_s;
         }
         Target::Voltage(pieces)

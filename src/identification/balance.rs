@@ -238,9 +238,6 @@ pub struct TorqueRows {
     pub begin_s: f64,
     /// Middle of each row, on the run's clock.
     pub time_s: Vec<f64>,
-    /// Mean speed and current (torque where that is given) of each row.
-    pub speed_rad_s: Vec<f64>,
-    pub current_a: Vec<f64>,
     /// Motor torque, N.m.
     pub left: Vec<f64>,
     /// What one unit of inertia contributes.

@@ -139,7 +139,7 @@ fn claims(run: &Run, scenario: &Scenario) -> Vec<Claim> {
         Input::Voltage => {
             claims.extend(of_voltage(run, scenario.input_channel));
             if has_current {
-                claims.extend(of_current(run, &ELECTRICAL_AND_MECHANICAL));
+                claims.extend(of_current(run, &MotorKey::ALL));
             }
         }
         Input::Current => claims.extend(of_current(run, &MECHANICAL)),
@@ -149,10 +149,9 @@ fn claims(run: &Run, scenario: &Scenario) -> Vec<Claim> {
     claims
 }
 
-const ELECTRICAL_AND_MECHANICAL: [MotorKey; 6] = MotorKey::ALL;
 const MECHANICAL: [MotorKey; 2] = [MotorKey::Inertia, MotorKey::LoadTorque];
 /// With Kt taken equal to Ke, what is wrong in Ke is wrong in every torque.
-const OF_BACK_EMF: [MotorKey; 4] = [
+pub(super) const OF_BACK_EMF: [MotorKey; 4] = [
     MotorKey::BackEmf,
     MotorKey::TorqueConstant,
     MotorKey::Inertia,

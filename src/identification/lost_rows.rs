@@ -63,8 +63,7 @@ fn counted(number: usize) -> String {
 mod tests {
     use super::*;
     use crate::identification::noise::NoiseFloor;
-    use crate::identification::scheme::{self, Data};
-    use crate::identification::testing::{KEYS, PAPER, of, paper, record};
+    use crate::identification::testing::{KEYS, PAPER, identify, of, paper, record};
     use crate::identification::{output_error, sanity, start};
     use crate::plant::Model;
     use crate::plant::testing::with_rows_lost;
@@ -98,14 +97,10 @@ mod tests {
         let lossy = run(one_in_ten_and_a_long_hole);
         let told = sentence(&lossy, &Scenario::from_run(&lossy).unwrap()).unwrap();
         let lost = 6000 - lossy.rows();
-        assert!(
-            told.contains(&format!("{lost} of 6,000 rows of voltage_v are missing")),
-            "{told}"
-        );
-        assert!(
-            told.contains("0.400 s from 3.000 s on") && told.contains("behind the long hole"),
-            "{told}"
-        );
+        let count = format!("{lost} of 6,000 rows of voltage_v are missing");
+        for part in [&*count, "0.400 s from 3.000 s on", "behind the long hole"] {
+            assert!(told.contains(part), "{told}");
+        }
         assert_eq!(counted(1_234_567), "1,234,567");
     }
 
@@ -127,31 +122,21 @@ mod tests {
         assert!(fit.nrms < 1.1, "{}", fit.nrms);
         for (parameter, truth) in fit.parameters.iter().zip(PAPER) {
             let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
-            assert!(
-                (value - truth).abs() < 3.5 * std && std < 0.01 * truth,
-                "{parameter:?}: {truth}"
-            );
+            let covers = (value - truth).abs() < 3.5 * std && std < 0.01 * truth;
+            assert!(covers, "{parameter:?}: {truth}");
         }
     }
 
     #[test]
     fn schemes_that_go_row_by_row_take_the_estimate_and_not_the_voltage_before() {
         let lossy = run(one_in_ten_and_a_long_hole);
-        let scenario = Scenario::from_run(&lossy).unwrap();
         for id in ["3", "ekf", "weak-form"] {
-            let data = Data {
-                run: &lossy,
-                scenario: &scenario,
-                model: &Model::default(),
-            };
-            let found = scheme::find(id).unwrap().identify(&data).unwrap();
+            let found = identify(id, &lossy, &Model::default()).unwrap();
             for (key, truth) in KEYS.into_iter().zip(PAPER).take(4) {
                 let parameter = of(&found.parameters, key.key());
                 let off = (parameter.value.unwrap() - truth).abs();
-                assert!(
-                    off < 4.0 * parameter.std.unwrap(),
-                    "{id} {parameter:?}: {truth}"
-                );
+                let covers = off < 4.0 * parameter.std.unwrap();
+                assert!(covers, "{id} {parameter:?}: {truth}");
             }
         }
     }

@@ -24,7 +24,8 @@ const COPPER_PER_K: f64 = 0.0039;
 /// Warmest winding that temperature is blamed for, K above the nameplate's.
 const WARMEST_K: f64 = 130.0;
 
-const KEYS: [MotorKey; 5] = [
+/// The parameters of a plate, in the order in which they are told.
+pub(super) const KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
     MotorKey::BackEmf,

@@ -5,8 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal, Uniform};
 
 use super::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
-use crate::sample::{Channel, Origin, ParameterEstimate, Run, Sample};
+use super::scheme::{self, Data, Identified, IdentifyError};
+use crate::plant::{Input, Model, Motor, Plant, Scenario, State};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run, Sample, Verdict};
 
 pub(super) use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
 
@@ -22,13 +23,7 @@ pub(super) const NOISE: NoiseFloor = NoiseFloor {
 pub(super) type Truth = [f64; 5];
 
 /// The five, in that order.
-pub(super) const KEYS: [MotorKey; 5] = [
-    MotorKey::Resistance,
-    MotorKey::Inductance,
-    MotorKey::BackEmf,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
+pub(super) use super::nameplate::KEYS;
 
 /// `Motor::zk_22fc`.
 pub(super) const PAPER: Truth = [1.1, 0.0099, 0.3538, 0.0045, 0.455];
@@ -102,10 +97,9 @@ pub(super) fn simulated(
     events: Vec<(f64, f64)>,
     times: Vec<f64>,
 ) -> Scenario {
-    let channel = if input == Input::Torque {
-        Channel::Torque
-    } else {
-        Channel::Voltage
+    let channel = match input {
+        Input::Torque => Channel::Torque,
+        _ => Channel::Voltage,
     };
     let mut scenario = Scenario::planned("r", input, channel, events, times);
     let mut plant = Plant::new(model, input).unwrap();
@@ -222,10 +216,8 @@ impl Record {
         in_order(&self.events, &self.times, [&current, &speed], |sample| {
             let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
             let cells = [Channel::VoltageCmd, Channel::Current, Channel::Speed].map(cell);
-            match rows
-                .last_mut()
-                .filter(|last| last.0.total_cmp(&sample.time_s).is_eq())
-            {
+            let same_row = |last: &&mut (f64, _)| last.0.total_cmp(&sample.time_s).is_eq();
+            match rows.last_mut().filter(same_row) {
                 Some(last) => (last.1[1], last.1[2]) = (cells[1], cells[2]),
                 None => rows.push((sample.time_s, cells)),
             }
@@ -256,6 +248,37 @@ pub(super) fn of<'a>(parameters: &'a [ParameterEstimate], key: &str) -> &'a Para
     ParameterEstimate::find(parameters, key).unwrap_or_else(|| panic!("no {key}"))
 }
 
+/// The estimate of a key, which must have this verdict.
+#[track_caller]
+pub(super) fn judged<'a>(
+    parameters: &'a [ParameterEstimate],
+    key: &str,
+    verdict: Verdict,
+) -> &'a ParameterEstimate {
+    let found = of(parameters, key);
+    assert_eq!(found.verdict, verdict, "{found:?}");
+    found
+}
+
+/// A reason that holds all of these words.
+#[track_caller]
+pub(super) fn assert_says(found: &ParameterEstimate, words: &[&str]) {
+    let reason = found.reason.as_deref().unwrap_or_default();
+    let says = !reason.is_empty() && words.iter().all(|word| reason.contains(word));
+    assert!(says, "{words:?} {found:?}");
+}
+
+/// What the scheme of that name finds in a run.
+pub(super) fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified, IdentifyError> {
+    let scenario = &Scenario::from_run(run).unwrap();
+    let data = Data {
+        run,
+        scenario,
+        model,
+    };
+    scheme::find(id).unwrap().identify(&data)
+}
+
 /// Within a relative distance of the truth.
 #[track_caller]
 pub(super) fn assert_near(found: f64, truth: f64, within: f64) {
@@ -270,7 +293,13 @@ pub(super) fn assert_near(found: f64, truth: f64, within: f64) {
 #[track_caller]
 pub(super) fn assert_found(parameters: &[ParameterEstimate], key: &str, truth: f64, within: f64) {
     let found = of(parameters, key);
+    assert_covers(found, truth, within, 4.0);
+}
+
+/// Within a relative distance of the truth, and within so many of its own deviations.
+#[track_caller]
+pub(super) fn assert_covers(found: &ParameterEstimate, truth: f64, within: f64, deviations: f64) {
     let (value, std) = (found.value.unwrap(), found.std.unwrap());
-    let near = (value / truth - 1.0).abs() < within && (value - truth).abs() < 4.0 * std;
+    let near = (value / truth - 1.0).abs() < within && (value - truth).abs() < deviations * std;
     assert!(near, "{within} {found:?} {truth}");
 }

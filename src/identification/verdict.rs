@@ -15,6 +15,11 @@ pub(super) const SETTLED: f64 = 0.02;
 /// Standard deviations that hold 95 % of the values.
 const TWO_SIDED_95: f64 = 1.96;
 
+/// A motor's parameter that the data do not carry.
+pub(super) fn unknown(key: MotorKey, reason: impl Into<String>) -> ParameterEstimate {
+    ParameterEstimate::not_observable(key.key(), key.unit(), reason)
+}
+
 /// Judges one fitted value by its standard deviation; `None` or not finite: the data leave it undetermined.
 pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());

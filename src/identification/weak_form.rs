@@ -52,26 +52,11 @@ const LONGEST_WINDOW: f64 = 2.0;
 pub struct Balanced {
     pub equation: Balance,
     pub parameters: Vec<ParameterEstimate>,
-    /// What the balance misses in each window.
-    pub residual: Vec<WindowResidual>,
+    /// What the balance misses in each window, V or N.m.
+    pub residual: Vec<f64>,
     /// Root mean square that measurement noise alone would leave in the residual, V or N.m; `None` where the run has no
     /// standstill to tell the noise.
     pub noise_floor: Option<f64>,
-    /// Root mean square of the left-hand side, V or N.m: what the residual is compared with.
-    pub level: f64,
-    pub windows_dropped: usize,
-}
-
-/// One window of a balance: where the machine was, and what is missing there. NaN where a signal is not measured.
-#[derive(Clone, Copy, Debug)]
-pub struct WindowResidual {
-    /// Middle of the window.
-    pub time_s: f64,
-    /// V or N.m.
-    pub residual: f64,
-    pub speed_rad_s: f64,
-    pub current_a: f64,
-    pub angle_rad: f64,
 }
 
 /// Fits both balances (the torque balance alone where there is no voltage).
@@ -115,11 +100,14 @@ pub fn regressions(model: &Model, scenario: &Scenario) -> Vec<Regression> {
                 blocks: system.blocks(scenario.sample_time_s[0]),
                 matrix: system.matrix,
                 right: system.right,
-                time_s: system.windows.iter().map(|window| window.time_s).collect(),
-                averages: system.averages,
+                time_s: system
+                    .windows
+                    .iter()
+                    .map(|window| window.middle_s)
+                    .collect(),
+                windows: system.windows,
                 noise_floor: balanced.noise_floor,
                 equation,
-                model: model.clone(),
             }
         })
         .collect()
@@ -138,16 +126,14 @@ pub struct Regression {
     pub time_s: Vec<f64>,
     /// As in [`Balanced`].
     pub noise_floor: Option<f64>,
-    /// The model with the torque constant that the left-hand side was made with.
-    pub model: Model,
-    averages: Vec<Window>,
+    windows: Vec<Window>,
 }
 
 impl Regression {
     /// Average over each window of a value that every sample has.
     pub fn means(&self, value: impl Fn(usize) -> f64) -> DVector<f64> {
-        let rows = self.averages.iter().map(|window| window.mean_of(&value));
-        DVector::from_iterator(self.averages.len(), rows)
+        let rows = self.windows.iter().map(|window| window.mean_of(&value));
+        DVector::from_iterator(self.windows.len(), rows)
     }
 }
 
@@ -170,55 +156,36 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     let begin_s = scenario.sample_time_s[0];
     let solution = system.solve(begin_s);
     // The same windows in time with half of the samples.
-    let coarse = System::new(
-        model,
-        &thinned(scenario),
-        equation,
-        (half / 2).max(2),
-        &noise,
-    )
-    .solve(begin_s);
+    let (thin, thin_half) = (thinned(scenario), (half / 2).max(2));
+    let coarse = System::new(model, &thin, equation, thin_half, &noise).solve(begin_s);
     let period_s = mean_period_s(scenario);
-    let doubts = solution
-        .as_ref()
-        .map(|solution| system.doubts(solution, coarse.as_ref(), &noise));
-    let mut place = 0;
-    let mut parameters = Vec::with_capacity(system.unknowns.len());
-    for unknown in &system.unknowns {
-        parameters.push(match (&solution, &doubts) {
-            (Some(solution), Some(doubts)) if unknown.fixed.is_none() => {
-                let value = solution.x[place] + doubts[place].pulled;
-                // Not a number where it is undetermined.
-                let variance =
-                    solution.covariance[(place, place)] + (doubt_of_left * value).powi(2);
-                estimate(unknown, value, variance, &doubts[place], period_s)
-            }
-            _ => unknown.unsolved(&why_too_few(
+    let doubts = (solution.as_ref()).map(|it| (it, system.doubts(it, coarse.as_ref(), &noise)));
+    let mut places = 0..;
+    let estimate = |unknown: &Unknown| {
+        let place = (unknown.fixed.is_none()).then(|| places.next()).flatten();
+        let Some(((solution, doubts), place)) = doubts.as_ref().zip(place) else {
+            return unknown.unsolved(&why_too_few(
                 system.windows.len(),
                 model,
                 scenario,
                 equation,
-            )),
-        });
-        place += usize::from(unknown.fixed.is_none());
-    }
+            ));
+        };
+        let value = solution.x[place] + doubts[place].pulled;
+        // Not a number where it is undetermined.
+        let variance = solution.covariance[(place, place)] + (doubt_of_left * value).powi(2);
+        estimate(unknown, value, variance, &doubts[place], period_s)
+    };
+    let parameters: Vec<ParameterEstimate> = system.unknowns.iter().map(estimate).collect();
     let noise_floor = noise.floor(&system, &parameters, model);
     let residual = solution.map_or_else(Vec::new, |solution| {
-        let residuals = system.windows.iter().zip(solution.residual.iter());
-        residuals
-            .map(|(window, residual)| WindowResidual {
-                residual: *residual,
-                ..*window
-            })
-            .collect()
+        solution.residual.iter().copied().collect()
     });
     Balanced {
         equation,
         parameters,
         residual,
         noise_floor,
-        level: system.right.norm() / (system.right.len().max(1) as f64).sqrt(),
-        windows_dropped: system.dropped,
     }
 }
 
@@ -250,12 +217,8 @@ fn estimate(
         return ParameterEstimate::not_observable(&unknown.slot.key(), unknown.slot.unit(), reason);
     }
     let extra = doubt.sampling.powi(2) + doubt.noise.powi(2);
-    let mut judged = judge(
-        &unknown.slot,
-        value,
-        Some((variance + extra).sqrt()),
-        period_s,
-    );
+    let std = (variance + extra).sqrt();
+    let mut judged = judge(&unknown.slot, value, Some(std), period_s);
     if let Some(reason) = judged.reason.as_mut()
         && doubt.sampling.powi(2) > variance
     {
@@ -274,9 +237,7 @@ struct System {
     unknowns: Vec<Unknown>,
     matrix: DMatrix<f64>,
     right: DVector<f64>,
-    windows: Vec<WindowResidual>,
-    averages: Vec<Window>,
-    dropped: usize,
+    windows: Vec<Window>,
     /// Norms of a window's weights, and of its weights for a rate: what noise makes of a mean.
     gain: f64,
     rate_gain: f64,
@@ -315,40 +276,31 @@ impl System {
             speed_rad_s: &scenario.speed_rad_s,
             at: &at,
         };
-        let columns: Vec<Column> = unknowns
-            .iter()
-            .map(|unknown| signals.column(&unknown.slot))
-            .collect();
-        let free: Vec<usize> = (0..unknowns.len())
-            .filter(|index| unknowns[*index].fixed.is_none())
-            .collect();
+        let columns = unknowns.iter().map(|unknown| signals.column(&unknown.slot));
+        let columns: Vec<Column> = columns.collect();
+        let is_free = |index: &usize| unknowns[*index].fixed.is_none();
+        let free: Vec<usize> = (0..unknowns.len()).filter(is_free).collect();
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
-        let mut averages = Vec::new();
-        let (mut dropped, mut gain, mut rate_gain) = (0, 0.0, 0.0);
+        let (mut gain, mut rate_gain) = (0.0, 0.0);
         let longest_s = half as f64 * mean_period_s(scenario);
         for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
             let end = begin + 2 * half;
             // Half of the window in one step: it would be made of two ends.
             let times = &scenario.sample_time_s[begin..=end];
             if times.windows(2).any(|pair| pair[1] - pair[0] > longest_s) {
-                dropped += 1;
                 continue;
             }
             let window = Window::new(&scenario.sample_time_s, begin, end);
+            let mut speeds = scenario.speed_rad_s[begin..=end].iter();
             let resting = equation == Balance::Torque
-                && scenario.speed_rad_s[begin..=end]
-                    .iter()
-                    .any(|speed| speed.abs() <= noise.dead_zone_rad_s);
-            let cells: Vec<f64> = columns
-                .iter()
-                .map(|column| match column {
-                    Column::Values(values) => window.mean(values),
-                    Column::Rate(values) => window.mean_rate(values),
-                })
-                .collect();
+                && speeds.any(|speed| speed.abs() <= noise.dead_zone_rad_s);
+            let cell = |column: &Column| match column {
+                Column::Values(values) => window.mean(values),
+                Column::Rate(values) => window.mean_rate(values),
+            };
+            let cells: Vec<f64> = columns.iter().map(cell).collect();
             let mut left = window.mean(&lefts);
             if resting || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
-                dropped += 1;
                 continue;
             }
             for (cell, unknown) in cells.iter().zip(&unknowns) {
@@ -357,14 +309,7 @@ impl System {
             rows.push(free.iter().map(|index| cells[*index]).collect::<Vec<f64>>());
             right.push(left);
             (gain, rate_gain) = window.gains();
-            windows.push(WindowResidual {
-                time_s: window.middle_s,
-                residual: f64::NAN,
-                speed_rad_s: window.mean(&scenario.speed_rad_s),
-                current_a: window.mean(&scenario.current_a),
-                angle_rad: window.mean(&angle),
-            });
-            averages.push(window);
+            windows.push(window);
         }
         Self {
             equation,
@@ -372,15 +317,13 @@ impl System {
             right: DVector::from_vec(right),
             unknowns,
             windows,
-            averages,
-            dropped,
             gain,
             rate_gain,
         }
     }
 
     fn blocks(&self, begin_s: f64) -> Vec<usize> {
-        let block = |window: &WindowResidual| whole((window.time_s - begin_s) / BLOCK_S);
+        let block = |window: &Window| whole((window.middle_s - begin_s) / BLOCK_S);
         self.windows.iter().map(block).collect()
     }
 
@@ -395,10 +338,8 @@ impl System {
         noise: &Noise,
     ) -> Vec<Doubt> {
         let (bread, _) = least_squares::inverse_where_determined(&self.matrix);
-        let free: Vec<&Unknown> = self
-            .unknowns
-            .iter()
-            .filter(|unknown| unknown.fixed.is_none())
+        let free: Vec<&Unknown> = (self.unknowns.iter())
+            .filter(|it| it.fixed.is_none())
             .collect();
         let own = |place: usize| 1.0 / bread[(place, place)].max(f64::MIN_POSITIVE);
         let power: Vec<f64> = free
@@ -493,9 +434,8 @@ fn mean_period_s(scenario: &Scenario) -> f64 {
 /// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a
 /// signal that steps, else the input seems half a sample late.
 fn held_means(scenario: &Scenario) -> Vec<f64> {
-    (0..scenario.sample_time_s.len())
-        .map(|sample| held_mean(scenario, sample))
-        .collect()
+    let samples = 0..scenario.samples();
+    samples.map(|sample| held_mean(scenario, sample)).collect()
 }
 
 /// The same at one sample.
@@ -532,9 +472,8 @@ impl Noise {
     fn of(scenario: &Scenario) -> Self {
         let floor = NoiseFloor::from_standstill(scenario);
         let or_roughness = |still: Option<f64>, values: &[f64]| {
-            still
-                .filter(|sigma| sigma.is_finite())
-                .unwrap_or_else(|| roughness(values))
+            let still = still.filter(|sigma| sigma.is_finite());
+            still.unwrap_or_else(|| roughness(values))
         };
         let speed_rad_s = or_roughness(floor.map(|f| f.speed_rad_s), &scenario.speed_rad_s);
         let largest = largest_but_outliers(&scenario.speed_rad_s);
@@ -590,11 +529,8 @@ impl Noise {
 
 /// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
 fn roughness(values: &[f64]) -> f64 {
-    let differences: Vec<f64> = values
-        .windows(3)
-        .map(|v| v[0] - 2.0 * v[1] + v[2])
-        .filter(|difference| difference.is_finite())
-        .collect();
+    let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    let differences = statistics::finite(&differences.collect::<Vec<f64>>());
     if differences.is_empty() {
         return 0.0;
     }
@@ -603,11 +539,8 @@ fn roughness(values: &[f64]) -> f64 {
 
 /// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
 fn largest_but_outliers(values: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = values
-        .iter()
-        .filter(|value| value.is_finite())
-        .map(|value| value.abs())
-        .collect();
+    let mut sizes = statistics::finite(values);
+    sizes.iter_mut().for_each(|value| *value = value.abs());
     sizes.sort_by(f64::total_cmp);
     let dropped = sizes.len() / 200;
     sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)
@@ -634,7 +567,6 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
     // Windows are laid on the samples that have a speed; the quadrature runs in true time.
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
-    let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
     let dead_zone_rad_s = noise
         .dead_zone_rad_s
         .max(REVERSAL * largest_but_outliers(&speeds));
@@ -676,8 +608,6 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         ),
         begin_s: scenario.begin_s(),
         time_s,
-        speed_rad_s: averaging(&speeds),
-        current_a: averaging(&currents),
         left: lefts,
         inertia,
         gain,
@@ -699,11 +629,9 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
     };
     let commanded_s: Vec<f64> = scenario.events.iter().map(|event| event.0).collect();
     let step_s = statistics::median_step(&commanded_s);
-    let longest_gap_s = if step_s.is_finite() {
-        LONGEST_GAP * step_s
-    } else {
-        0.0
-    };
+    let longest_gap_s = Some(LONGEST_GAP * step_s)
+        .filter(|gap_s| gap_s.is_finite())
+        .unwrap_or(0.0);
     let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
     let constants = Instant::of(&model.motor);
     let (mut at, mut left) = (Vec::new(), Vec::new());
@@ -715,7 +643,8 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
         let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
             // Where the torque has a hole it is not known what was held.
             let beside = signal::line_across(&scenario.events, time_s, longest_gap_s);
-            let torque = if beside.is_finite() {
+            let is_known = beside.is_finite();
+            let torque = if is_known {
                 held_mean(scenario, sample)
             } else {
                 f64::NAN

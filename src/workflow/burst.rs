@@ -153,7 +153,7 @@ impl VoltageBalance {
                 over_noise: None,
             });
         };
-        let squares = found.residual.iter().map(|window| window.residual.powi(2));
+        let squares = found.residual.iter().map(|residual| residual.powi(2));
         let rms_v = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
         Ok(Self {
             rms_v,

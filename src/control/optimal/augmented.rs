@@ -98,19 +98,11 @@ impl LoadObserving {
         with_integral[(2, 1)] = timing.period_s;
         let input = Vector3::new(gamma_2[0], gamma_2[1], 0.0);
         let error_cost = settings.error_rad_s.powi(-2);
-        let weight = Matrix3::from_diagonal(&Vector3::new(
-            0.0,
-            error_cost,
-            error_cost / settings.integral_s.powi(2),
-        ));
-        let feedback = riccati::feedback(
-            &with_integral,
-            &input,
-            &weight,
-            settings.voltage_v.powi(-2),
-            TOLERANCE,
-        )
-        .ok_or(PaperBError::Iteration("feedback's gain"))?;
+        let integral_cost = error_cost / settings.integral_s.powi(2);
+        let weight = Matrix3::from_diagonal(&Vector3::new(0.0, error_cost, integral_cost));
+        let voltage_cost = settings.voltage_v.powi(-2);
+        let feedback = riccati::feedback(&with_integral, &input, &weight, voltage_cost, TOLERANCE)
+            .ok_or(PaperBError::Iteration("feedback's gain"))?;
         let delay_periods = timing.whole_cycles();
         Ok(Self {
             phi,

@@ -143,18 +143,12 @@ impl PaperB {
         let (g, h) = plant.state_space();
         let c = Vector2::new(1.0, 0.0);
         let process = h * h.transpose() * settings.process_noise;
-        let filter = riccati::filter(
-            &g,
-            &process,
-            &c,
-            settings.measurement_noise,
-            settings.tolerance,
-        )
-        .ok_or(PaperBError::Iteration("filter's gain"))?;
+        let (noise, tolerance) = (settings.measurement_noise, settings.tolerance);
+        let filter = riccati::filter(&g, &process, &c, noise, tolerance)
+            .ok_or(PaperBError::Iteration("filter's gain"))?;
         let weight = Matrix2::new(settings.error_cost, 0.0, 0.0, 0.0);
-        let feedback =
-            riccati::feedback(&g, &h, &weight, settings.voltage_cost, settings.tolerance)
-                .ok_or(PaperBError::Iteration("feedback's gain"))?;
+        let feedback = riccati::feedback(&g, &h, &weight, settings.voltage_cost, tolerance)
+            .ok_or(PaperBError::Iteration("feedback's gain"))?;
         let mut made = Self {
             gain_3: settings.compensation / (plant.a + plant.b),
             plant,
@@ -166,14 +160,11 @@ impl PaperB {
             state: Memory::default(),
             wanted: 0.0,
         };
-        made.radius = made.closed_radius();
-        if made.radius < 1.0 {
-            Ok(made)
-        } else {
-            Err(PaperBError::Unstable {
-                radius: made.radius,
-            })
-        }
+        let radius = made.closed_radius();
+        made.radius = radius;
+        (radius < 1.0)
+            .then_some(made)
+            .ok_or(PaperBError::Unstable { radius })
     }
 
     /// Largest eigenvalue of the loop closed with its own plant.
@@ -289,31 +280,22 @@ impl SpeedController for PaperB {
 }
 
 fn check(settings: &PaperBSettings) -> Result<(), PaperBError> {
-    let positive = [
-        ("process_noise", settings.process_noise),
-        ("measurement_noise", settings.measurement_noise),
-        ("error_cost", settings.error_cost),
-        ("voltage_cost", settings.voltage_cost),
-        ("tolerance", settings.tolerance),
-    ];
-    for (what, value) in positive {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(PaperBError::Setting {
-                what,
-                value,
-                allowed: "a finite value above 0",
-            });
-        }
-    }
-    for (what, value) in [
-        ("filter_share", settings.filter_share),
-        ("compensation", settings.compensation),
+    const POSITIVE: (f64, f64, &str) = (f64::from_bits(1), f64::MAX, "a finite value above 0");
+    const SHARE: (f64, f64, &str) = (0.0, 1.0, "0 to 1");
+    for (what, value, (least, most, allowed)) in [
+        ("process_noise", settings.process_noise, POSITIVE),
+        ("measurement_noise", settings.measurement_noise, POSITIVE),
+        ("error_cost", settings.error_cost, POSITIVE),
+        ("voltage_cost", settings.voltage_cost, POSITIVE),
+        ("tolerance", settings.tolerance, POSITIVE),
+        ("filter_share", settings.filter_share, SHARE),
+        ("compensation", settings.compensation, SHARE),
     ] {
-        if !(0.0..=1.0).contains(&value) {
+        if !(least..=most).contains(&value) {
             return Err(PaperBError::Setting {
                 what,
                 value,
-                allowed: "0 to 1",
+                allowed,
             });
         }
     }

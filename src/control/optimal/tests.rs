@@ -4,13 +4,10 @@ use crate::control::{Measured, SpeedController};
 use nalgebra::Vector2;
 
 /// Data of paper B: T1 = 3.4 ms, Tm = 76 ms, ke = 0.097 V/(r/min).
+const KE: f64 = 0.097 * 60.0 / std::f64::consts::TAU;
+
 fn plant(period_s: f64) -> PaperBPlant {
-    PaperBPlant::new(
-        period_s,
-        0.0034,
-        0.076,
-        0.097 * 60.0 / std::f64::consts::TAU,
-    )
+    PaperBPlant::new(period_s, 0.0034, 0.076, KE)
 }
 
 #[test]
@@ -22,12 +19,11 @@ fn the_discrete_plant_is_that_of_small_steps() {
         x = g * x + h * 10.0;
     }
     // ke Tm dn/dt = y, T1 dy/dt = u - y.
-    let ke = 0.097 * 60.0 / std::f64::consts::TAU;
     let (mut y, mut n) = (0.0, 0.0);
     for _ in 0..500_000 {
         let h = 1e-7;
         let middle = y + 0.5 * h * (10.0 - y) / 0.0034;
-        n += h * middle / (ke * 0.076);
+        n += h * middle / (KE * 0.076);
         y += h * (10.0 - middle) / 0.0034;
     }
     assert_close(x[0], n, 1e-6);
@@ -36,8 +32,7 @@ fn the_discrete_plant_is_that_of_small_steps() {
 #[test]
 fn a_short_period_does_not_cancel() {
     let tiny = plant(1e-9);
-    let ke = 0.097 * 60.0 / std::f64::consts::TAU;
-    let expected = 0.5 * 1e-18 / (0.0034 * 0.076 * ke);
+    let expected = 0.5 * 1e-18 / (0.0034 * 0.076 * KE);
     assert!((tiny.a / expected - 1.0).abs() < 1e-3, "{}", tiny.a);
 }
 

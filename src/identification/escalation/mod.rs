@@ -34,6 +34,7 @@ use crate::plant::{MotorKey, Scenario, ScenarioError};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
 use ending::NoMotion;
 use observation::Turned;
+use stage::BothWays;
 
 /// Current of the first look, in rated currents.
 const FEEL_CURRENT: f64 = 0.3;
@@ -142,14 +143,10 @@ enum Next {
 impl Escalation {
     pub fn new(bounds: Bounds) -> Self {
         let first_v = (FIRST_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
-        let next = Next::Run(stage::feel(
-            &bounds,
-            first_v,
-            "nothing is known yet".to_owned(),
-        ));
+        let first = stage::feel(&bounds, first_v, "nothing is known yet".to_owned());
         Self {
             bounds,
-            next,
+            next: Next::Run(first),
             history: Vec::new(),
             rest: None,
             break_away_a: None,
@@ -222,9 +219,7 @@ impl Escalation {
             line,
         });
         self.next = if self.history.len() >= MOST_STAGES && matches!(next, Next::Run(_)) {
-            over(Ending::NotIdentified {
-                reason: format!("{MOST_STAGES} stages were run"),
-            })
+            not_identified(format!("{MOST_STAGES} stages were run"))
         } else {
             next
         };
@@ -260,33 +255,20 @@ impl Escalation {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
-            let ending = ending::no_current(seen, NO_CURRENT * rated_a);
-            return ended(ending);
+            return ended(ending::no_current(seen, NO_CURRENT * rated_a));
         }
         // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
-        let wanted_v =
-            self.rest
-                .filter(|rest| rest.relative() < KNOWN)
-                .map_or(GROWTH * self.last_v, |rest| {
-                    (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm())
-                        .clamp(1.2 * self.last_v, GROWTH * self.last_v)
-                });
-        let reason = format!(
-            "{:.3} A at {:.3} V leave room",
-            seen.peak_current_a.abs(),
-            self.last_v
-        );
+        let (least_v, most_v) = (1.2 * self.last_v, GROWTH * self.last_v);
+        let known = self.rest.filter(|rest| rest.relative() < KNOWN);
+        let mut wanted_v = known.map_or(most_v, |rest| {
+            (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
+        });
+        // No further look for the last few per cent.
+        if wanted_v > 0.9 * safe_v {
+            wanted_v = safe_v;
+        }
         (
-            Next::Run(stage::feel(
-                bounds,
-                // No further look for the last few per cent.
-                if wanted_v > 0.9 * safe_v {
-                    safe_v
-                } else {
-                    wanted_v
-                },
-                reason,
-            )),
+            Next::Run(stage::feel(bounds, wanted_v, self.leaves_room())),
             line,
         )
     }
@@ -306,10 +288,8 @@ impl Escalation {
                 let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
                 let wanted_v = (GROWTH * self.last_v).min(safe_v);
                 if wanted_v < 1.2 * self.last_v {
-                    let ending = Ending::NotIdentified {
-                        reason: format!("no speed that can be seen at {:.1} V", self.last_v),
-                    };
-                    return (over(ending), line);
+                    let reason = format!("no speed that can be seen at {:.1} V", self.last_v);
+                    return (not_identified(reason), line);
                 }
                 let reason = "a back-EMF shows, a speed not yet".to_owned();
                 let mut stage = stage::feel(bounds, wanted_v, reason);
@@ -330,10 +310,8 @@ impl Escalation {
         let failure = found.as_ref().err().cloned();
         if let Ok(found) = found {
             // A sweep has seen more of the motor than any step: it counts before a sharper number from a corner of it.
-            let sharper = self
-                .best
-                .as_ref()
-                .is_none_or(|best| found.worst() < best.worst());
+            let best = self.best.as_ref();
+            let sharper = best.is_none_or(|best| found.worst() < best.worst());
             let first_sweep = kind == StageKind::Sweep && !self.best_is_sweep;
             if first_sweep || (sharper && (kind == StageKind::Sweep) == self.best_is_sweep) {
                 self.best = Some(found.clone());
@@ -350,20 +328,12 @@ impl Escalation {
             return (self.found(), line);
         }
         if self.rounds >= ROUNDS {
-            let reason = failure.unwrap_or_else(|| {
-                self.turned
-                    .as_ref()
-                    .map_or_else(|| "nothing was learnt".to_owned(), Turned::worst_text)
-            });
-            let ending = Ending::NotIdentified { reason };
-            return (over(ending), line);
+            let worst = || self.turned.as_ref().map(Turned::worst_text);
+            let reason = failure.or_else(worst).unwrap_or_else(|| NOTHING.to_owned());
+            return (not_identified(reason), line);
         }
-        let next = if within(USABLE) {
-            self.sweep().unwrap_or_else(|| self.turn())
-        } else {
-            self.turn()
-        };
-        (next, line)
+        let sweep = within(USABLE).then(|| self.sweep()).flatten();
+        (sweep.unwrap_or_else(|| self.turn()), line)
     }
 
     fn learn_rest(&mut self, scenario: &Scenario, seen: &Seen) {
@@ -381,10 +351,9 @@ impl Escalation {
     fn break_away(&self) -> Next {
         let bounds = &self.bounds;
         let Some(rest) = self.rest else {
-            return over(Ending::NotIdentified {
-                reason: "current flows, but not in proportion to the voltage: its resistance cannot be told"
-                    .to_owned(),
-            });
+            return not_identified(
+                "current flows, but not in proportion to the voltage: its resistance cannot be told",
+            );
         };
         Next::Run(stage::break_away(bounds, &rest, BREAK_AWAY))
     }
@@ -395,12 +364,9 @@ impl Escalation {
         let rated_a = bounds.rated_current_a;
         let lowest_ohm = self.lowest_resistance_ohm();
         let most_a = CURRENT_SHARE * bounds.current_limit_a;
-        let friction_a = self
-            .turned
-            .as_ref()
-            .and_then(Turned::friction_a)
-            .or(self.break_away_a)
-            .unwrap_or(0.0);
+        let turned = self.turned.as_ref();
+        let friction_a = turned.and_then(Turned::friction_a);
+        let friction_a = friction_a.or(self.break_away_a).unwrap_or(0.0);
         let share = [1.0, 1.5, 2.0][self.rounds.min(2)];
         let wanted_a = (share * rated_a)
             .max(friction_a + 0.5 * rated_a)
@@ -410,13 +376,11 @@ impl Escalation {
         if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {
             // A step that drew next to nothing still tells that three times as much is bearable.
             volts = volts.max(GROWTH * self.last_v);
-            reason = format!("{:.3} A at {:.3} V leave room", self.last_a, self.last_v);
+            reason = self.leaves_room();
         }
         // No faster than a share of the limit, by what the back-EMF is at least.
         let speed_rad_s = SPEED_SHARE * bounds.speed_limit_rad_s;
-        let fastest_v = self
-            .turned
-            .as_ref()
+        let fastest_v = turned
             .and_then(|turned| turned.voltage_at(speed_rad_s))
             .or_else(|| {
                 let (value, std) = self.first_back_emf?;
@@ -437,15 +401,19 @@ impl Escalation {
             volts = grown_v;
             reason = format!("four times the {:.3} V of before", self.last_v);
         }
-        let constant_s = self.turned.as_ref().and_then(Turned::mechanical_s);
-        Next::Run(stage::turn(
-            bounds,
-            volts,
-            wanted_a,
-            bounds.current_limit_a * lowest_ohm,
-            constant_s,
+        let constant_s = turned.and_then(Turned::mechanical_s);
+        let steps = BothWays {
+            kind: StageKind::Turn,
+            peak_v: volts,
+            // Within one period: a step.
+            slew_v_per_s: volts / bounds.period_s.min(0.01),
+            hold_s: stage::step_s(bounds, constant_s),
+            winding_v: bounds.current_limit_a * lowest_ohm,
+            back_emf_v_s_per_rad: 0.0,
+            stop_current_a: 1.5 * wanted_a,
             reason,
-        ))
+        };
+        Next::Run(steps.stage(bounds))
     }
 
     /// Farther up, once the motor is known roughly: the slew is the one of which the lag of the back-EMF draws the wanted
@@ -468,16 +436,17 @@ impl Escalation {
             .min(SWEEP_GROWTH * self.last_v)
             .min(SLOPE_S * slew_v_per_s)
             .max(1.5 * friction_a * lowest_ohm);
-        let sweep = stage::Sweep {
+        let sweep = BothWays {
+            kind: StageKind::Sweep,
             peak_v,
             slew_v_per_s,
+            hold_s: peak_v / slew_v_per_s + stage::settle_s(bounds, mechanical_s),
             winding_v: bounds.current_limit_a * lowest_ohm,
             back_emf_v_s_per_rad: turned.motor.get(MotorKey::BackEmf)?,
-            mechanical_s,
-            stop_current_a: (1.5 * (accelerating_a + friction_a)).min(0.9 * bounds.current_limit_a),
+            stop_current_a: 1.5 * (accelerating_a + friction_a),
+            reason: format!("{accelerating_a:.2} A of acceleration at {slew_v_per_s:.1} V/s"),
         };
-        let reason = format!("{accelerating_a:.2} A of acceleration at {slew_v_per_s:.1} V/s");
-        Some(Next::Run(stage::sweep(bounds, &sweep, reason)))
+        Some(Next::Run(sweep.stage(bounds)))
     }
 
     /// What the data still allow the resistance to be, ohm.
@@ -498,18 +467,17 @@ impl Escalation {
     }
 
     fn knows_resistance(&self) -> bool {
-        self.rest.is_some_and(|rest| rest.relative() < KNOWN)
-            || self
-                .turned
-                .as_ref()
-                .is_some_and(|turned| turned.resistance().is_some())
+        let turned = self.turned.as_ref().and_then(Turned::resistance);
+        self.rest.is_some_and(|rest| rest.relative() < KNOWN) || turned.is_some()
+    }
+
+    fn leaves_room(&self) -> String {
+        format!("{:.3} A at {:.3} V leave room", self.last_a, self.last_v)
     }
 
     fn found(&self) -> Next {
         let Some(turned) = &self.best else {
-            return over(Ending::NotIdentified {
-                reason: "nothing was learnt".to_owned(),
-            });
+            return not_identified(NOTHING);
         };
         Next::Over(Box::new(Outcome::Found(Found {
             motor: turned.motor.clone(),
@@ -526,6 +494,13 @@ fn ended(ending: Ending) -> (Next, String) {
 
 fn over(ending: Ending) -> Next {
     Next::Over(Box::new(Outcome::Named(ending)))
+}
+
+const NOTHING: &str = "nothing was learnt";
+
+fn not_identified(reason: impl Into<String>) -> Next {
+    let reason = reason.into();
+    over(Ending::NotIdentified { reason })
 }
 
 /// Relative standard deviation of an estimate that has a value.

@@ -53,12 +53,9 @@ impl Seen {
         let rest = scenario.leading_standstill();
         let rest_of = |values: &[f64]| finite(&values[rest.clone()]);
         let (current, speed) = (rest_of(&scenario.current_a), rest_of(&scenario.speed_rad_s));
-        let noise = |values: &[f64], least: f64| {
-            if values.len() < 5 {
-                least
-            } else {
-                variance(values).sqrt().max(least)
-            }
+        let noise = |values: &[f64], least: f64| match values.len() {
+            0..5 => least,
+            _ => variance(values).sqrt().max(least),
         };
         let offset = |values: &[f64]| if values.is_empty() { 0.0 } else { mean(values) };
         let noise_a = noise(&current, LEAST_NOISE * bounds.rated_current_a);
@@ -71,36 +68,26 @@ impl Seen {
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
         let farthest = |values: &[f64]| {
-            values
-                .iter()
-                .copied()
-                .enumerate()
-                .fold((0, 0.0_f64), |most, (at, value)| {
-                    if value.abs() > most.1.abs() {
-                        (at, value)
-                    } else {
-                        most
-                    }
-                })
+            let further = |most: (usize, f64), next: (usize, f64)| {
+                if next.1.abs() > most.1.abs() {
+                    next
+                } else {
+                    most
+                }
+            };
+            values.iter().copied().enumerate().fold((0, 0.0), further)
         };
         let peak_speed_rad_s = farthest(&speeds).1;
         let volts: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
         let peak_v = farthest(&volts).1;
-        let volts: Vec<f64> = scenario
-            .sample_time_s
-            .iter()
-            .map(|time_s| held(&scenario.events, *time_s).unwrap_or(0.0))
-            .collect();
+        let volts = at_samples(&scenario.events, scenario);
         let on_top: Vec<usize> = (0..volts.len())
             .filter(|at| volts[*at] * peak_v.signum() >= 0.9 * peak_v.abs() && peak_v != 0.0)
             .collect();
         let step_s = bounds.period_s;
         let top_mean = |values: &[f64]| {
-            let on_top: Vec<f64> = on_top
-                .iter()
-                .filter_map(|at| values.get(*at).copied())
-                .collect();
-            let found = finite(&on_top);
+            let there = on_top.iter().filter_map(|at| values.get(*at).copied());
+            let found: Vec<f64> = there.filter(|value| value.is_finite()).collect();
             (!found.is_empty()).then(|| mean(&found))
         };
         let slow = means(&speeds);
@@ -111,7 +98,13 @@ impl Seen {
             .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
         let break_away_current_a = largest(&amps[..at_rest]);
-        let measured: Vec<f64> = measured_voltage(run, scenario);
+        // Empty where the drive measures none.
+        let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
+        let measured = if points.is_empty() {
+            Vec::new()
+        } else {
+            at_samples(&points, scenario)
+        };
         Self {
             noise_a,
             offset_a,
@@ -188,16 +181,11 @@ fn means(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Measured voltage at the scenario's samples; empty where the drive measures none.
-fn measured_voltage(run: &Run, scenario: &Scenario) -> Vec<f64> {
-    let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
-    if points.is_empty() {
-        return Vec::new();
-    }
-    scenario
-        .sample_time_s
-        .iter()
-        .map(|time_s| held(&points, *time_s).unwrap_or(0.0))
+/// What was held at the scenario's samples.
+fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
+    let times = scenario.sample_time_s.iter();
+    times
+        .map(|time_s| held(points, *time_s).unwrap_or(0.0))
         .collect()
 }
 
@@ -248,10 +236,10 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Seen) -> Option<RestWinding> {
     if rows.len() < FEWEST {
         return None;
     }
-    let amps: Vec<f64> = rows
+    let amps = rows
         .iter()
-        .map(|at| scenario.current_a[*at] - seen.offset_a)
-        .collect();
+        .map(|at| scenario.current_a[*at] - seen.offset_a);
+    let amps: Vec<f64> = amps.collect();
     let ratio = (LONGEST_S / SHORTEST_S).powf(1.0 / f64::from(STEPS - 1));
     let fits: Vec<(f64, f64, f64, f64)> = (0..STEPS)
         .filter_map(|step| {
@@ -261,12 +249,9 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Seen) -> Option<RestWinding> {
             if power <= 0.0 {
                 return None;
             }
-            let conductance = lagged.iter().zip(&amps).map(|(y, i)| y * i).sum::<f64>() / power;
-            let squares: f64 = lagged
-                .iter()
-                .zip(&amps)
-                .map(|(y, i)| (i - conductance * y).powi(2))
-                .sum();
+            let pairs = || lagged.iter().zip(&amps);
+            let conductance = pairs().map(|(y, i)| y * i).sum::<f64>() / power;
+            let squares: f64 = pairs().map(|(y, i)| (i - conductance * y).powi(2)).sum();
             Some((squares, constant_s, conductance, power))
         })
         .collect();
@@ -367,9 +352,7 @@ impl Turned {
     }
 
     pub(super) fn mechanical_s(&self) -> Option<f64> {
-        self.motor
-            .mechanical_time_constant_s()
-            .filter(|constant_s| constant_s.is_finite())
+        (self.motor.mechanical_time_constant_s()).filter(|constant_s| constant_s.is_finite())
     }
 
     /// Friction as the current that overcomes it, A.
@@ -407,35 +390,28 @@ impl Turned {
                 None => "not told".to_owned(),
             }
         };
-        format!(
-            "R {}, L {}, Ke {}, J {}, Mc {}",
-            of(MotorKey::Resistance),
-            of(MotorKey::Inductance),
+        let (r, l) = (of(MotorKey::Resistance), of(MotorKey::Inductance));
+        let (ke, j, mc) = (
             of(MotorKey::BackEmf),
             of(MotorKey::Inertia),
-            of(MotorKey::LoadTorque)
-        )
+            of(MotorKey::LoadTorque),
+        );
+        format!("R {r}, L {l}, Ke {ke}, J {j}, Mc {mc}")
     }
 
     /// The parameter that is known worst, in a sentence.
     pub(super) fn worst_text(&self) -> String {
-        let worst = self
-            .parameters
-            .iter()
-            .filter(|p| {
-                MotorKey::from_key(&p.key)
-                    .is_some_and(|key| NEEDED.contains(&key) || key == MotorKey::Inertia)
-            })
-            .find(|p| p.verdict != Verdict::Settled);
-        worst.map_or_else(
-            || "the estimates did not settle".to_owned(),
-            |p| {
-                format!(
-                    "{}: {}",
-                    p.key,
-                    p.reason.as_deref().unwrap_or("not settled")
-                )
-            },
+        let counts = |key: MotorKey| NEEDED.contains(&key) || key == MotorKey::Inertia;
+        let worst = self.parameters.iter().find(|p| {
+            MotorKey::from_key(&p.key).is_some_and(counts) && p.verdict != Verdict::Settled
+        });
+        let Some(p) = worst else {
+            return "the estimates did not settle".to_owned();
+        };
+        format!(
+            "{}: {}",
+            p.key,
+            p.reason.as_deref().unwrap_or("not settled")
         )
     }
 }

@@ -65,141 +65,119 @@ fn standstill(bounds: &Bounds) -> Segment {
     })
 }
 
-fn ramp(from_v: f64, to_v: f64, bounds: &Bounds) -> Segment {
-    Segment::Ramp(Ramp {
-        from_v,
-        to_v,
-        seconds: seconds(RAMP, bounds),
-        dither: None,
-    })
-}
-
-fn hold(level_v: f64, seconds: f64) -> Segment {
+fn steps(levels_v: Vec<f64>, hold_s: f64) -> Segment {
     Segment::Steps(Steps {
-        levels_v: vec![level_v],
-        hold_s: seconds,
+        levels_v,
+        hold_s,
         dither: None,
     })
 }
 
-pub(super) fn feel(bounds: &Bounds, peak_v: f64, reason: String) -> Stage {
+/// Slowly from rest through these levels, each held for a while, and back.
+fn slowly(
+    bounds: &Bounds,
+    kind: StageKind,
+    levels_v: &[f64],
+    stop_a: f64,
+    reason: String,
+) -> Stage {
+    let ramp_s = seconds(RAMP, bounds);
+    let ramp = |from_v: f64, to_v: f64| {
+        Segment::Ramp(Ramp {
+            from_v,
+            to_v,
+            seconds: ramp_s,
+            dither: None,
+        })
+    };
+    let (mut segments, mut peak_v) = (vec![standstill(bounds)], 0.0);
+    for &level_v in levels_v {
+        segments.push(ramp(peak_v, level_v));
+        segments.push(steps(vec![level_v], seconds(HOLD, bounds)));
+        peak_v = level_v;
+    }
+    segments.push(ramp(peak_v, 0.0));
     Stage {
-        kind: StageKind::Feel,
-        segments: vec![
-            standstill(bounds),
-            ramp(0.0, peak_v, bounds),
-            hold(peak_v, seconds(HOLD, bounds)),
-            ramp(peak_v, 0.0, bounds),
-        ],
+        kind,
+        segments,
         // Not faster than the ramps: an early end is as gentle as they are.
-        slew_v_per_s: 1.05 * peak_v / seconds(RAMP, bounds),
+        slew_v_per_s: 1.05 * peak_v / ramp_s,
         peak_v,
-        stop_current_a: FEEL_CURRENT * bounds.rated_current_a,
+        stop_current_a: stop_a,
         stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
         winding_v: None,
         back_emf_v_s_per_rad: 0.0,
         reason,
     }
+}
+
+pub(super) fn feel(bounds: &Bounds, peak_v: f64, reason: String) -> Stage {
+    let stop_a = FEEL_CURRENT * bounds.rated_current_a;
+    slowly(bounds, StageKind::Feel, &[peak_v], stop_a, reason)
 }
 
 /// Half the rated current, then the whole.
 pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stage {
     let rated_v = bounds.rated_current_a * rest.resistance_ohm;
     let peak_v = (most * rated_v).min(bounds.voltage_limit_v);
-    let half_v = 0.5 * peak_v;
-    Stage {
-        kind: StageKind::BreakAway,
-        segments: vec![
-            standstill(bounds),
-            ramp(0.0, half_v, bounds),
-            hold(half_v, seconds(HOLD, bounds)),
-            ramp(half_v, peak_v, bounds),
-            hold(peak_v, seconds(HOLD, bounds)),
-            ramp(peak_v, 0.0, bounds),
-        ],
-        slew_v_per_s: 1.05 * peak_v / seconds(RAMP, bounds),
-        peak_v,
-        stop_current_a: (1.15 * BREAK_AWAY * bounds.rated_current_a)
-            .min(CURRENT_SHARE * bounds.current_limit_a),
-        stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
-        winding_v: None,
-        back_emf_v_s_per_rad: 0.0,
-        reason: format!(
-            "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
-            rest.resistance_ohm
-        ),
-    }
+    let stop_a =
+        (1.15 * BREAK_AWAY * bounds.rated_current_a).min(CURRENT_SHARE * bounds.current_limit_a);
+    let reason = format!(
+        "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
+        rest.resistance_ohm
+    );
+    slowly(
+        bounds,
+        StageKind::BreakAway,
+        &[0.5 * peak_v, peak_v],
+        stop_a,
+        reason,
+    )
 }
 
-/// What a sweep is made of: the motor as far as it is known.
-pub(super) struct Sweep {
+/// Forward, back to zero, backward, back to zero, each level held for so long: what it does to the motor as far as that is
+/// known.
+pub(super) struct BothWays {
+    pub(super) kind: StageKind,
     pub(super) peak_v: f64,
     pub(super) slew_v_per_s: f64,
+    pub(super) hold_s: f64,
+    /// What the guard allows across the winding, V.
     pub(super) winding_v: f64,
     pub(super) back_emf_v_s_per_rad: f64,
-    pub(super) mechanical_s: f64,
     pub(super) stop_current_a: f64,
+    pub(super) reason: String,
 }
 
-/// Forward, back to zero, backward, back to zero, each level held for so long.
-fn both_ways(
-    bounds: &Bounds,
-    kind: StageKind,
-    sweep: &Sweep,
-    hold_s: f64,
-    reason: String,
-) -> Stage {
-    Stage {
-        kind,
-        segments: vec![
-            standstill(bounds),
-            Segment::Steps(Steps {
-                levels_v: vec![sweep.peak_v, 0.0, -sweep.peak_v, 0.0],
-                hold_s,
-                dither: None,
-            }),
-        ],
-        slew_v_per_s: sweep.slew_v_per_s,
-        peak_v: sweep.peak_v,
-        stop_current_a: sweep.stop_current_a,
-        stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
-        winding_v: Some(sweep.winding_v),
-        back_emf_v_s_per_rad: sweep.back_emf_v_s_per_rad,
-        reason,
+impl BothWays {
+    pub(super) fn stage(self, bounds: &Bounds) -> Stage {
+        let peak_v = self.peak_v;
+        Stage {
+            kind: self.kind,
+            segments: vec![
+                standstill(bounds),
+                steps(vec![peak_v, 0.0, -peak_v, 0.0], self.hold_s),
+            ],
+            slew_v_per_s: self.slew_v_per_s,
+            peak_v,
+            stop_current_a: self.stop_current_a.min(0.9 * bounds.current_limit_a),
+            stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
+            winding_v: Some(self.winding_v),
+            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad,
+            reason: self.reason,
+        }
     }
 }
 
-/// Steps in both directions. `winding_v` is what the guard allows across the winding.
-pub(super) fn turn(
-    bounds: &Bounds,
-    volts: f64,
-    wanted_a: f64,
-    winding_v: f64,
-    mechanical_s: Option<f64>,
-    reason: String,
-) -> Stage {
-    let hold_s = mechanical_s
-        .map_or(STEP_S.0, |constant_s| {
-            (3.0 * constant_s).clamp(STEP_S.0, STEP_S.1)
-        })
-        .max(30.0 * bounds.period_s);
-    let steps = Sweep {
-        peak_v: volts,
-        // Within one period: a step.
-        slew_v_per_s: volts / bounds.period_s.min(0.01),
-        winding_v,
-        back_emf_v_s_per_rad: 0.0,
-        mechanical_s: 0.0,
-        stop_current_a: (1.5 * wanted_a).min(0.9 * bounds.current_limit_a),
-    };
-    both_ways(bounds, StageKind::Turn, &steps, hold_s, reason)
+/// How long a step is held: three mechanical time constants, as far as they are known.
+pub(super) fn step_s(bounds: &Bounds, mechanical_s: Option<f64>) -> f64 {
+    let held_s = mechanical_s.map_or(STEP_S.0, |s| (3.0 * s).clamp(STEP_S.0, STEP_S.1));
+    held_s.max(30.0 * bounds.period_s)
 }
 
-/// Up to a speed, to rest, and the same backward, with a slew that the acceleration current bounds.
-pub(super) fn sweep(bounds: &Bounds, sweep: &Sweep, reason: String) -> Stage {
-    let slope_s = sweep.peak_v / sweep.slew_v_per_s;
-    let settle_s = (2.0 * sweep.mechanical_s)
+/// How long a level is held after the slope to it.
+pub(super) fn settle_s(bounds: &Bounds, mechanical_s: f64) -> f64 {
+    (2.0 * mechanical_s)
         .clamp(0.1, 0.5)
-        .max(10.0 * bounds.period_s);
-    both_ways(bounds, StageKind::Sweep, sweep, slope_s + settle_s, reason)
+        .max(10.0 * bounds.period_s)
 }

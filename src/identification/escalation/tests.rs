@@ -59,15 +59,11 @@ fn ending(distort: impl Fn(&mut Run)) -> Ending {
 #[test]
 fn a_sensor_wired_the_wrong_way_round_is_named_before_anything_turns_fast() {
     let found = ending(scaled(Channel::Speed, -1.0));
-    assert!(
-        matches!(found, Ending::SpeedSign { speed_rad_s, .. } if speed_rad_s.abs() < 20.0),
-        "{found:?}"
-    );
+    let slow = matches!(found, Ending::SpeedSign { speed_rad_s, .. } if speed_rad_s.abs() < 20.0);
+    assert!(slow, "{found:?}");
     let found = ending(scaled(Channel::Current, -1.0));
-    assert!(
-        matches!(found, Ending::CurrentSign { voltage_v, .. } if voltage_v < 3.0),
-        "{found:?}"
-    );
+    let low = matches!(found, Ending::CurrentSign { voltage_v, .. } if voltage_v < 3.0);
+    assert!(low, "{found:?}");
 }
 
 #[test]
@@ -81,30 +77,27 @@ fn a_dead_speed_signal_is_told_from_a_locked_rotor_by_the_current() {
     else {
         panic!("{found:?}");
     };
-    assert!(
-        (ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43,
-        "{ohm_at_rest} {ohm_now}"
-    );
+    let rose = (ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43;
+    assert!(rose, "{ohm_at_rest} {ohm_now}");
     assert!(found.sentence().contains("dead"));
 }
 
 #[test]
 fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
-    let found = ending(|run| {
+    let silence = |run: &mut Run| {
         scaled(Channel::Current, 0.0)(run);
         scaled(Channel::Speed, 0.0)(run);
-    });
+    };
+    let found = ending(silence);
     assert!(matches!(found, Ending::OpenPhase { .. }), "{found:?}");
     let found = ending(|run| {
-        scaled(Channel::Current, 0.0)(run);
-        scaled(Channel::Speed, 0.0)(run);
-        let nothing = vec![0.01; run.rows()];
-        put(run, Channel::Voltage, nothing);
+        silence(run);
+        put(run, Channel::Voltage, vec![0.01; run.rows()]);
     });
-    assert!(
-        matches!(found, Ending::NoOutput { commanded_v, .. } if (commanded_v - 27.5).abs() < 0.1),
-        "{found:?}"
-    );
+    let Ending::NoOutput { commanded_v, .. } = found else {
+        panic!("{found:?}");
+    };
+    assert!((commanded_v - 27.5).abs() < 0.1, "{found:?}");
 }
 
 #[test]
@@ -117,11 +110,8 @@ fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
         escalation.learn(&run).unwrap();
         stages.push(stage);
     }
-    assert!(
-        matches!(escalation.outcome(), Some(Outcome::Found(_))),
-        "{:?}",
-        escalation.history()
-    );
+    let found = matches!(escalation.outcome(), Some(Outcome::Found(_)));
+    assert!(found, "{:?}", escalation.history());
     for stage in stages.iter().filter(|stage| stage.kind == StageKind::Turn) {
         assert!(stage.peak_v / 1.1 < 0.8 * 22.8, "{stage:?}");
         assert!(stage.winding_v.unwrap() < 1.05 * 22.8 * 1.1, "{stage:?}");

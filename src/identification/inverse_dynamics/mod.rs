@@ -676,16 +676,12 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
             .flat_map(|stretch| stretch.averaged(values))
             .collect()
     };
-    let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
-    let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
     Some(TorqueRows {
         method: Method::InverseDynamics,
         sentence: processing.sentence_with(&format!(
             "then at {:.3} Hz, as for one row in {}; every row in motion",
             decimating.cut_off_hz, decimating.decimation
         )),
-        speed_rad_s: averaging(&speeds),
-        current_a: averaging(&currents),
         at,
         begin_s: scenario.begin_s(),
         time_s,

@@ -37,20 +37,13 @@ pub(super) const TL: usize = 7;
 ///
 /// The covariance stays symmetric because both halves are written from one value, and positive because the update is in
 /// Joseph's form (Bucy and Joseph, *Filtering for Stochastic Processes*, 1968): `P = (I - K h)P(I - K h)' + K r K'`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Belief {
     pub(super) x: [f64; N],
     pub(super) p: [[f64; N]; N],
 }
 
 impl Belief {
-    pub(super) const fn new(x: [f64; N]) -> Self {
-        Self {
-            x,
-            p: [[0.0; N]; N],
-        }
-    }
-
     /// Variance of one state, forgetting what it had in common with the others.
     pub(super) fn forget(&mut self, state: usize, variance: f64) {
         for other in 0..N {
@@ -147,28 +140,19 @@ const STEP: f64 = 1e-5;
 /// Largest change of a logarithm in one update.
 const LARGEST_STEP: f64 = 0.4;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Mode {
+    #[default]
     Unknown,
     Turning(f64),
     AtRest,
 }
 
-/// What is added to the model's uncertainty per time.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Disturbance {
-    /// Random walk of the load torque, N.m/sqrt(s).
-    pub(super) load: f64,
-    /// Random walk of the logarithms of the parameters, 1/sqrt(s).
-    pub(super) drift: f64,
-    /// Standard deviation of the voltage, as a share of it: keeps the current near its measurement.
-    pub(super) voltage_share: f64,
-}
-
 /// Where the current comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Source {
     /// Predicted from the voltage.
+    #[default]
     Voltage,
     /// Measured; linear between samples.
     Current,
@@ -183,13 +167,16 @@ pub(super) struct Tally {
     pub(super) reopened: u32,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Filter {
     pub(super) belief: Belief,
     pub(super) prior: [f64; N],
     pub(super) torque_n_m_per_a: Option<f64>,
     pub(super) effects: KnownEffects,
-    pub(super) disturbance: Disturbance,
+    /// Random walk of the load torque, N.m/sqrt(s).
+    pub(super) load_rate: f64,
+    /// Standard deviation of the voltage, as a share of it: keeps the current near its measurement.
+    pub(super) voltage_share: f64,
     pub(super) source: Source,
     pub(super) sensors: [Sensor; 2],
     pub(super) voltage: HeldVoltage,
@@ -201,7 +188,6 @@ pub(super) struct Filter {
     pub(super) tally: Tally,
     /// Normalised innovations squared of the rows used, their number, and the logarithm of their likelihood.
     pub(super) log_likelihood: f64,
-    pub(super) innovation: [Option<f64>; 2],
     /// Parameters about which the model is linearised, where that is not the present estimate: derivatives that follow a
     /// noisy estimate tell directions that the data do not (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research
     /// 29 (2010) 502).
@@ -221,30 +207,13 @@ impl Filter {
     /// `x` and the variances of its parameters; current and speed come from the samples.
     pub(super) fn new(x: [f64; N], variance: [f64; N], torque_n_m_per_a: Option<f64>) -> Self {
         let mut filter = Self {
-            belief: Belief::new(x),
-            prior: variance,
             torque_n_m_per_a,
-            effects: KnownEffects::default(),
-            disturbance: Disturbance::default(),
-            source: Source::Voltage,
-            sensors: [Sensor::default(); 2],
-            voltage: HeldVoltage::default(),
-            mode: Mode::Unknown,
             now_s: f64::NAN,
             period_s: f64::NAN,
-            asleep: false,
-            tally: Tally::default(),
-            log_likelihood: 0.0,
-            innovation: [None; 2],
-            reference: None,
-            early: EARLY_LOSS,
             early_loss: EARLY_LOSS,
-            fixed_noise: false,
-            heading: 0.0,
-            zeros: 0,
-            zero_sum: 0.0,
-            streak: [0; 2],
+            ..Self::default()
         };
+        (filter.belief.x[I], filter.belief.x[W]) = (x[I], x[W]);
         filter.restart(x, variance);
         filter
     }
@@ -252,7 +221,10 @@ impl Filter {
     /// Takes other parameters; sensors and voltage stay.
     pub(super) fn restart(&mut self, x: [f64; N], variance: [f64; N]) {
         let (current, speed) = (self.belief.x[I], self.belief.x[W]);
-        self.belief = Belief::new(x);
+        self.belief = Belief {
+            x,
+            ..Belief::default()
+        };
         (self.belief.x[I], self.belief.x[W]) = (current, speed);
         for (state, value) in variance.iter().enumerate().skip(R) {
             self.belief.p[state][state] = *value;
@@ -312,10 +284,8 @@ impl Filter {
                 sensor.see(value, !self.voltage.energised);
             }
         }
-        self.innovation = [None; 2];
         if !first {
             self.period_s = steady_period(self.period_s, length_s);
-            self.widen(length_s);
         }
         let powered = self.source == Source::Current || self.voltage.at(self.now_s).is_some();
         let follows =
@@ -339,26 +309,16 @@ impl Filter {
         self.now_s = time_s;
         self.voltage.advance(time_s);
         if !self.belief.is_sound() {
-            let (x, prior) = (
-                self.belief.x.map(|x| if x.is_finite() { x } else { 0.0 }),
-                self.prior,
-            );
-            self.restart(x, prior);
+            let x = self.belief.x.map(|x| if x.is_finite() { x } else { 0.0 });
+            self.restart(x, self.prior);
         }
         used
     }
 
-    /// Load and parameters drift whether or not they are seen.
-    fn widen(&mut self, length_s: f64) {
-        let drift = self.disturbance.drift.powi(2) * length_s;
-        if drift > 0.0 {
-            for state in R..=J {
-                if self.prior[state] > 0.0 {
-                    let p = &mut self.belief.p[state][state];
-                    *p = (*p + drift).min(self.prior[state]);
-                }
-            }
-        }
+    /// Root mean square of the recent innovations over the noise at rest: current (or torque), speed; `None` without a rest.
+    pub(super) fn consistency(&self) -> [Option<f64>; 2] {
+        let found = self.sensors.map(|sensor| sensor.consistency());
+        found.map(|found| found.map(|(ratio, _)| ratio))
     }
 
     fn turn(&mut self, length_s: f64, s: f64, measured: [Option<f64>; 2]) -> bool {
@@ -418,7 +378,7 @@ impl Filter {
 
     /// The load torque walks on, unseen.
     fn walk(&mut self, length_s: f64) {
-        self.belief.p[TL][TL] += self.disturbance.load.powi(2) * length_s;
+        self.belief.p[TL][TL] += self.load_rate.powi(2) * length_s;
     }
 
     fn predict(&mut self, length_s: f64, s: f64) {
@@ -463,23 +423,18 @@ impl Filter {
             }
         }
         self.belief.propagate(mean, &rows);
-        let share = self.disturbance.voltage_share;
-        if share > 0.0 {
-            let sigma = share * at.voltage_v / physics.l;
+        if self.voltage_share > 0.0 {
+            let sigma = self.voltage_share * at.voltage_v / physics.l;
             let g = [step.gamma[0][0] * sigma, step.gamma[1][0] * sigma, 0.0];
             self.belief.disturb(g, 1.0);
         }
-        if self.disturbance.load > 0.0 && s != 0.0 {
+        if self.load_rate > 0.0 && s != 0.0 {
             // Integral over the interval by Gauss's two points, exact for the double integrator that dominates.
             for node in GAUSS {
                 let late = physics.turning(node * length_s);
-                let g = [
-                    -late.gamma[0][1] / physics.j,
-                    -late.gamma[1][1] / physics.j,
-                    1.0,
-                ];
-                self.belief
-                    .disturb(g, 0.5 * length_s * self.disturbance.load.powi(2));
+                let [current, speed] = [0, 1].map(|k| -late.gamma[k][1] / physics.j);
+                let q = 0.5 * length_s * self.load_rate.powi(2);
+                self.belief.disturb([current, speed, 1.0], q);
             }
         }
     }
@@ -535,10 +490,9 @@ impl Filter {
         self.belief.propagate([current_a, speed], &[[0.0; N], row]);
         // The noise of the current that ends the interval enters the speed and is what its own state is off by.
         self.belief.disturb([1.0, half, 0.0], noise);
-        let q = self.disturbance.load.powi(2);
+        let q = 0.5 * length_s * self.load_rate.powi(2);
         for node in GAUSS {
-            self.belief
-                .disturb([0.0, -node * gain, 1.0], 0.5 * length_s * q);
+            self.belief.disturb([0.0, -node * gain, 1.0], q);
         }
     }
 
@@ -557,7 +511,6 @@ impl Filter {
             let noise = self.sensors[channel].variance();
             let square = innovation * innovation / (own + noise);
             self.sensors[channel].take(innovation, own, self.fixed_noise);
-            self.innovation[channel] = Some(innovation);
             self.log_likelihood -= 0.5 * (square.min(OUTLIER * OUTLIER) + (own + noise).ln());
             if square > OUTLIER * OUTLIER {
                 self.tally.outliers += 1;
@@ -617,18 +570,10 @@ impl Filter {
         let [electrical, mechanical] = self.sensors.map(|sensor| sensor.variance());
         let Some(speed) = speed else { return };
         self.belief.x[I] = current.unwrap_or(0.0);
-        let unknown = self.sensors[0]
-            .largest
-            .max(1e-3 * self.sensors[1].largest)
-            .powi(2);
-        self.belief.forget(
-            I,
-            if current.is_some() {
-                electrical
-            } else {
-                unknown
-            },
-        );
+        let [amps, rad_s] = self.sensors.map(|sensor| sensor.largest);
+        let unknown = amps.max(1e-3 * rad_s).powi(2);
+        self.belief
+            .forget(I, current.map_or(unknown, |_| electrical));
         self.belief.x[W] = speed;
         self.belief.forget(W, mechanical);
         if self.is_signless() {
@@ -691,7 +636,7 @@ mod tests {
         fn the_covariance_stays_a_covariance(
             steps in proptest::collection::vec((0_usize..2, -12.0_f64..0.0, proptest::array::uniform8(-1.0_f64..1.0)), 1..60)
         ) {
-            let mut belief = Belief::new([0.0; N]);
+            let mut belief = Belief::default();
             for k in 0..N {
                 belief.p[k][k] = 10f64.powi(2 - i32::try_from(k).unwrap());
             }
@@ -716,7 +661,7 @@ mod tests {
 
     #[test]
     fn two_measurements_of_one_state_average_by_their_variances() {
-        let mut belief = Belief::new([0.0; N]);
+        let mut belief = Belief::default();
         belief.p[I][I] = 1e12;
         for (value, variance) in [(1.0, 1.0), (3.0, 3.0)] {
             belief.measure(I, value - belief.x[I], variance, &[f64::INFINITY; N]);

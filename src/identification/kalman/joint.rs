@@ -4,8 +4,7 @@
 //! that is certain, if there was no start or the two contradict each other by a fifth. A filter that starts from wild
 //! values may lose its way (Ljung, *IEEE Trans. Automatic Control* AC-24 (1979) 36); scheme 3's linear start cannot.
 
-use super::filter::{Disturbance, Filter, I, J, KE, L, MC, Mode, N, R, TL, Tally};
-use super::load::LoadPoint;
+use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Tally};
 use super::physics::KnownEffects;
 use crate::identification::online::AppliedVoltage;
 use crate::identification::recursive::{Memory, Scheme3};
@@ -47,18 +46,7 @@ const HOPELESS: f64 = 10.0;
 /// Share of the rows that are outliers from which on nothing is settled.
 const MOST_OUTLIERS: f64 = 0.02;
 
-/// What the user may set.
-#[derive(Clone, Debug, Default)]
-pub struct KalmanConfig {
-    /// Start, fixed parameters, torque constant, effects that are known.
-    pub model: Model,
-    /// Random walk of the parameters, relative, 1/sqrt(s); zero: they are constant.
-    pub drift_per_sqrt_s: f64,
-    /// Random walk of a load torque beside the Coulomb torque, N.m/sqrt(s); zero: there is none.
-    pub load_rate_n_m_per_sqrt_s: f64,
-}
-
-/// The joint filter; interface as [`crate::identification::online::Online`].
+/// The joint filter: the parameters are constant, and there is no load torque beside the Coulomb torque.
 #[derive(Clone, Debug)]
 pub struct Kalman {
     filter: Filter,
@@ -67,24 +55,19 @@ pub struct Kalman {
     begun: bool,
     samples: u32,
     applied: AppliedVoltage,
-    restarts: u32,
 }
 
 impl Kalman {
-    pub fn new(config: &KalmanConfig) -> Self {
-        let motor = &config.model.motor;
+    /// `model`: start, fixed parameters, torque constant, effects that are known.
+    pub fn new(model: &Model) -> Self {
+        let motor = &model.motor;
         let torque = motor.get(MotorKey::TorqueConstant);
-        let given = |key: MotorKey| config.model.fixed.iter().any(|fixed| fixed == key.key());
+        let given = |key: MotorKey| model.fixed.iter().any(|fixed| fixed == key.key());
         let fixed = PARAMETERS.map(|(key, _)| motor.get(key).filter(|_| given(key)));
         let positive = |value: &f64| *value > 0.0 && value.is_finite();
         let mut filter = Filter::new([0.0; N], [0.0; N], torque);
         filter.asleep = true;
-        filter.effects = KnownEffects::of(&config.model).0;
-        filter.disturbance = Disturbance {
-            load: config.load_rate_n_m_per_sqrt_s,
-            drift: config.drift_per_sqrt_s,
-            voltage_share: 0.0,
-        };
+        filter.effects = KnownEffects::of(model).0;
         let mut kalman = Self {
             filter,
             fixed,
@@ -92,7 +75,6 @@ impl Kalman {
             begun: false,
             samples: 0,
             applied: AppliedVoltage::default(),
-            restarts: 0,
         };
         let [r, l, ke, j] = [0, 1, 2, 3].map(|k| motor.get(PARAMETERS[k].0).filter(positive));
         if let (Some(r), Some(l), Some(ke), Some(j)) = (r, l, ke, j) {
@@ -103,8 +85,8 @@ impl Kalman {
     }
 
     /// Starts from what another pass over the same data has found; no other start is looked for.
-    fn again(config: &KalmanConfig, found: &Self) -> Self {
-        let mut kalman = Self::new(config);
+    fn again(model: &Model, found: &Self) -> Self {
+        let mut kalman = Self::new(model);
         let seen = &found.filter.sensors;
         if seen.iter().any(|sensor| sensor.at_rest().is_none()) {
             kalman.filter.sensors = *seen;
@@ -139,34 +121,15 @@ impl Kalman {
         let most = torque * self.filter.sensors[I].largest.max(1e-3);
         if variance[MC] > 0.0 {
             // A start without any friction says nothing of its size.
-            variance[MC] = (spread[4] * x[MC])
-                .powi(2)
-                .max(if spread[4] < START_SPREAD {
-                    0.0
-                } else {
-                    (LOAD_SPREAD * most).powi(2)
-                });
-        }
-        if self.filter.disturbance.load > 0.0 {
-            variance[TL] = most * most;
+            let unknown = if spread[4] < START_SPREAD {
+                0.0
+            } else {
+                LOAD_SPREAD * most
+            };
+            variance[MC] = (spread[4] * x[MC]).powi(2).max(unknown.powi(2));
         }
         self.filter.restart(x, variance);
         self.begun = true;
-    }
-
-    /// The voltage that the drive has applied from `time_s` on; see [`crate::identification::online::Online`].
-    pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.applied.command();
-        self.voltage_applied(time_s, voltage_v);
-    }
-
-    fn voltage_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.filter
-            .voltage
-            .apply(time_s, voltage_v, self.filter.now_s);
-        if let Some(starter) = &mut self.starter {
-            starter.voltage_applied(time_s, voltage_v);
-        }
     }
 
     /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
@@ -174,7 +137,10 @@ impl Kalman {
     pub fn push(&mut self, sample: &Sample) {
         let time_s = sample.time_s;
         if let Some(volts) = self.applied.of(sample) {
-            self.voltage_applied(time_s, volts);
+            self.filter.voltage.apply(time_s, volts, self.filter.now_s);
+            if let Some(starter) = &mut self.starter {
+                starter.voltage_applied(time_s, volts);
+            }
         }
         let measured = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
         if measured == [None, None] {
@@ -231,7 +197,6 @@ impl Kalman {
             self.fixed[k].is_none() && (now[k] / value - 1.0).abs() > CONTRADICTION
         });
         if !self.begun || apart {
-            self.restarts += 1;
             self.start([r, l, ke, j, load], spread);
         }
     }
@@ -249,30 +214,28 @@ impl Kalman {
         if !self.begun {
             return self.before_the_start();
         }
-        let values = self.values();
         let widening = self.widening();
-        PARAMETERS
-            .iter()
-            .enumerate()
-            .map(|(k, &(key, state))| {
-                let slot = Slot::Motor(key);
-                let (prior, left) = (self.filter.prior[state], self.filter.belief.p[state][state]);
-                if prior <= 0.0 {
-                    return ParameterEstimate {
-                        std: None,
-                        ..ParameterEstimate::fixed(key.key(), key.unit(), values[k])
-                    };
-                }
-                if left > IGNORANT * prior {
-                    let reason = self.why_not(key, (left / prior).sqrt());
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                }
-                let size = if state == MC { 1.0 } else { values[k] };
-                let std = size * (left * widening).sqrt();
-                let judged = verdict::judge(&slot, values[k], Some(std), self.filter.period_s);
-                self.doubt(judged)
-            })
-            .collect()
+        let parameters = PARAMETERS.into_iter().zip(self.values());
+        let estimate = |((key, state), value): ((MotorKey, usize), f64)| {
+            let (prior, left) = (self.filter.prior[state], self.filter.belief.p[state][state]);
+            if prior <= 0.0 {
+                let fixed = ParameterEstimate::fixed(key.key(), key.unit(), value);
+                return ParameterEstimate { std: None, ..fixed };
+            }
+            if left > IGNORANT * prior {
+                return verdict::unknown(key, self.why_not(key, (left / prior).sqrt()));
+            }
+            let size = if state == MC { 1.0 } else { value };
+            let std = size * (left * widening).sqrt();
+            let slot = Slot::Motor(key);
+            self.doubt(verdict::judge(
+                &slot,
+                value,
+                Some(std),
+                self.filter.period_s,
+            ))
+        };
+        parameters.map(estimate).collect()
     }
 
     /// Factor on the variances: neighbouring innovations that are alike carry less than the filter counts.
@@ -318,42 +281,6 @@ impl Kalman {
             .max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Root mean square of the recent innovations over the noise at rest: current, speed; `None` without a rest.
-    pub fn consistency(&self) -> [Option<f64>; 2] {
-        self.filter
-            .sensors
-            .map(|sensor| sensor.consistency().map(|found| found.0))
-    }
-
-    /// Innovations of the last sample: current, A, and speed, rad/s; `None` where it was not predicted.
-    pub fn innovation(&self) -> Option<(f64, f64)> {
-        let [current, speed] = self.filter.innovation;
-        Some((current?, speed?))
-    }
-
-    /// How far the data carry R, L, Ke, J, Mc: 0 nothing learnt, 1 learnt (or fixed).
-    pub fn excitation(&self) -> [f64; 5] {
-        PARAMETERS.map(|(_, state)| {
-            let prior = self.filter.prior[state];
-            if !self.begun {
-                0.0
-            } else if prior <= 0.0 {
-                1.0
-            } else {
-                (1.0 - self.filter.belief.p[state][state] / prior).clamp(0.0, 1.0)
-            }
-        })
-    }
-
-    /// Load torque beside the Coulomb torque, where a rate was given.
-    pub fn load(&self) -> Option<LoadPoint> {
-        (self.begun && self.filter.disturbance.load > 0.0).then(|| LoadPoint {
-            time_s: self.filter.now_s,
-            load_torque_n_m: self.filter.belief.x[TL],
-            std_n_m: self.filter.belief.p[TL][TL].sqrt(),
-        })
-    }
-
     /// What was used and what was not, in a sentence.
     pub fn summary(&self) -> String {
         let Tally {
@@ -362,7 +289,7 @@ impl Kalman {
             outliers,
             reopened,
         } = self.filter.tally;
-        let [current, speed] = self.consistency().map(|ratio| {
+        let [current, speed] = self.filter.consistency().map(|ratio| {
             ratio.map_or_else(
                 || "not known (no rest to compare with)".to_owned(),
                 |r| format!("{r:.2}"),
@@ -375,28 +302,22 @@ impl Kalman {
     }
 
     fn before_the_start(&self) -> Vec<ParameterEstimate> {
-        let found = self
-            .starter
-            .as_ref()
-            .map_or_else(Vec::new, |starter| starter.estimates());
-        PARAMETERS
-            .iter()
-            .enumerate()
-            .map(|(k, (key, _))| {
-                let Some(mut estimate) = found.get(k).cloned() else {
-                    let reason = format!("{} samples with current and speed so far", self.samples);
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                };
-                if estimate.value.is_some() && estimate.verdict != Verdict::Invalid {
-                    estimate.verdict = Verdict::Searching;
-                    estimate.reason = Some(format!(
-                        "from scheme 3, which the filter waits for to be certain within {:.0} %",
-                        100.0 * CERTAIN
-                    ));
-                }
-                estimate
-            })
-            .collect()
+        let starter = self.starter.as_ref();
+        let mut found = starter.map_or_else(Vec::new, |starter| starter.estimates());
+        for estimate in &mut found {
+            if estimate.value.is_some() && estimate.verdict != Verdict::Invalid {
+                estimate.verdict = Verdict::Searching;
+                estimate.reason = Some(format!(
+                    "from scheme 3, which the filter waits for to be certain within {:.0} %",
+                    100.0 * CERTAIN
+                ));
+            }
+        }
+        found.extend(PARAMETERS.iter().skip(found.len()).map(|(key, _)| {
+            let reason = format!("{} samples with current and speed so far", self.samples);
+            verdict::unknown(*key, reason)
+        }));
+        found
     }
 
     fn why_not(&self, key: MotorKey, left: f64) -> String {
@@ -436,8 +357,8 @@ impl Kalman {
 /// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
 ///
 /// `lost`: where rows are missing; behind a long such hole the filter begins again from what was measured.
-pub fn identify(config: &KalmanConfig, run: &Run, lost: &[UnknownInput]) -> Kalman {
-    let mut found = Kalman::new(config);
+pub fn identify(model: &Model, run: &Run, lost: &[UnknownInput]) -> Kalman {
+    let mut found = Kalman::new(model);
     found.follow(run, lost);
     for _ in 0..MOST_PASSES {
         let values = found.values();
@@ -447,7 +368,7 @@ pub fn identify(config: &KalmanConfig, run: &Run, lost: &[UnknownInput]) -> Kalm
         if !usable {
             break;
         }
-        let mut next = Kalman::again(config, &found);
+        let mut next = Kalman::again(model, &found);
         next.follow(run, lost);
         let still = PARAMETERS.iter().all(|(_, state)| {
             let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];

@@ -2,15 +2,12 @@
 
 use rayon::prelude::*;
 
+use super::identify;
 use super::*;
 use crate::identification::testing::{self, *};
 
 fn errors(found: &Kalman, truth: &Truth) -> Vec<f64> {
     testing::errors(&found.estimates(), truth)
-}
-
-fn unknown() -> KalmanConfig {
-    KalmanConfig::default()
 }
 
 /// Steps after half a second of rest.
@@ -118,13 +115,10 @@ fn paper_run(period_s: f64, seed: u64) -> Run {
 #[test]
 fn on_line_from_a_guess_that_is_far_off_and_without_any() {
     let guess = motor(&[2.5, 0.004, 0.25, 0.01, 0.1]);
-    let far = KalmanConfig {
-        model: Model::baseline(guess),
-        ..unknown()
-    };
+    let far = Model::baseline(guess);
     for period_s in [0.001, 0.01] {
-        for config in [far.clone(), unknown()] {
-            let mut kalman = Kalman::new(&config);
+        for start in [far.clone(), unknown()] {
+            let mut kalman = Kalman::new(&start);
             let run = paper_run(period_s, 1);
             run.samples().for_each(|sample| kalman.push(&sample));
             let found = errors(&kalman, &PAPER);
@@ -139,9 +133,8 @@ fn standstill_claims_nothing_and_says_why_in_numbers() {
     let model = Model::baseline(motor(&PAPER));
     let record = Record::of(&model, vec![(0.0, 0.0)], every(0.001, 2.0));
     let run = record.run(Some(1));
-    let known = KalmanConfig { model, ..unknown() };
-    for config in [unknown(), known] {
-        for estimate in identify(&config, &run, &[]).estimates() {
+    for start in [unknown(), model] {
+        for estimate in identify(&start, &run, &[]).estimates() {
             assert_eq!(estimate.verdict, Verdict::NotObservable, "{estimate:?}");
             let reason = estimate.reason.unwrap();
             assert!(reason.contains(|c: char| c.is_ascii_digit()), "{reason}");
@@ -156,9 +149,8 @@ fn constant_voltage_settles_neither_inductance_nor_inertia() {
     let run = record.run(Some(3));
     // The run without its start: nothing but steady state.
     let steady = run.slice(1500, run.rows(), "steady");
-    let known = KalmanConfig { model, ..unknown() };
-    for config in [unknown(), known] {
-        let found = identify(&config, &steady, &[]);
+    for start in [unknown(), model] {
+        let found = identify(&start, &steady, &[]);
         let estimates = found.estimates();
         for estimate in &estimates {
             println!("steady {estimate:?}");
@@ -224,9 +216,9 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
         assert_ne!(estimate.verdict, Verdict::Settled);
     }
     // Told of the effect, it finds the motor.
-    let mut model = testing::unknown();
+    let mut model = unknown();
     model.effects = truth.effects;
-    let told = identify(&KalmanConfig { model, ..unknown() }, &run, &[]);
+    let told = identify(&model, &run, &[]);
     let found = errors(&told, &PAPER);
     println!("told {found:.5?} {}", told.summary());
     assert!(found.iter().all(|e| e.abs() < 0.005), "{found:?}");

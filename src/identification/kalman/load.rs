@@ -7,7 +7,7 @@
 
 use thiserror::Error;
 
-use super::filter::{Disturbance, Filter, I, J, KE, L, MC, Mode, N, R, Source, TL};
+use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Source, TL};
 use super::physics::KnownEffects;
 use crate::identification::online::AppliedVoltage;
 use crate::numerics::statistics;
@@ -59,12 +59,13 @@ impl LoadError {
     }
 }
 
-/// Follows the load torque sample by sample; interface as [`crate::identification::online::Online`].
+/// Follows the load torque sample by sample.
 #[derive(Clone, Debug)]
 pub struct LoadTracker {
     filter: Filter,
     input: Input,
     applied: AppliedVoltage,
+    /// Effects of the model that are not subtracted and so are part of the load torque.
     left_out: Vec<&'static str>,
 }
 
@@ -112,11 +113,8 @@ impl LoadTracker {
         } else {
             Source::Current
         };
-        filter.disturbance = Disturbance {
-            load: rate_n_m_per_sqrt_s,
-            drift: 0.0,
-            voltage_share: VOLTAGE_SHARE,
-        };
+        filter.load_rate = rate_n_m_per_sqrt_s;
+        filter.voltage_share = VOLTAGE_SHARE;
         filter.freeze();
         Ok(Self {
             filter,
@@ -124,13 +122,6 @@ impl LoadTracker {
             applied: AppliedVoltage::default(),
             left_out,
         })
-    }
-
-    /// The voltage that the drive has applied from `time_s` on; see [`crate::identification::online::Online`].
-    pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.applied.command();
-        let now_s = self.filter.now_s;
-        self.filter.voltage.apply(time_s, voltage_v, now_s);
     }
 
     /// Takes a sample as [`crate::identification::online::Online::push`] does, and gives the load torque at its instant;
@@ -179,32 +170,6 @@ impl LoadTracker {
             belief.forget(TL, widest);
         }
     }
-
-    /// Whether the last sample was followed by the model while the motor turned.
-    pub fn is_turning(&self) -> bool {
-        matches!(self.filter.mode, Mode::Turning(_))
-    }
-
-    /// Effects of the model that are not subtracted and so are part of the load torque.
-    pub fn left_out(&self) -> &[&'static str] {
-        &self.left_out
-    }
-
-    /// Root mean square of the recent innovations over the noise at rest: current (or torque), speed.
-    pub fn consistency(&self) -> [Option<f64>; 2] {
-        self.filter
-            .sensors
-            .map(|sensor| sensor.consistency().map(|found| found.0))
-    }
-
-    /// Logarithm of the likelihood of the speed and current seen so far, and the rows that it rests on.
-    pub(super) fn evidence(&self) -> (f64, u64) {
-        (self.filter.log_likelihood, self.filter.tally.used)
-    }
-
-    pub(super) fn largest(&self) -> [f64; 2] {
-        self.filter.sensors.map(|sensor| sensor.largest)
-    }
 }
 
 /// What drives the shaft where there is no voltage.
@@ -223,19 +188,12 @@ const PER_DECADE: f64 = 4.0;
 const FEWEST_ROWS: u64 = 20;
 const FEWEST_ROWS_IN_MOTION: usize = 20;
 
-/// What the user may set.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoadOptions {
-    /// Expected change of the load, N.m/sqrt(s); without it the rate under which the run is likeliest.
-    pub rate_n_m_per_sqrt_s: Option<f64>,
-}
-
 /// The load torque of a run.
 #[derive(Clone, Debug)]
 pub struct LoadTrace {
     pub points: Vec<LoadPoint>,
+    /// The rate under which the run is likeliest.
     pub rate_n_m_per_sqrt_s: f64,
-    pub rate_from_data: bool,
     pub input: Input,
     /// Rows at which the motor turned and the model followed: there the load was seen.
     pub rows_followed: usize,
@@ -245,57 +203,42 @@ pub struct LoadTrace {
 }
 
 /// Tracks the load torque through `run` with the parameters of `model`.
-pub fn load_torque_trace(
-    run: &Run,
-    model: &Model,
-    options: LoadOptions,
-) -> Result<LoadTrace, LoadError> {
+pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadError> {
+    use MotorKey::{BackEmf, Inductance, Resistance};
     let mut input = Scenario::from_run(run)?.input;
-    let electrical = [
-        MotorKey::Resistance,
-        MotorKey::Inductance,
-        MotorKey::BackEmf,
-    ];
+    let lacks_winding = [Resistance, Inductance, BackEmf]
+        .iter()
+        .any(|key| model.motor.get(*key).is_none());
     let has_current = run.points(Channel::Current).next().is_some();
     let mut notes = vec![
         "positive against positive speed, negative where the load drives; friction of the model is not in it".to_owned(),
         "the standard deviation holds for exact parameters of the model".to_owned(),
     ];
-    if input == Input::Voltage
-        && has_current
-        && electrical.iter().any(|key| model.motor.get(*key).is_none())
-    {
+    if input == Input::Voltage && has_current && lacks_winding {
         notes.push("the model has no winding: the measured current drives the shaft, straight between samples".to_owned());
         input = Input::Current;
     }
-    let most = run
-        .points(driving(input))
-        .map(|point| point.1.abs())
-        .fold(0.0, f64::max);
-    let per_unit = if input == Input::Torque {
-        1.0
-    } else {
-        model.motor.torque_constant().unwrap_or(1.0)
+    let driving = run.points(driving(input)).map(|point| point.1.abs());
+    let most = driving.fold(0.0, f64::max);
+    let per_unit = match input {
+        Input::Torque => 1.0,
+        _ => model.motor.torque_constant().unwrap_or(1.0),
     };
     // Without any current the friction's size stands in.
     let load = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0).abs();
     let size = (most * per_unit).max(load).max(1e-9);
-    let (rate, from_data) = match options.rate_n_m_per_sqrt_s {
-        Some(rate) => (rate, false),
-        None => (likeliest_rate(run, model, input, size)?, true),
-    };
+    let rate = likeliest_rate(run, model, input, size)?;
     let mut tracker = LoadTracker::new(model, input, rate)?;
     let mut points = Vec::with_capacity(run.rows());
     let mut rows_followed = 0;
     for sample in run.samples() {
         if let Some(point) = tracker.push(&sample) {
-            rows_followed += usize::from(tracker.is_turning());
+            rows_followed += usize::from(matches!(tracker.filter.mode, Mode::Turning(_)));
             points.push(point);
         }
     }
-    let used = tracker.evidence().1;
-    if used < FEWEST_ROWS || rows_followed < FEWEST_ROWS_IN_MOTION {
-        let [_, speed] = tracker.largest();
+    if tracker.filter.tally.used < FEWEST_ROWS || rows_followed < FEWEST_ROWS_IN_MOTION {
+        let speed = tracker.filter.sensors[1].largest;
         return Err(LoadError::NothingSeen {
             run: run.name.clone(),
             reason: format!(
@@ -304,19 +247,18 @@ pub fn load_torque_trace(
             ),
         });
     }
-    if !tracker.left_out().is_empty() {
+    if !tracker.left_out.is_empty() {
+        let left_out = tracker.left_out.join(", ");
         notes.push(format!(
-            "not subtracted, so part of the load torque: {}",
-            tracker.left_out().join(", ")
+            "not subtracted, so part of the load torque: {left_out}"
         ));
     }
     Ok(LoadTrace {
         points,
         rate_n_m_per_sqrt_s: rate,
-        rate_from_data: from_data,
         input,
         rows_followed,
-        consistency: tracker.consistency(),
+        consistency: tracker.filter.consistency(),
         notes,
     })
 }
@@ -330,7 +272,7 @@ fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f
         for sample in run.samples() {
             tracker.push(&sample);
         }
-        scores.push((f64::from(power), tracker.evidence().0));
+        scores.push((f64::from(power), tracker.filter.log_likelihood));
     }
     let best = (0..scores.len())
         .max_by(|a, b| scores[*a].1.total_cmp(&scores[*b].1))

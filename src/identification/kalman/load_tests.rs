@@ -58,13 +58,9 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
     }
 }
 
-fn track(record: &Record, seed: u64, rate: Option<f64>) -> LoadTrace {
-    let run = record.run(Some(seed));
+fn track(record: &Record, seed: u64) -> LoadTrace {
     let model = Model::baseline(motor(&PAPER));
-    let options = LoadOptions {
-        rate_n_m_per_sqrt_s: rate,
-    };
-    load_torque_trace(&run, &model, options).unwrap()
+    load_torque_trace(&record.run(Some(seed)), &model).unwrap()
 }
 
 fn events() -> Vec<(f64, f64)> {
@@ -113,7 +109,7 @@ fn a_stepping_load_is_followed_at_1_and_10_ms() {
     for (period_s, settling_s, rmse, quiet) in [(0.001, 0.06, 0.1, 0.08), (0.01, 0.12, 0.16, 0.12)]
     {
         let record = plant(&events(), &stepping, period_s, 6.0);
-        let trace = track(&record, 1, None);
+        let trace = track(&record, 1);
         let [all, normal, covered] = score(&trace, &stepping);
         // After each step: the last instant at which the error is above a quarter of the smallest step.
         let mut slowest = 0.0_f64;
@@ -151,7 +147,7 @@ fn a_stepping_load_is_followed_at_1_and_10_ms() {
 fn a_ramping_load_is_followed_at_1_and_10_ms() {
     for (period_s, most_lag_s, rmse) in [(0.001, 0.06, 0.05), (0.01, 0.12, 0.08)] {
         let record = plant(&events(), &ramping, period_s, 6.0);
-        let trace = track(&record, 2, None);
+        let trace = track(&record, 2);
         let [all, normal, covered] = score(&trace, &ramping);
         let on_ramp: Vec<f64> = trace
             .points
@@ -186,7 +182,7 @@ fn the_standard_deviation_is_honest_and_the_rate_is_found() {
             let load =
                 |time_s: f64| walk[crate::numerics::count::whole(time_s * 1000.0 + 1e-6).min(6000)];
             let record = plant(&[(0.0, 0.0), (0.5, 60.0)], &load, period_s, 6.0);
-            let trace = track(&record, seed, None);
+            let trace = track(&record, seed);
             let [_, normal, share] = score(&trace, &load);
             squares += normal * normal / 6.0;
             covered += share / 6.0;
@@ -224,7 +220,7 @@ fn current_alone_drives_the_shaft_where_there_is_no_voltage() {
         model.motor.clear(key);
     }
     model.motor.set(MotorKey::TorqueConstant, PAPER[2]);
-    let trace = load_torque_trace(&run, &model, LoadOptions::default()).unwrap();
+    let trace = load_torque_trace(&run, &model).unwrap();
     let [rmse, normal, covered] = score(&trace, &stepping);
     println!("current: rmse {rmse:.4} normalised {normal:.2} covered {covered:.3}");
     assert_eq!(trace.input, Input::Current);
@@ -248,7 +244,7 @@ fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
     assert!((last.load_torque_n_m - 0.2).abs() < 3.0 * last.std_n_m);
     assert!(last.std_n_m > 0.2, "{last:?}");
     assert!(matches!(
-        load_torque_trace(&run, &model, LoadOptions::default()),
+        load_torque_trace(&run, &model),
         Err(LoadError::NothingSeen { .. })
     ));
 }

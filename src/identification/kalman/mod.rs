@@ -19,5 +19,5 @@ pub fn effects_left_out(model: &crate::plant::Model) -> Vec<&'static str> {
     physics::KnownEffects::left_out(model)
 }
 
-pub use joint::{Kalman, KalmanConfig, identify};
-pub use load::{LoadError, LoadOptions, LoadPoint, LoadTrace, LoadTracker, load_torque_trace};
+pub use joint::{Kalman, identify};
+pub use load::{LoadError, LoadPoint, LoadTrace, LoadTracker, load_torque_trace};

@@ -201,16 +201,6 @@ impl<'a> FreeRun<'a> {
         Ok(self)
     }
 
-    /// Number of unknowns after the model's parameters: the initial state.
-    pub fn starts(&self) -> usize {
-        2 * usize::from(self.start_is_free) + self.effect_states
-    }
-
-    /// What the residuals are scaled by.
-    pub const fn noise(&self) -> &NoiseFloor {
-        &self.noise
-    }
-
     pub fn free_slots(&self) -> &[Slot] {
         &self.free
     }

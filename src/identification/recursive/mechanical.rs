@@ -1,5 +1,6 @@
 //! Mechanical balance over one block: `w_b - w_a = (Kt/J) int i - (Mc/J) s h`.
 
+use super::Direction;
 use crate::identification::verdict;
 use crate::numerics::change_watch::ChangeWatch;
 use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
@@ -36,22 +37,40 @@ pub(super) const SAMPLING_ORDER: f64 = 1.5;
 /// A torque constant with its standard deviation, N.m/A.
 pub(super) type TorqueConstant = (f64, f64);
 
+/// What is forgotten together.
 #[derive(Clone, Debug)]
-pub(super) struct MechanicalBalance {
+struct Fits {
     estimator: RecursiveLeastSquares<2>,
     /// The same with the integral of the current off by what is not known of it.
     doubtful: RecursiveLeastSquares<2>,
+    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
+    /// taken for.
+    sloping: RecursiveLeastSquares<3>,
+}
+
+impl Fits {
+    fn new(forgetting: f64) -> Self {
+        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
+        let scale = [SCALE[0], SCALE[1], 1.0];
+        let sloping = RecursiveLeastSquares::new([0.0; 3], scale, PRIOR, forgetting).clustered();
+        Self {
+            doubtful: estimator.clone(),
+            estimator,
+            sloping,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct MechanicalBalance {
+    fits: Fits,
     /// End of the last row taken: the next one shares its sample.
     last_end_s: f64,
     innovation_rad_s: Option<f64>,
     blocked_rows: u64,
     watch: ChangeWatch,
-    /// The estimate as it was begun, and how often it was begun again because the inertia had changed.
-    fresh: RecursiveLeastSquares<2>,
+    /// How often it was begun again because the inertia had changed.
     changes: u32,
-    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
-    /// taken for.
-    sloping: RecursiveLeastSquares<3>,
     forgetting: f64,
 }
 
@@ -84,24 +103,15 @@ pub(super) fn carry(charge_noise: f64, n: f64) -> f64 {
     2.0 * k / (1.0 + (1.0 - 4.0 * k * k).max(0.0).sqrt())
 }
 
-fn sloping(forgetting: f64) -> RecursiveLeastSquares<3> {
-    let [a, b] = SCALE;
-    RecursiveLeastSquares::new([0.0; 3], [a, b, 1.0], PRIOR, forgetting).clustered()
-}
-
 impl MechanicalBalance {
     pub(super) fn new(forgetting: f64) -> Self {
-        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
         Self {
-            doubtful: estimator.clone(),
-            fresh: estimator.clone(),
-            estimator,
+            fits: Fits::new(forgetting),
             last_end_s: f64::NAN,
             innovation_rad_s: None,
             blocked_rows: 0,
             watch: ChangeWatch::new(CHANGE_SHARE, 0.0),
             changes: 0,
-            sloping: sloping(forgetting),
             forgetting,
         }
     }
@@ -122,9 +132,10 @@ impl MechanicalBalance {
         let regressor = [row.current_integral_a_s, held];
         self.watch_inertia(&regressor, step, noise.continues);
         let along = [regressor[0], held, held * row.speed_rad_s.abs()];
-        self.sloping.update_row(&along, step, noise);
-        self.innovation_rad_s = self.estimator.update_row(&regressor, step, noise);
-        self.doubtful
+        self.fits.sloping.update_row(&along, step, noise);
+        self.innovation_rad_s = self.fits.estimator.update_row(&regressor, step, noise);
+        self.fits
+            .doubtful
             .update_row(&[row.doubtful_integral_a_s, held], step, noise);
         self.last_end_s = row.end_s;
     }
@@ -133,13 +144,13 @@ impl MechanicalBalance {
     /// that creeps, is one of the friction, which may be of another form than this one's: it changes with the speed and
     /// comes back, and what is known is not dropped for it.
     fn watch_inertia(&mut self, regressor: &[f64; 2], step_rad_s: f64, continues: bool) {
-        let [a, b] = self.estimator.parameters();
+        let [a, b] = self.fits.estimator.parameters();
         let (driven, braked) = (a * regressor[0], b * regressor[1]);
         let tells = driven.abs() > DRIVEN * braked.abs();
         if !continues || !tells {
             self.watch.interrupt();
         }
-        let believed = self.estimator.rows() >= BELIEVED_ROWS;
+        let believed = self.fits.estimator.rows() >= BELIEVED_ROWS;
         if tells && self.watch.take(driven + braked, step_rad_s, believed) {
             self.reopen();
         }
@@ -147,19 +158,17 @@ impl MechanicalBalance {
 
     /// The inertia is not what it was: what was known is dropped.
     fn reopen(&mut self) {
-        self.estimator = self.fresh.clone();
-        self.doubtful = self.fresh.clone();
+        self.fits = Fits::new(self.forgetting);
         self.watch.interrupt();
         self.changes += 1;
-        self.sloping = sloping(self.forgetting);
     }
 
     /// Why nothing may be settled now although the rows agree.
     fn reopened(&self) -> Option<String> {
-        (self.changes > 0 && self.estimator.rows() < REOPENED_ROWS).then(|| {
+        (self.changes > 0 && self.fits.estimator.rows() < REOPENED_ROWS).then(|| {
             format!(
                 "the inertia has changed: begun again, {} of {REOPENED_ROWS} rows so far",
-                self.estimator.rows()
+                self.fits.estimator.rows()
             )
         })
     }
@@ -167,13 +176,9 @@ impl MechanicalBalance {
     /// Why inertia or load may not be settled although the rows agree: with a friction that grows with the speed it would be
     /// another, and the rows do not rule such a friction out. `value` is the one of the two, its place in the rows `at`.
     fn not_constant(&self, value: f64, at: usize) -> Option<String> {
-        let [a, b, _] = self.sloping.parameters();
-        let (sloping, of) = if at == 0 {
-            (a, value)
-        } else {
-            (b / a, value * a)
-        };
-        let std = self.sloping.standard_deviations()?[at];
+        let [a, b, _] = self.fits.sloping.parameters();
+        let (sloping, of) = [(a, value), (b / a, value * a)][at];
+        let std = self.fits.sloping.standard_deviations()?[at];
         let doubt = (sloping / value - 1.0).abs() + TWO_SIDED * std / of.abs();
         // A comparison that is false for NaN as well.
         let sure = doubt <= MOST_SLOPE_DOUBT;
@@ -188,14 +193,14 @@ impl MechanicalBalance {
     /// By how much Kt/J, relative, and Mc/Kt, A, are off because a friction that grows with the speed is there; zero where
     /// the rows do not tell it from none. `ratio` is Mc/Kt.
     fn slope_bias(&self, ratio: f64) -> [f64; 2] {
-        let [a, b, slope] = self.sloping.parameters();
-        let std = self.sloping.standard_deviations().map(|stds| stds[2]);
-        if std.is_some_and(|std| slope.abs() > TOLD * std) {
-            let known = self.estimator.parameters()[0];
-            [(a / known - 1.0).abs(), (b / a - ratio).abs()]
-        } else {
-            [0.0; 2]
+        let [a, b, slope] = self.fits.sloping.parameters();
+        let told = (self.fits.sloping.standard_deviations())
+            .is_some_and(|stds| slope.abs() > TOLD * stds[2]);
+        if !told {
+            return [0.0; 2];
         }
+        let known = self.fits.estimator.parameters()[0];
+        [(a / known - 1.0).abs(), (b / a - ratio).abs()]
     }
 
     pub(super) fn innovation_rad_s(&self) -> Option<f64> {
@@ -204,74 +209,74 @@ impl MechanicalBalance {
 
     /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
     pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
-        let std = self.estimator.standard_deviations()?[0];
-        let value = self.estimator.parameters()[0];
-        (self.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < uncertainty * value)
+        let std = self.fits.estimator.standard_deviations()?[0];
+        let value = self.fits.estimator.parameters()[0];
+        (self.fits.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < uncertainty * value)
             .then_some(value)
     }
 
     /// Variance of one speed sample's error, (rad/s)^2.
     pub(super) fn noise_variance(&self) -> Option<f64> {
-        self.estimator.noise_variance()
+        self.fits.estimator.noise_variance()
     }
 
     /// Kt/J and Mc/J once enough rows have spoken of them.
     pub(super) fn values(&self) -> Option<[f64; 2]> {
-        let [a, b] = self.estimator.parameters();
-        (self.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
+        let [a, b] = self.fits.estimator.parameters();
+        (self.fits.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
     }
 
     /// Memory from the next row on.
     pub(super) fn set_forgetting(&mut self, forgetting: f64) {
-        self.estimator.set_forgetting(forgetting);
-        self.doubtful.set_forgetting(forgetting);
-        self.fresh.set_forgetting(forgetting);
-        self.sloping.set_forgetting(forgetting);
+        self.fits.estimator.set_forgetting(forgetting);
+        self.fits.doubtful.set_forgetting(forgetting);
+        self.fits.sloping.set_forgetting(forgetting);
         self.forgetting = forgetting;
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {
-        [self.estimator.ignorance(0), self.estimator.ignorance(1)]
+        [
+            self.fits.estimator.ignorance(0),
+            self.fits.estimator.ignorance(1),
+        ]
     }
 
-    /// Inertia and load torque; `moved` is the largest speed so far and the dead zone, rad/s, `sampling` the relative
+    /// Inertia and load torque; `moved` knows the largest speed so far and the dead zone, `sampling` is the relative
     /// error of J and the error of Mc/Kt, A, that coarse sampling leaves.
     pub(super) fn estimates(
         &self,
         torque: Option<TorqueConstant>,
-        moved: (f64, f64),
+        moved: &Direction,
         period_s: f64,
         sampling: [f64; 2],
     ) -> Vec<ParameterEstimate> {
         let unknown = |reason: &str| -> Vec<ParameterEstimate> {
-            [MotorKey::Inertia, MotorKey::LoadTorque]
-                .iter()
-                .map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason))
-                .collect()
+            let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
+            keys.map(|key| verdict::unknown(key, reason)).to_vec()
         };
-        if self.estimator.rows() < FEWEST_ROWS {
+        if self.fits.estimator.rows() < FEWEST_ROWS {
             return unknown(&format!(
                 "{} usable rows, at least {FEWEST_ROWS} are needed: largest speed so far {:.2} rad/s, dead zone {:.2} rad/s, {} rows dropped inside it",
-                self.estimator.rows(),
-                moved.0,
-                moved.1,
+                self.fits.estimator.rows(),
+                moved.largest_rad_s(),
+                moved.dead_zone_rad_s(),
                 self.blocked_rows
             ));
         }
         let Some((kt, kt_std)) = torque else {
             return unknown("the torque constant is not known yet");
         };
-        let [a, b] = self.estimator.parameters();
+        let [a, b] = self.fits.estimator.parameters();
         if a <= 0.0 {
             return unknown("the speed does not follow the current: no positive inertia fits");
         }
-        let covariance = |row, column| self.estimator.covariance(row, column);
+        let covariance = |row, column| self.fits.estimator.covariance(row, column);
         let (inertia, load) = (kt / a, kt * b / a);
         let stds = (|| {
             let (aa, ab, bb) = (covariance(0, 0)?, covariance(0, 1)?, covariance(1, 1)?);
             let kt_share = (kt_std / kt).powi(2);
             let ratio = b / a;
-            let [other_a, other_b] = self.doubtful.parameters();
+            let [other_a, other_b] = self.fits.doubtful.parameters();
             let [inertia_bias, load_bias] = self.slope_bias(ratio);
             let inertia_doubt = (inertia * (other_a / a - 1.0))
                 .hypot(inertia * sampling[0])
@@ -318,9 +323,8 @@ impl MechanicalBalance {
                         self.not_constant(b / a, 1)
                     }
                 });
-                if let (Verdict::Settled, Some(reason)) = (judged.verdict, why_open) {
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some(reason);
+                if let Some(reason) = why_open {
+                    judged.unsettle(reason);
                 }
                 judged
             })

@@ -6,13 +6,65 @@
 //! samples (i, w) ----------------------------------------> scheme 2: J, Mc (Kt known), as paper A
 //! ```
 
-mod direction;
 mod mechanical;
 mod scheme_2;
 mod scheme_3;
 mod track;
 mod winding;
 
-pub(in crate::identification) use direction::{Direction, steady_period};
 pub use scheme_2::{CurrentIntegral, Scheme2};
 pub use scheme_3::{Memory, Scheme3, StartValues};
+
+/// Share of the largest speed so far, and the smallest speed, rad/s, that count as moving.
+const SHARE_OF_LARGEST: f64 = 0.01;
+const LEAST_RAD_S: f64 = 0.5;
+/// Standard deviations of the standstill noise that count as moving.
+const NOISE_MULTIPLE: f64 = 4.0;
+
+/// Sign of the speed from a dead zone, never from noise around zero.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::identification) struct Direction {
+    largest_rad_s: f64,
+    /// Standard deviation of the speed at standstill, where known.
+    pub(in crate::identification) noise_rad_s: f64,
+}
+
+impl Direction {
+    /// With the standard deviation of the speed at standstill known.
+    pub(in crate::identification) fn with_noise(noise_rad_s: f64) -> Self {
+        Self {
+            noise_rad_s,
+            ..Self::default()
+        }
+    }
+
+    /// -1, 0 (inside the dead zone) or 1.
+    pub(in crate::identification) fn of(&mut self, speed_rad_s: f64) -> i8 {
+        self.largest_rad_s = self.largest_rad_s.max(speed_rad_s.abs());
+        let zone = self.dead_zone_rad_s();
+        i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone)
+    }
+
+    pub(in crate::identification) fn dead_zone_rad_s(&self) -> f64 {
+        (SHARE_OF_LARGEST * self.largest_rad_s)
+            .max(NOISE_MULTIPLE * self.noise_rad_s)
+            .max(LEAST_RAD_S)
+    }
+
+    pub(in crate::identification) fn largest_rad_s(&self) -> f64 {
+        self.largest_rad_s
+    }
+}
+
+/// Sampling period as it is usually, s: one gap in the stamps does not change it.
+pub(in crate::identification) fn steady_period(known_s: f64, step_s: f64) -> f64 {
+    const GAP: f64 = 2.5;
+    const ROWS: f64 = 16.0;
+    if known_s.is_nan() || step_s < known_s / GAP {
+        step_s
+    } else if step_s > GAP * known_s {
+        known_s
+    } else {
+        known_s + (step_s - known_s) / ROWS
+    }
+}

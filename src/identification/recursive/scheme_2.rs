@@ -5,7 +5,7 @@
 //! estimate from every second sample moves by one (first order) to three times (second order) the error (Richardson), and
 //! its move over 1.5 is part of the standard deviation. Scheme 3 knows the current between samples and does not have this error.
 
-use super::direction::Direction;
+use super::Direction;
 use super::mechanical::{MechanicalBalance, MechanicalRow, SAMPLING_ORDER};
 use crate::sample::ParameterEstimate;
 
@@ -133,15 +133,8 @@ impl Scheme2 {
 
     /// Inertia and load torque for a torque constant, N.m/A, and its standard deviation.
     pub fn estimates(&self, torque: Option<(f64, f64)>) -> Vec<ParameterEstimate> {
-        self.fine.balance.estimates(
-            torque,
-            (
-                self.direction.largest_rad_s(),
-                self.direction.dead_zone_rad_s(),
-            ),
-            self.period_s,
-            self.sampling_error(),
-        )
+        let (moved, sampling) = (&self.direction, self.sampling_error());
+        (self.fine.balance).estimates(torque, moved, self.period_s, sampling)
     }
 }
 

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
 use super::{Finding, Kind};
+use crate::identification::claims::OF_BACK_EMF as OF_SPEED;
 use crate::numerics::statistics::{largest, median, robust_deviation};
 use crate::plant::{Model, MotorKey};
 use crate::sample::{Channel, Origin, Run};
@@ -66,14 +67,6 @@ fn near(ratio: f64, factor: f64, tolerance: f64) -> bool {
     (ratio / factor - 1.0).abs() < tolerance
 }
 
-/// Parameters that a wrong unit of speed makes wrong.
-const OF_SPEED: [MotorKey; 4] = [
-    MotorKey::BackEmf,
-    MotorKey::TorqueConstant,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
-
 /// Agreement of angle and speed that confirms both, and by which a factor is recognised.
 const ANGLE_AGREES: f64 = 0.05;
 const ANGLE_FACTOR: f64 = 0.02;
@@ -90,24 +83,17 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
         return None;
     }
     let (angle, speed) = (run.column(Channel::Angle)?, run.column(Channel::Speed)?);
-    let rows: Vec<[f64; 3]> = run
-        .time_s()
-        .iter()
-        .zip(angle.iter().zip(speed))
-        .filter(|(_, (angle, speed))| angle.is_finite() && speed.is_finite())
-        .map(|(time, (angle, speed))| [*time, *angle, *speed])
+    let rows = run.time_s().iter().zip(angle.iter().zip(speed));
+    let rows = rows.map(|(time, (angle, speed))| [*time, *angle, *speed]);
+    let rows: Vec<[f64; 3]> = rows
+        .filter(|row| row.iter().all(|cell| cell.is_finite()))
         .collect();
-    let windows: Vec<[f64; 2]> = rows
-        .chunks(ANGLE_ROWS)
-        .filter(|chunk| chunk.len() == ANGLE_ROWS)
-        .map(|chunk| {
-            let travel: f64 = chunk
-                .windows(2)
-                .map(|pair| 0.5 * (pair[0][2] + pair[1][2]) * (pair[1][0] - pair[0][0]))
-                .sum();
-            [travel, chunk[ANGLE_ROWS - 1][1] - chunk[0][1]]
-        })
-        .collect();
+    let area = |pair: &[[f64; 3]]| 0.5 * (pair[0][2] + pair[1][2]) * (pair[1][0] - pair[0][0]);
+    let window = |chunk: &[[f64; 3]]| {
+        let travel: f64 = chunk.windows(2).map(area).sum();
+        [travel, chunk[ANGLE_ROWS - 1][1] - chunk[0][1]]
+    };
+    let windows: Vec<[f64; 2]> = rows.chunks_exact(ANGLE_ROWS).map(window).collect();
     let travels: Vec<f64> = windows.iter().map(|window| window[0]).collect();
     let largest = largest(&travels);
     let ratios: Vec<f64> = windows
@@ -143,11 +129,10 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     };
     for (factor, unit, correction) in [(1e3, "ms", "0.001"), (1e6, "us", "0.000001")] {
         if is(factor) {
-            return Some(Finding::refusal(
-                Kind::Unit,
-                format!("time_s seems to be in {unit}, not in s (a factor {factor}): {seen}"),
-                format!("convert it with --map time_s=COLUMN*{correction}"),
-            ));
+            let sentence =
+                format!("time_s seems to be in {unit}, not in s (a factor {factor}): {seen}");
+            let help = format!("convert it with --map time_s=COLUMN*{correction}");
+            return Some(Finding::refusal(Kind::Unit, sentence, help));
         }
     }
     if let Some(confusion) = speed_units().iter().find(|unit| is(unit.factor)) {

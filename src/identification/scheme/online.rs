@@ -1,7 +1,7 @@
 //! The on-line schemes over a recorded run, wired as the live bench wires them.
 
 use super::{Data, Identified, IdentifyError, Scheme, motor_alone};
-use crate::identification::kalman::{self, KalmanConfig};
+use crate::identification::kalman;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
@@ -53,11 +53,8 @@ fn ekf(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let help = "use --scheme weak-form, or map a voltage with --map voltage_v=HEADER";
         return Err(data.refused(id, "it has no voltage to predict the current from", help));
     }
-    let config = KalmanConfig {
-        model: data.model.clone(),
-        ..KalmanConfig::default()
-    };
-    let found = kalman::identify(&config, &data.run_as_used(), &data.scenario.unknown_input);
+    let (run, lost) = (data.run_as_used(), &data.scenario.unknown_input);
+    let found = kalman::identify(data.model, &run, lost);
     let identified = Identified::new(id, data.model, found.estimates());
     let left_out = kalman::effects_left_out(data.model);
     let why = |active: &ActiveEffect| {
@@ -123,10 +120,8 @@ fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
     if parameter.verdict == Verdict::Settled {
         parameter.verdict = Verdict::Searching;
     }
-    parameter.reason = Some(match parameter.reason.take() {
-        Some(reason) => format!("{off}; {reason}"),
-        None => off,
-    });
+    let before = parameter.reason.take();
+    parameter.reason = Some(before.map_or(off.clone(), |reason| format!("{off}; {reason}")));
 }
 
 /// The record with the estimates of its lost voltages as rows of their own, for schemes that take it row by row; `None`
@@ -140,12 +135,8 @@ fn with_rows(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
     let is_new =
         |time_s: f64| !times[times.partition_point(|time| *time < time_s)..].starts_with(&[time_s]);
     let mut rows: Vec<(f64, Option<usize>)> = times.iter().copied().zip((0..).map(Some)).collect();
-    rows.extend(
-        holes
-            .iter()
-            .filter(|hole| is_new(hole.from_s))
-            .map(|hole| (hole.from_s, None)),
-    );
+    let lost = holes.iter().map(|hole| (hole.from_s, None));
+    rows.extend(lost.filter(|row| is_new(row.0)));
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let place = |time_s: f64| rows.partition_point(|row| row.0 < time_s);
     let mut whole = Run::new(run.name.clone(), rows.iter().map(|row| row.0).collect())?;
@@ -167,13 +158,9 @@ fn with_rows(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
             whole.set_side(channel, side);
         }
     }
+    let begun_again = holes.iter().filter(|hole| hole.restart.is_some());
     let mut limited: Vec<usize> = (run.limited_rows().iter().map(|row| place(times[*row])))
-        .chain(
-            holes
-                .iter()
-                .filter(|hole| hole.restart.is_some())
-                .map(|hole| place(hole.to_s)),
-        )
+        .chain(begun_again.map(|hole| place(hole.to_s)))
         .collect();
     limited.sort_unstable();
     limited.dedup();

@@ -47,11 +47,8 @@ fn tell_choice(parameters: &mut [ParameterEstimate], key: &str, doubt: Option<St
     if let Some(parameter) = parameters.iter_mut().find(|p| p.key == key)
         && parameter.verdict == Verdict::Fixed
     {
-        parameter.verdict = if doubt.is_none() {
-            Verdict::Settled
-        } else {
-            Verdict::Searching
-        };
+        let doubted = doubt.as_ref().map(|_| Verdict::Searching);
+        parameter.verdict = doubted.unwrap_or(Verdict::Settled);
         parameter.reason = doubt;
     }
 }
@@ -98,15 +95,6 @@ mod tests {
     use crate::identification::testing::{self, *};
     use crate::sample::{Channel, Run};
 
-    fn identified(start: &Model, run: &Run, scenario: &Scenario) -> Identified {
-        let data = Data {
-            run,
-            scenario,
-            model: start,
-        };
-        OUTPUT_ERROR.identify(&data).unwrap()
-    }
-
     #[test]
     fn a_nameplate_wrong_in_every_value_does_not_decide_the_fit() {
         let truth = paper();
@@ -126,8 +114,12 @@ mod tests {
                 let value = truth.motor.get(key).unwrap();
                 start.motor.set(key, factor * value);
             }
-            let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
-            let found = identified(&start, &run, &scenario).model;
+            let data = Data {
+                run: &Run::new("r", scenario.sample_time_s.clone()).unwrap(),
+                scenario: &scenario,
+                model: &start,
+            };
+            let found = OUTPUT_ERROR.identify(&data).unwrap().model;
             for key in KEYS {
                 let ratio = found.motor.get(key).unwrap() / truth.motor.get(key).unwrap();
                 assert!((ratio - 1.0).abs() < 0.03, "{factors:?} {key:?} {ratio}");
@@ -156,9 +148,9 @@ mod tests {
             f64::rem_euclid(angle, std::f64::consts::TAU)
         });
         put(&mut run, Channel::Angle, wrapped.collect());
-        let found = identified(&start, &run, &Scenario::from_run(&run).unwrap()).parameters;
-        let order = of(&found, "cogging.order");
-        assert_eq!((order.value, order.verdict), (Some(9.0), Verdict::Settled));
+        let found = identify(OUTPUT_ERROR.id, &run, &start).unwrap().parameters;
+        let order = judged(&found, "cogging.order", Verdict::Settled);
+        assert_eq!(order.value, Some(9.0));
         let sin = of(&found, "cogging.sin_n_m").value.unwrap();
         assert!((sin - 0.06).abs() < 0.01, "{sin}");
     }

@@ -66,10 +66,6 @@ pub struct Instrumental {
     pub dynamics: Dynamics,
     /// Sandwich covariance of (Ta, TM, Ke, load voltage), clustered over stretches longer than the time constants.
     pub covariance: [[f64; 4]; 4],
-    pub coefficients: Coefficients,
-    /// In the order of the fields of [`Coefficients`]; the last follows from the others.
-    pub coefficient_covariance: [[f64; 5]; 5],
-    pub rows: usize,
     pub rounds: usize,
     pub converged: bool,
     /// Root mean square of the filtered residual, rad/s: the sensor's noise where that is all there is.
@@ -105,10 +101,8 @@ pub fn instrumental_variables(
     }
     let mut failure = InstrumentalError::TooFewRows { rows: 0 };
     let mut best: Option<Instrumental> = None;
-    for start in first_models(series, direction, start)
-        .into_iter()
-        .take(STARTS)
-    {
+    let starts = first_models(series, direction, start);
+    for start in starts.into_iter().take(STARTS) {
         match refine(series, start) {
             Ok(found) if found.converged => return Ok(found),
             Ok(found) => {
@@ -155,10 +149,9 @@ impl Round {
         })
     }
 
+    /// Of the coefficients in the order of their fields; the last follows from the others.
     fn covariance(&self, period_s: f64) -> [[f64; 5]; 5] {
-        let spread = self
-            .solution
-            .covariance(&self.pairs, &self.dynamics, period_s);
+        let spread = (self.solution).covariance(&self.pairs, &self.dynamics, period_s);
         let cell = |i: usize, j: usize| if i < 4 && j < 4 { spread[(i, j)] } else { 0.0 };
         std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)))
     }
@@ -193,13 +186,8 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         rounds += 1;
         let round = Round::of(series, &auxiliary, &model)?;
         let (at, sizes) = (model.to_array(), sizes(&model));
-        let coefficient_covariance = round.covariance(series.period_s);
-        let of_one_round = propagate(
-            Form::Exact,
-            &round.coefficients,
-            &coefficient_covariance,
-            series.period_s,
-        );
+        let spread = round.covariance(series.period_s);
+        let of_one_round = propagate(Form::Exact, &round.coefficients, &spread, series.period_s);
         let gain = match slope_gain {
             Some(gain) if rounds % SLOPE_ROUNDS != 0 => gain,
             _ => gain(series, &at, &sizes, &of_one_round)?,
@@ -227,9 +215,6 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
             return Ok(Instrumental {
                 dynamics: model,
                 covariance: std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])),
-                coefficients: round.coefficients,
-                coefficient_covariance,
-                rows: round.pairs.len(),
                 rounds,
                 converged: converged && fits,
                 residual_rad_s,
@@ -340,22 +325,20 @@ impl Auxiliary {
             .map(|mut plant| plant.simulate(&scenario, start(series, model)).speed_rad_s)
             .unwrap_or_default();
         let zone = DEAD_ZONE * largest(&speed);
-        let misses: Vec<f64> = speed
+        let misses = series
+            .speed_rad_s
             .iter()
-            .zip(series.speed_rad_s)
-            .map(|(simulated, measured)| measured - simulated)
-            .collect();
+            .zip(&speed)
+            .map(|(measured, w)| measured - w);
+        let error_rad_s = root_mean_square(&misses.collect::<Vec<f64>>());
+        let reading = |(&speed_rad_s, &voltage_v): (&f64, &f64)| Reading {
+            voltage_v,
+            speed_rad_s,
+            direction: i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone),
+        };
         Self {
-            readings: speed
-                .iter()
-                .zip(series.voltage_v)
-                .map(|(&speed_rad_s, &voltage_v)| Reading {
-                    voltage_v,
-                    speed_rad_s,
-                    direction: i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone),
-                })
-                .collect(),
-            error_rad_s: root_mean_square(&misses),
+            readings: speed.iter().zip(series.voltage_v).map(reading).collect(),
+            error_rad_s,
         }
     }
 }
@@ -466,12 +449,8 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
         };
         let valid = signed_row(last[0], last[1], last[2]).is_some();
         if !valid {
-            let explained: f64 = instrument
-                .regressor
-                .iter()
-                .zip(theta)
-                .map(|(x, t)| x * t)
-                .sum();
+            let terms = instrument.regressor.iter().zip(theta);
+            let explained: f64 = terms.map(|(x, t)| x * t).sum();
             row.value -= instrument.value - explained;
         }
         let [instrument, regressor] = [&instrument, &row].map(|row| tied(row, ratio));

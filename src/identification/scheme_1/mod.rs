@@ -134,14 +134,6 @@ impl Coefficients {
         self.p - self.q - 1.0
     }
 
-    /// Coefficients of `u_{k-1}` and `u_{k-2}`.
-    pub fn b(&self) -> [f64; 2] {
-        [
-            self.voltage + self.voltage_step,
-            self.voltage - self.voltage_step,
-        ]
-    }
-
     /// Those of a motor at a period, the voltage held: what eq. (13) has for it, without any assumption on the period.
     pub fn of_motor(motor: &Dynamics, period_s: f64) -> Self {
         let half = -0.5 * period_s / motor.ta_s;
@@ -392,16 +384,11 @@ fn propagate(
         let (up, down) = (map(up), map(down));
         std::array::from_fn(|i| (up[i] - down[i]) / (2.0 * step))
     });
-    std::array::from_fn(|i| {
-        std::array::from_fn(|k| {
-            (0..5)
-                .map(|a| {
-                    let along: f64 = (0..5).map(|b| covariance[a][b] * columns[b][k]).sum();
-                    columns[a][i] * along
-                })
-                .sum()
-        })
-    })
+    let cell = |i: usize, k: usize| {
+        let along = |a: usize| -> f64 { (0..5).map(|b| covariance[a][b] * columns[b][k]).sum() };
+        (0..5).map(|a| columns[a][i] * along(a)).sum()
+    };
+    std::array::from_fn(|i| std::array::from_fn(|k| cell(i, k)))
 }
 
 // Scheme 1 sample by sample.
@@ -505,22 +492,12 @@ impl Scheme1 {
         Some(out)
     }
 
-    /// Variance of the equation error, (rad/s)^2; `None` before it is known.
-    pub fn noise_variance(&self) -> Option<f64> {
-        match &self.estimator {
-            Estimator::Printed(estimator) => estimator.noise_variance(),
-            Estimator::Exact(estimator) => estimator.noise_variance(),
-        }
-    }
-
     /// What needs no resistance.
     pub fn dynamics(&self) -> Result<Dynamics, Scheme1Rejection> {
         let needed = self.form().fewest_rows();
-        if self.rows() < needed {
-            return Err(Scheme1Rejection::TooFewRows {
-                rows: self.rows(),
-                needed,
-            });
+        let rows = self.rows();
+        if rows < needed {
+            return Err(Scheme1Rejection::TooFewRows { rows, needed });
         }
         Dynamics::from_coefficients(self.form(), &self.coefficients(), self.period_s)
     }
@@ -528,12 +505,8 @@ impl Scheme1 {
     /// Covariance of (Ta, TM, Ke, load voltage), see [`Self::covariance`].
     pub fn dynamics_covariance(&self) -> Option<[[f64; 4]; 4]> {
         let covariance = self.covariance()?;
-        Some(propagate(
-            self.form(),
-            &self.coefficients(),
-            &covariance,
-            self.period_s,
-        ))
+        let (form, coefficients) = (self.form(), self.coefficients());
+        Some(propagate(form, &coefficients, &covariance, self.period_s))
     }
 
     /// The motor, the resistance known; without a torque constant (N.m/A) it is the back-EMF constant.

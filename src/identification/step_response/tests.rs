@@ -1,7 +1,7 @@
 use super::*;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
-use crate::identification::testing::{of, paper, record, unknown};
+use crate::identification::testing::{assert_says, judged, of, paper, record, unknown};
 use crate::plant::Motor;
 
 fn step(volts: f64, period_s: f64, held_s: f64, seed: u64) -> Scenario {
@@ -28,22 +28,17 @@ fn one_step_of_the_paper_motor_gives_crude_values_with_intervals_that_hold() {
         let run = step(volts, 0.001, 0.5, seed);
         let (parameters, notes) = estimates(&unknown(), &run);
         for (key, truth, within) in TRUTH {
-            let parameter = of(&parameters, key);
-            assert_eq!(parameter.verdict, Verdict::Searching, "{parameter:?}");
+            let parameter = judged(&parameters, key, Verdict::Searching);
             let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
-            assert!(
-                (value / truth - 1.0).abs() < within,
-                "{volts} V {parameter:?} {truth}"
-            );
+            let near = (value / truth - 1.0).abs() < within;
+            assert!(near, "{volts} V {parameter:?} {truth}");
             inside += u32::from((value - truth).abs() <= 2.0 * std);
             all += 1;
         }
         assert!(notes[0].contains("friction") && notes[0].contains("63 %"));
     }
-    assert!(
-        f64::from(inside) / f64::from(all) > 0.85,
-        "{inside} of {all}"
-    );
+    let share = f64::from(inside) / f64::from(all);
+    assert!(share > 0.85, "{inside} of {all}");
 }
 
 #[test]
@@ -72,18 +67,13 @@ fn without_a_current_only_the_time_constants_are_told() {
     let mut model = paper();
     model.fixed.push("resistance_ohm".into());
     let (parameters, _) = estimates(&model, &run);
-    assert!(
-        of(&parameters, "mechanical_time_constant_s")
-            .value
-            .is_some()
-    );
-    assert_eq!(of(&parameters, "resistance_ohm").verdict, Verdict::Fixed);
-    let back_emf = of(&parameters, "back_emf_v_s_per_rad");
-    assert!(
-        back_emf.value.is_none() && back_emf.reason.as_deref().unwrap().contains("at most 0.36")
-    );
+    let tm = of(&parameters, "mechanical_time_constant_s");
+    assert!(tm.value.is_some(), "{tm:?}");
+    judged(&parameters, "resistance_ohm", Verdict::Fixed);
+    let back_emf = judged(&parameters, "back_emf_v_s_per_rad", Verdict::NotObservable);
+    assert_says(back_emf, &["at most 0.36"]);
     for key in ["inertia_kg_m2", "load_torque_n_m"] {
-        assert_eq!(of(&parameters, key).verdict, Verdict::NotObservable);
+        judged(&parameters, key, Verdict::NotObservable);
     }
 }
 
@@ -111,11 +101,8 @@ fn no_step_no_rest_and_no_steady_state_are_told_apart() {
         let (parameters, notes) = estimates(&model, &run);
         assert!(notes.is_empty());
         for parameter in parameters {
-            let reason = parameter.reason.unwrap();
-            assert!(
-                parameter.value.is_none() && reason.contains(expected),
-                "{reason}"
-            );
+            assert_eq!(parameter.value, None);
+            assert_says(&parameter, &[expected]);
         }
     }
 }

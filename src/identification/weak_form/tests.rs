@@ -73,12 +73,8 @@ fn a_linear_axis_under_force_gives_mass_and_friction() {
 
 #[test]
 fn a_shaft_at_rest_gives_no_inertia() {
-    let mut run = testing::simulated(
-        &paper(),
-        Input::Voltage,
-        vec![(0.0, 0.5)],
-        every(0.001, 2.0),
-    );
+    let times = every(0.001, 2.0);
+    let mut run = testing::simulated(&paper(), Input::Voltage, vec![(0.0, 0.5)], times);
     run.current_a = (0..2000)
         .map(|k| 0.45 * (1.0 - (-f64::from(k) / 9.0).exp()))
         .collect();
@@ -168,7 +164,11 @@ fn the_residual_of_a_true_model_is_at_the_noise_floor() {
     let (_, run) = noisy(5, 0.001, false);
     let found = fit(&paper(), &run).unwrap();
     for balance in &found {
-        let squares: f64 = balance.residual.iter().map(|w| w.residual.powi(2)).sum();
+        let squares: f64 = balance
+            .residual
+            .iter()
+            .map(|residual| residual.powi(2))
+            .sum();
         let ratio = (squares / balance.residual.len() as f64).sqrt() / balance.noise_floor.unwrap();
         // A step between two samples leaves a corner in the current that a quadrature does not resolve.
         assert!(

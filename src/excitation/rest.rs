@@ -1,4 +1,4 @@
-//! Zero volts: noise floor and sensor offsets.
+//! Rest and run-out: zero volts shows noise floor and sensor offsets, output off friction and inertia from the free run.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,5 +31,34 @@ impl Excitation for Standstill {
 
     fn target(&self) -> Target {
         Target::Voltage(vec![Piece::level(0.0, self.seconds, 0.0)])
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoastDown {
+    pub seconds: f64,
+}
+
+impl CoastDown {
+    pub const CARD: Card = Card {
+        id: "coast_down",
+        name: "coast-down",
+        shows: "friction over speed without any current: Coulomb, viscous and quadratic terms part",
+        example: "coast_down = { seconds = 2.0 }",
+    };
+}
+
+impl Excitation for CoastDown {
+    fn check(&self) -> Result<(), Refusal> {
+        duration("seconds", self.seconds)
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.seconds
+    }
+
+    fn target(&self) -> Target {
+        Target::Coast
     }
 }

@@ -1,0 +1,142 @@
+//! Levels and lines with a dither on top: steps given one by one, equal steps, a straight line.
+
+use serde::{Deserialize, Serialize};
+
+use super::dither::{check_dither, dithered};
+use super::error::{Refusal, duration, finite, refuse_unless};
+use super::piece::levels;
+use super::{Card, Dither, Excitation, Piece, Target};
+
+/// Levels given one by one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Steps {
+    /// In the order in which they come, V.
+    pub levels_v: Vec<f64>,
+    /// How long each one lasts, the slew to it included, s.
+    pub hold_s: f64,
+    pub dither: Option<Dither>,
+}
+
+impl Steps {
+    pub const CARD: Card = Card {
+        id: "steps",
+        name: "steps",
+        shows: "resistance, back-EMF and inertia; both signs part Coulomb friction from an offset",
+        example: "steps = { levels_v = [12.0, 0.0, -12.0], hold_s = 0.5, dither = { amplitude_v = 2.0, clock_s = 0.03, seed = 1 } }",
+    };
+}
+
+impl Excitation for Steps {
+    fn check(&self) -> Result<(), Refusal> {
+        let count = self.levels_v.len();
+        refuse_unless(
+            (1..=10_000).contains(&count),
+            "number of levels_v",
+            count as f64,
+            "1 to 10000",
+        )?;
+        for level_v in &self.levels_v {
+            finite("levels_v", *level_v)?;
+        }
+        duration("hold_s", self.hold_s)?;
+        check_dither(self.dither.as_ref(), self.duration_s())
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.levels_v.len() as f64 * self.hold_s
+    }
+
+    fn target(&self) -> Target {
+        let pieces = levels(self.hold_s, self.levels_v.iter().copied());
+        Target::Voltage(dithered(self.dither.as_ref(), pieces))
+    }
+}
+
+/// Equal steps from one voltage to another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Staircase {
+    pub from_v: f64,
+    pub to_v: f64,
+    /// Number of levels, both ends included.
+    pub levels: u16,
+    /// How long each one lasts, the slew to it included, s.
+    pub hold_s: f64,
+    pub dither: Option<Dither>,
+}
+
+impl Staircase {
+    pub const CARD: Card = Card {
+        id: "staircase",
+        name: "staircase",
+        shows: "steady points over the speed range: the friction curve, dead zones, saturation",
+        example: "staircase = { from_v = -12.0, to_v = 12.0, levels = 9, hold_s = 0.5 }",
+    };
+}
+
+impl Excitation for Staircase {
+    fn check(&self) -> Result<(), Refusal> {
+        finite("from_v", self.from_v)?;
+        finite("to_v", self.to_v)?;
+        refuse_unless(
+            (2..=10_000).contains(&self.levels),
+            "levels",
+            f64::from(self.levels),
+            "2 to 10000",
+        )?;
+        duration("hold_s", self.hold_s)?;
+        check_dither(self.dither.as_ref(), self.duration_s())
+    }
+
+    fn duration_s(&self) -> f64 {
+        f64::from(self.levels) * self.hold_s
+    }
+
+    fn target(&self) -> Target {
+        let last = f64::from(self.levels - 1);
+        let values_v = (0..self.levels).map(|level| {
+            let share = f64::from(level) / last;
+            self.from_v * (1.0 - share) + self.to_v * share
+        });
+        let pieces = levels(self.hold_s, values_v);
+        Target::Voltage(dithered(self.dither.as_ref(), pieces))
+    }
+}
+
+/// A straight line from one voltage to another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ramp {
+    pub from_v: f64,
+    pub to_v: f64,
+    pub seconds: f64,
+    pub dither: Option<Dither>,
+}
+
+impl Ramp {
+    pub const CARD: Card = Card {
+        id: "ramp",
+        name: "ramp",
+        shows: "what happens around zero speed: Stribeck friction, breakaway, cogging, dead zones",
+        example: "ramp = { from_v = -4.0, to_v = 4.0, seconds = 2.0 }",
+    };
+}
+
+impl Excitation for Ramp {
+    fn check(&self) -> Result<(), Refusal> {
+        finite("from_v", self.from_v)?;
+        finite("to_v", self.to_v)?;
+        duration("seconds", self.seconds)?;
+        check_dither(self.dither.as_ref(), self.seconds)
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.seconds
+    }
+
+    fn target(&self) -> Target {
+        let pieces = vec![Piece::line((0.0, self.from_v), (self.seconds, self.to_v))];
+        Target::Voltage(dithered(self.dither.as_ref(), pieces))
+    }
+}
