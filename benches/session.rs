@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use drivebench::bench::{
-    Bench, BenchFile, Design, Guard, LiveOnline, PilotSettings, RunOptions, Session, SnapshotCell,
-    SpeedPilot, Target, layout_with_reference, loop_timing, run,
+    Bench, BenchFile, Design, Guard, PilotSettings, RowEstimator, RunOptions, Session,
+    SnapshotCell, SpeedPilot, Target, layout_with_reference, loop_timing, run,
 };
 use drivebench::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use drivebench::emulator::VirtualClock;
@@ -116,9 +116,9 @@ fn once(bench: &BenchFile, folder: &RunFolder) -> (Duration, u64) {
     let manifest = Manifest::default();
     let layout = layout_with_reference(&SIGNALS);
     let mut recorder =
-        Recorder::create(folder.clone(), layout.clone(), &manifest, 100).expect("a new folder");
+        Recorder::create(folder.clone(), layout, &manifest, 100).expect("a new folder");
     let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));
-    let mut online = LiveOnline::new(layout, config);
+    let mut online = RowEstimator::new(config);
     let mut link = Shaft {
         time_s: 0.0,
         speed_rad_s: 0.0,

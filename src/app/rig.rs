@@ -20,7 +20,7 @@ use super::output;
 use super::recorded::Recorded;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, FirstMove, Guard,
-    LiveOnline, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
+    LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK, RowEstimator,
     RunOptions, Session, SpeedPilot, Target, Waivers, check, layout, layout_with_reference,
     manifest, measure_delay, plan, run, stage_session,
 };
@@ -415,7 +415,7 @@ impl Rig {
         let name_of_settings = OnlineSettings::NAME.to_owned();
         manifest.configs.insert(name_of_settings, settings);
         let mut recorder = self.recorder(name, &layout, &manifest)?;
-        let mut online = LiveOnline::new(layout, config);
+        let mut online = RowEstimator::new(config);
         let sent_before = self.link.statistics().sent;
         self.energises(controls, session.guard().ramp_down_s());
         if let Some(cut_in) = self.link.cut_in() {

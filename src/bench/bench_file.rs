@@ -264,20 +264,6 @@ impl BenchFile {
         Port::parse(&self.link.port).unwrap_or_else(|| Port::Serial(self.link.port.clone()))
     }
 
-    /// Takes another port, as `--port` does.
-    pub fn set_port(&mut self, text: &str) -> Result<(), BenchFileError> {
-        if Port::parse(text).is_none() {
-            return Err(refusal(
-                "command line",
-                "--port",
-                format!("{text:?}"),
-                PORTS,
-            ));
-        }
-        text.clone_into(&mut self.link.port);
-        Ok(())
-    }
-
     pub fn period_s(&self) -> f64 {
         1.0 / self.link.rate_hz
     }
@@ -336,18 +322,12 @@ impl BenchFile {
     /// The sequence of one run, its random parts seeded with `run_seed` besides their own seed.
     pub fn program(&self, run_seed: u64) -> Result<excitation::Program, ExcitationError> {
         let mut segments = self.sequence.clone();
-        for segment in &mut segments {
-            let seed = match segment {
-                Segment::Prbs(prbs) => Some(&mut prbs.seed),
-                Segment::Steps(steps) => steps.dither.as_mut().map(|dither| &mut dither.seed),
-                Segment::Ramp(ramp) => ramp.dither.as_mut().map(|dither| &mut dither.seed),
-                Segment::Staircase(stairs) => stairs.dither.as_mut().map(|dither| &mut dither.seed),
-                Segment::Standstill(_) | Segment::Sine(_) | Segment::CoastDown(_) => None,
-            };
-            if let Some(seed) = seed {
-                // Far apart, so that run 2 is not run 1 with its parts exchanged.
-                *seed = seed.wrapping_add(run_seed.wrapping_mul(1000));
-            }
+        for seed in segments
+            .iter_mut()
+            .filter_map(|segment| cells(segment).seed)
+        {
+            // Far apart, so that run 2 is not run 1 with its parts exchanged.
+            *seed = seed.wrapping_add(run_seed.wrapping_mul(1000));
         }
         excitation::Program::new(&segments, self.limits().slew_v_per_s)
     }
@@ -464,6 +444,54 @@ impl BenchFile {
     pub fn reference(&self, speed: &SpeedSection) -> Result<Reference, ReferenceError> {
         speed.reference(&self.limits(), self.nameplate().as_ref())
     }
+}
+
+/// What may be scaled, rounded and seeded anew in a part of a sequence.
+#[derive(Default)]
+pub(super) struct Cells<'a> {
+    pub(super) volts: Vec<&'a mut f64>,
+    pub(super) times_s: Vec<&'a mut f64>,
+    /// Of its random levels.
+    pub(super) seed: Option<&'a mut u64>,
+}
+
+pub(super) fn cells(segment: &mut Segment) -> Cells<'_> {
+    let mut cells = Cells::default();
+    let (volts, times_s) = (&mut cells.volts, &mut cells.times_s);
+    let dither = match segment {
+        Segment::Steps(steps) => {
+            volts.extend(&mut steps.levels_v);
+            times_s.push(&mut steps.hold_s);
+            steps.dither.as_mut()
+        }
+        Segment::Staircase(stairs) => {
+            volts.extend([&mut stairs.from_v, &mut stairs.to_v]);
+            stairs.dither.as_mut()
+        }
+        Segment::Ramp(ramp) => {
+            volts.extend([&mut ramp.from_v, &mut ramp.to_v]);
+            times_s.push(&mut ramp.seconds);
+            ramp.dither.as_mut()
+        }
+        Segment::Prbs(prbs) => {
+            volts.extend([&mut prbs.amplitude_v, &mut prbs.offset_v]);
+            times_s.extend([&mut prbs.clock_s, &mut prbs.seconds]);
+            cells.seed = Some(&mut prbs.seed);
+            None
+        }
+        Segment::Sine(sine) => {
+            volts.push(&mut sine.amplitude_v);
+            times_s.push(&mut sine.seconds);
+            None
+        }
+        Segment::Standstill(_) | Segment::CoastDown(_) => None,
+    };
+    if let Some(dither) = dither {
+        volts.push(&mut dither.amplitude_v);
+        times_s.push(&mut dither.clock_s);
+        cells.seed = Some(&mut dither.seed);
+    }
+    cells
 }
 
 /// What a speed run takes beside its reference: to enable the drive, and to come to rest.

@@ -8,12 +8,12 @@
 
 use serde::Serialize;
 
-use super::bench_file::BenchFile;
+use super::bench_file::{BenchFile, cells};
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
 use super::plan::{Plan, Refusal, plan};
 use super::session::Session;
-use crate::excitation::{self, ExcitationError, Segment};
+use crate::excitation::{self, ExcitationError};
 use crate::identification::escalation::{Bounds, Escalation, Stage};
 use crate::plant::ModelError;
 use crate::sample::Channel;
@@ -117,8 +117,12 @@ pub fn scale(
     let tried = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
         let mut scaled = bench.clone();
         scaled.limits.slew_v_per_s = Some(slew_v_per_s);
-        for segment in &mut scaled.sequence {
-            *segment = resized(segment, factor);
+        for volts in scaled
+            .sequence
+            .iter_mut()
+            .flat_map(|segment| cells(segment).volts)
+        {
+            *volts *= factor;
         }
         let Ok(program) = scaled.program(scaled.runs.fit) else {
             return Ok(None);
@@ -181,43 +185,6 @@ pub fn scale(
         limit: own_slew,
         unit: "V/s",
     })))
-}
-
-/// The same part with every voltage multiplied.
-fn resized(segment: &Segment, factor: f64) -> Segment {
-    let mut segment = segment.clone();
-    let dither = match &mut segment {
-        Segment::Steps(steps) => {
-            for level in &mut steps.levels_v {
-                *level *= factor;
-            }
-            steps.dither.as_mut()
-        }
-        Segment::Staircase(stairs) => {
-            stairs.from_v *= factor;
-            stairs.to_v *= factor;
-            stairs.dither.as_mut()
-        }
-        Segment::Ramp(ramp) => {
-            ramp.from_v *= factor;
-            ramp.to_v *= factor;
-            ramp.dither.as_mut()
-        }
-        Segment::Prbs(prbs) => {
-            prbs.amplitude_v *= factor;
-            prbs.offset_v *= factor;
-            None
-        }
-        Segment::Sine(sine) => {
-            sine.amplitude_v *= factor;
-            None
-        }
-        Segment::Standstill(_) | Segment::CoastDown(_) => None,
-    };
-    if let Some(dither) = dither {
-        dither.amplitude_v *= factor;
-    }
-    segment
 }
 
 #[cfg(test)]

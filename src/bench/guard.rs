@@ -11,18 +11,19 @@
 //! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
 
 mod shape;
-mod trip;
 
 pub use shape::{Causes, Shaped};
-pub use trip::{Trip, TripKind};
 
+use std::fmt::Display;
+
+use serde::Serialize;
 use shape::{Braking, Shaper};
 use thiserror::Error;
 
 use super::limits::{Limits, Nameplate};
 use super::plausibility::Plausibility;
 use crate::drive::CommandTimes;
-use crate::sample::{Channel, Command, Demand, DriveState, Sample};
+use crate::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
 
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
 const ALLOWED_IN_A_ROW: u32 = 3;
@@ -34,6 +35,191 @@ const VOLTAGE_MARGIN: f64 = 1.1;
 const LONGEST_COAST_S: f64 = 60.0;
 /// Share of the speed and current limits below which a motor counts as at rest for re-arming.
 const REST_SHARE: f64 = 0.02;
+
+/// What was found; the name in events and reports is the snake-case form.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TripKind {
+    OverCurrent,
+    OverSpeed,
+    OverVoltage,
+    Travel,
+    BusLow,
+    BusHigh,
+    /// The output was on for longer than the limit.
+    TimeLimit,
+    /// No valid reply for longer than the limit.
+    LinkSilence,
+    /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
+    Suspended,
+    /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
+    HostGap,
+    /// A limited quantity that the drive used to give is missing.
+    SignalMissing,
+    /// The drive's time, or the host's, does not advance.
+    ClockStuck,
+    /// The drive reports a fault of its own.
+    DriveFault,
+    /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
+    NotRunning,
+    /// Somebody else has taken the command of the drive: its keypad, its terminals, another master.
+    LocalControl,
+    /// Frames on the line write to the drive, and none of them is ours.
+    OtherMaster,
+    /// Safe torque off, or another enable input, has switched the output off.
+    TorqueOff,
+    /// The measured speed stays where it is while voltage and current say that it changes.
+    EncoderFrozen,
+    /// The measured speed has the opposite sign of what voltage and current say.
+    EncoderReversed,
+    /// The measured speed is far from what voltage and current say.
+    SpeedImplausible,
+    /// The shaft stands under a current that should turn it: it is held, or the encoder stands still.
+    ShaftHeld,
+    /// The measured angle does not go with the measured speed.
+    AngleImplausible,
+    /// The measured current stays where it is while voltage and speed say that it changes.
+    CurrentStuck,
+    /// The measured current has the opposite sign of what voltage and speed say.
+    CurrentReversed,
+    /// The measured current is far from what voltage and speed say.
+    CurrentImplausible,
+    /// No current flows although there is a voltage.
+    OpenCircuit,
+    /// The drive does not do what it is asked.
+    SetPointIgnored,
+    /// The measured voltage is not the one that the motor answers to.
+    VoltageImplausible,
+    /// Two measured quantities stand in each other's place.
+    SignalsSwapped,
+    /// The field current is below the least: a motor without a field runs away.
+    FieldLost,
+    /// The speed grows beyond its reference although the torque is against it.
+    Runaway,
+}
+
+impl TripKind {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OverCurrent => "over-current",
+            Self::OverSpeed => "over-speed",
+            Self::OverVoltage => "over-voltage",
+            Self::Travel => "travel window left",
+            Self::BusLow => "bus voltage too low",
+            Self::BusHigh => "bus voltage too high",
+            Self::TimeLimit => "time limit",
+            Self::LinkSilence => "link silent",
+            Self::Suspended => "computer suspended",
+            Self::HostGap => "host stood still",
+            Self::SignalMissing => "signal missing",
+            Self::ClockStuck => "clock stuck",
+            Self::DriveFault => "drive fault",
+            Self::NotRunning => "drive does not run",
+            Self::LocalControl => "local control",
+            Self::OtherMaster => "another master",
+            Self::TorqueOff => "torque off",
+            Self::EncoderFrozen => "encoder frozen",
+            Self::EncoderReversed => "encoder reversed",
+            Self::SpeedImplausible => "speed implausible",
+            Self::ShaftHeld => "shaft held",
+            Self::AngleImplausible => "angle implausible",
+            Self::CurrentStuck => "current stuck",
+            Self::CurrentReversed => "current reversed",
+            Self::CurrentImplausible => "current implausible",
+            Self::OpenCircuit => "open circuit",
+            Self::SetPointIgnored => "set-point not followed",
+            Self::VoltageImplausible => "voltage implausible",
+            Self::SignalsSwapped => "signals swapped",
+            Self::FieldLost => "field lost",
+            Self::Runaway => "runaway",
+        }
+    }
+
+    /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
+    pub const fn is_link(self) -> bool {
+        matches!(self, Self::LinkSilence | Self::HostGap | Self::Suspended)
+    }
+}
+
+/// One trip: the value that was found and the limit that it broke.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trip {
+    pub kind: TripKind,
+    /// Host time of the decision, s.
+    pub at_s: f64,
+    pub value: f64,
+    pub limit: f64,
+    /// The whole sentence, with value, limit and unit.
+    pub reason: String,
+}
+
+impl Trip {
+    /// Found value and limit, and the sentence after the name of the kind.
+    pub(super) fn new(
+        kind: TripKind,
+        at_s: f64,
+        (value, limit): (f64, f64),
+        what: impl Display,
+    ) -> Self {
+        Self {
+            kind,
+            at_s,
+            value,
+            limit,
+            reason: format!("{}: {what}", kind.name()),
+        }
+    }
+
+    /// A span of time that was too long.
+    pub(super) fn after(
+        kind: TripKind,
+        at_s: f64,
+        (value_s, limit_s): (f64, f64),
+        what: &str,
+    ) -> Self {
+        let what = format!("{what} for {value_s:.3} s, limit {limit_s:.3} s");
+        Self::new(kind, at_s, (value_s, limit_s), what)
+    }
+
+    fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {
+        // 0 is no code.
+        let code = code.filter(|code| *code != 0);
+        let code_text = match (code, text) {
+            (Some(code), Some(text)) => format!("code {code:#06x}: {text}"),
+            (Some(code), None) => format!("code {code:#06x}"),
+            (None, Some(text)) => text.to_owned(),
+            (None, None) => "no code".to_owned(),
+        };
+        let what = format!("the drive reports a fault, {code_text}");
+        let figures = (code.map_or(0.0, f64::from), 0.0);
+        Self::new(TripKind::DriveFault, at_s, figures, what)
+    }
+
+    pub(super) fn not_running(at_s: f64, state: DriveState, value_s: f64, limit_s: f64) -> Self {
+        let what = format!(
+            "state {:?} for {value_s:.3} s while commanded to run, limit {limit_s:.3} s",
+            state.name()
+        );
+        Self::new(TripKind::NotRunning, at_s, (value_s, limit_s), what)
+    }
+
+    /// A shaft that does not come to rest after the pulse of the checks.
+    pub(super) fn unrested(at_s: f64, speed_rad_s: f64, waited_s: f64) -> Self {
+        let reason = format!(
+            "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
+        );
+        Self {
+            reason,
+            ..Self::new(TripKind::OverSpeed, at_s, (speed_rad_s, 0.0), "")
+        }
+    }
+
+    /// A drive that goes on running although its output is to be off.
+    pub(super) fn unstopped(at_s: f64, waited_s: f64) -> Self {
+        let what = "it still runs although its output is to be off";
+        Self::after(TripKind::NotRunning, at_s, (waited_s, waited_s), what)
+    }
+}
 
 /// Why the guard stays latched.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -76,22 +262,29 @@ pub struct Guard {
     shaper: Shaper,
     trip: Option<Trip>,
     seen: [bool; WATCHED.len()],
-    missing: [u32; WATCHED.len()],
-    stuck_clock: u32,
     last_sample_time_s: Option<f64>,
     last_valid_s: Option<f64>,
     last_step_s: Option<f64>,
-    on_since_s: Option<f64>,
-    on_total_s: f64,
-    run_wanted_since_s: Option<f64>,
-    has_run: bool,
-    not_running_since_s: Option<f64>,
+    counts: Counts,
     /// Time that the drive may take from the command to run until it reports that it does, s.
     enable_time_s: f64,
-    angle_origin_rad: Option<f64>,
     plausibility: Plausibility,
     /// Longest time of braking at the bound of the winding, s.
     braking_s: f64,
+}
+
+/// What is counted from the begin of a run on.
+#[derive(Clone, Debug, Default)]
+struct Counts {
+    /// Samples in a row without each of the watched signals, and without a newer drive time.
+    missing: [u32; WATCHED.len()],
+    stuck_clock: u32,
+    /// Since when the output is on, so that the drive should run, and for how long it was on before, s.
+    on_since_s: Option<f64>,
+    on_total_s: f64,
+    has_run: bool,
+    not_running_since_s: Option<f64>,
+    angle_origin_rad: Option<f64>,
 }
 
 impl Guard {
@@ -151,18 +344,11 @@ impl Guard {
             limits,
             trip: None,
             seen: [false; WATCHED.len()],
-            missing: [0; WATCHED.len()],
-            stuck_clock: 0,
             last_sample_time_s: None,
             last_valid_s: None,
             last_step_s: None,
-            on_since_s: None,
-            on_total_s: 0.0,
-            run_wanted_since_s: None,
-            has_run: false,
-            not_running_since_s: None,
+            counts: Counts::default(),
             enable_time_s: CommandTimes::default().enable_s,
-            angle_origin_rad: None,
         }
     }
 
@@ -223,14 +409,10 @@ impl Guard {
 
     /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
     pub fn begin(&mut self, now_s: f64, sample: &Sample) {
-        self.on_total_s = 0.0;
-        self.on_since_s = None;
-        self.run_wanted_since_s = None;
-        self.has_run = false;
-        self.not_running_since_s = None;
-        self.missing = [0; WATCHED.len()];
-        self.stuck_clock = 0;
-        self.angle_origin_rad = sample.get(Channel::Angle);
+        self.counts = Counts {
+            angle_origin_rad: sample.get(Channel::Angle),
+            ..Counts::default()
+        };
         self.last_valid_s = Some(now_s);
         self.shaper.rest(now_s);
         self.plausibility.begin();
@@ -268,7 +450,11 @@ impl Guard {
             let times_s = (silent_s, limit_s);
             return self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply");
         }
-        let on_s = self.on_total_s + self.on_since_s.map_or(0.0, |since_s| now_s - since_s);
+        let on_s = self.counts.on_total_s
+            + self
+                .counts
+                .on_since_s
+                .map_or(0.0, |since_s| now_s - since_s);
         if on_s > self.limits.time_s {
             let times_s = (on_s, self.limits.time_s);
             return self.late(TripKind::TimeLimit, now_s, times_s, "output on");
@@ -291,7 +477,13 @@ impl Guard {
     pub fn slept(&mut self, now_s: f64, slept_s: f64) -> Option<&Trip> {
         self.last_step_s = Some(now_s);
         self.last_valid_s = self.last_valid_s.map(|_| now_s);
-        self.latch(Trip::suspended(now_s, slept_s))
+        let reason = format!(
+            "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+        );
+        self.latch(Trip {
+            reason,
+            ..Trip::new(TripKind::Suspended, now_s, (slept_s, 0.0), "")
+        })
     }
 
     /// Of the time since the last step so much was spent waiting for the link: no stall of the host.
@@ -349,7 +541,11 @@ impl Guard {
 
     /// Frames on the line write to the drive and are not ours: what it does is no longer what was commanded.
     pub fn other_master(&mut self, now_s: f64, frames: u64) -> Option<&Trip> {
-        self.latch(Trip::other_master(now_s, frames))
+        let what = format!(
+            "{frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
+        );
+        let figures = (frames as f64, 0.0);
+        self.latch(Trip::new(TripKind::OtherMaster, now_s, figures, what))
     }
 
     /// Latches a trip from outside, unless one is latched already: the first cause is the one to report.
@@ -408,19 +604,12 @@ impl Guard {
 
     /// Keeps the time for which the output was on, and since when the drive should run.
     fn switch(&mut self, now_s: f64, on: bool) {
-        match (on, self.on_since_s) {
-            (true, None) => {
-                self.on_since_s = Some(now_s);
-                self.run_wanted_since_s = Some(now_s);
-                self.has_run = false;
-                self.not_running_since_s = None;
-            }
-            (false, Some(since_s)) => {
-                self.on_total_s += now_s - since_s;
-                self.on_since_s = None;
-                self.run_wanted_since_s = None;
-            }
-            _ => {}
+        let counts = &mut self.counts;
+        if on && counts.on_since_s.is_none() {
+            counts.on_since_s = Some(now_s);
+            (counts.has_run, counts.not_running_since_s) = (false, None);
+        } else if !on && let Some(since_s) = counts.on_since_s.take() {
+            counts.on_total_s += now_s - since_s;
         }
     }
 
@@ -428,44 +617,36 @@ impl Guard {
         use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
         let limits = &self.limits;
         let read = |channel| sample.get(channel);
-        let angle = read(Channel::Angle).zip(self.angle_origin_rad);
+        let angle = read(Channel::Angle).zip(self.counts.angle_origin_rad);
         let travel = angle.map(|(angle, origin)| angle - origin);
         let voltage_v = VOLTAGE_MARGIN * limits.voltage_v;
+        let above = |value: f64, limit: f64| value > limit;
+        let below = |value: f64, limit: f64| value < limit;
+        let beyond = |value: f64, limit: f64| value.abs() > limit;
+        let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
         // Value and limit, and what of the value counts against it.
-        let magnitudes = [
+        let rows: [(_, _, _, _, fn(f64, f64) -> bool); 6] = [
+            (OverCurrent, Channel::Current, None, amps, beyond),
+            (OverSpeed, Channel::Speed, None, speed, beyond),
+            (OverVoltage, Channel::Voltage, None, Some(voltage_v), beyond),
             (
-                OverCurrent,
-                Channel::Current,
-                read(Channel::Current),
-                Some(limits.current_a),
+                Travel,
+                Channel::Angle,
+                Some(travel),
+                limits.travel_rad,
+                beyond,
             ),
-            (
-                OverSpeed,
-                Channel::Speed,
-                read(Channel::Speed),
-                Some(limits.speed_rad_s),
-            ),
-            (
-                OverVoltage,
-                Channel::Voltage,
-                read(Channel::Voltage),
-                Some(voltage_v),
-            ),
-            (Travel, Channel::Angle, travel, limits.travel_rad),
+            (BusHigh, Channel::Bus, None, limits.bus_max_v, above),
+            (BusLow, Channel::Bus, None, limits.bus_min_v, below),
         ];
-        for (kind, channel, value, limit) in magnitudes {
-            if let (Some(value), Some(limit)) = (value, limit)
-                && value.abs() > limit
-            {
-                return Some(Trip::beyond(kind, channel, now_s, value, limit));
-            }
-        }
-        let bus = read(Channel::Bus)?;
-        let beyond = |kind, limit| Trip::beyond(kind, Channel::Bus, now_s, bus, limit);
-        let high = limits.bus_max_v.filter(|limit| bus > *limit);
-        let low = || limits.bus_min_v.filter(|limit| bus < *limit);
-        high.map(|limit| beyond(BusHigh, limit))
-            .or_else(|| low().map(|limit| beyond(BusLow, limit)))
+        rows.into_iter()
+            .find_map(|(kind, channel, instead, limit, breaks)| {
+                let value = instead.unwrap_or(read(channel))?;
+                let limit = limit.filter(|limit| breaks(value, *limit))?;
+                let (name, unit) = (channel.name(), channel.unit());
+                let what = format!("{name} {value:.4} {unit}, limit {limit:.4} {unit}");
+                Some(Trip::new(kind, now_s, (value, limit), what))
+            })
     }
 
     fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
@@ -473,7 +654,13 @@ impl Guard {
         // Without a reading the drive's word decides: its link counts a field that cannot be read as lost.
         let unread = sample.field_a.is_none() && sample.state == Some(DriveState::Fault);
         let weak = sample.field_a.is_some_and(|amperes| amperes < least_a);
-        (weak || unread).then(|| Trip::field_lost(now_s, sample.field_a, least_a))
+        let found = sample.field_a.map(|amperes| format!("{amperes:.3} A"));
+        let found = found.unwrap_or_else(|| "cannot be read".to_owned());
+        let what = format!(
+            "field current {found}, at least {least_a:.3} A (limits.field_min_a of the drive's profile)"
+        );
+        let figures = (sample.field_a.unwrap_or(0.0), least_a);
+        (weak || unread).then(|| Trip::new(TripKind::FieldLost, now_s, figures, what))
     }
 
     fn drive_state(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
@@ -482,17 +669,21 @@ impl Guard {
             return Some(Trip::drive_fault(now_s, sample.fault, text));
         }
         if let Some(hindrance) = sample.hindrance {
-            return Some(Trip::hindered(now_s, hindrance));
+            let kind = match hindrance {
+                Hindrance::LocalControl => TripKind::LocalControl,
+                Hindrance::TorqueOff => TripKind::TorqueOff,
+            };
+            return Some(Trip::new(kind, now_s, (0.0, 0.0), hindrance.sentence()));
         }
         let state = sample.state?;
         if state == DriveState::Running {
-            self.has_run = true;
-            self.not_running_since_s = None;
+            self.counts.has_run = true;
+            self.counts.not_running_since_s = None;
             return None;
         }
-        let wanted_since_s = self.run_wanted_since_s?;
-        let (since_s, limit_s) = if self.has_run {
-            let since_s = *self.not_running_since_s.get_or_insert(now_s);
+        let wanted_since_s = self.counts.on_since_s?;
+        let (since_s, limit_s) = if self.counts.has_run {
+            let since_s = *self.counts.not_running_since_s.get_or_insert(now_s);
             // The first reply that says so may be a status word of before; the second is not.
             (since_s, LEFT_RUNNING_S)
         } else {
@@ -507,20 +698,12 @@ impl Guard {
             if !self.seen[index] || !self.is_limited(channel) {
                 continue;
             }
-            if sample.get(channel).is_some() {
-                self.missing[index] = 0;
-                continue;
-            }
-            self.missing[index] += 1;
-            let times = self.missing[index];
-            if times >= ALLOWED_IN_A_ROW {
-                let what = format!("no {}", channel.name());
-                return Some(Self::too_often(
-                    TripKind::SignalMissing,
-                    now_s,
-                    times,
-                    &what,
-                ));
+            let missing = &mut self.counts.missing[index];
+            *missing = sample.get(channel).map_or(*missing + 1, |_| 0);
+            let what = format!("no {}", channel.name());
+            let trip = Self::too_often(TripKind::SignalMissing, now_s, *missing, &what);
+            if trip.is_some() {
+                return trip;
             }
         }
         None
@@ -535,23 +718,19 @@ impl Guard {
     }
 
     fn stuck_clock(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
-        let advanced = self
-            .last_sample_time_s
-            .is_none_or(|last_s| sample.time_s > last_s);
-        if advanced {
-            self.stuck_clock = 0;
-            return None;
-        }
-        self.stuck_clock += 1;
-        let times = self.stuck_clock;
-        (times >= ALLOWED_IN_A_ROW).then(|| {
-            let what = format!("drive time stays at {} s", sample.time_s);
-            Self::too_often(TripKind::ClockStuck, now_s, times, &what)
-        })
+        let last_s = self.last_sample_time_s;
+        let advanced = last_s.is_none_or(|last_s| sample.time_s > last_s);
+        let stuck = &mut self.counts.stuck_clock;
+        *stuck = if advanced { 0 } else { *stuck + 1 };
+        let what = format!("drive time stays at {} s", sample.time_s);
+        Self::too_often(TripKind::ClockStuck, now_s, *stuck, &what)
     }
 
-    fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Trip {
-        Trip::repeated(kind, now_s, times, ALLOWED_IN_A_ROW - 1, what)
+    /// Something that was seen more often in a row than is allowed; `None`: not yet.
+    fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Option<Trip> {
+        let most = ALLOWED_IN_A_ROW - 1;
+        let what = format!("{what} in {times} samples running, {most} allowed");
+        (times > most).then(|| Trip::new(kind, now_s, (times.into(), most.into()), what))
     }
 }
 

@@ -1,9 +1,9 @@
 //! On-line identification on exactly the rows that are recorded, so that a replay of the file is the live run again.
 //!
 //! ```text
-//! live:    commands, samples -> RowOrder -> Row -\
-//!                                                 +-> RowEstimator -> OnlineResult
-//! replay:  samples.csv       -> RunRows  -> Row -/
+//! live:    commands, samples -> Record  -> Row -\
+//!                                                +-> RowEstimator -> OnlineResult
+//! replay:  samples.csv       -> RunRows -> Row -/
 //! ```
 //!
 //! Beside the rows the estimators are given their configuration and nothing else; it is kept in the manifest.
@@ -16,17 +16,12 @@ use serde_json::{Map, Value};
 use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::recursive::{Memory, StartValues};
 use crate::plant::MotorKey;
-use crate::recording::{CommandRow, Layout, Row, RowOrder};
+use crate::recording::Row;
 use crate::sample::{Channel, ParameterEstimate, Sample};
 
-/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
+/// What estimates parameters while the run goes on; it is given every row of the record.
 pub trait LiveEstimator {
-    fn command(&mut self, command: &CommandRow);
-
-    fn push(&mut self, sample: &Sample);
-
-    /// Nothing comes any more: what still waits is taken as the recorder takes it.
-    fn finish(&mut self);
+    fn push(&mut self, row: &Row);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
 
@@ -51,18 +46,6 @@ impl RowEstimator {
             online: Online::new(config),
             rows: 0,
         }
-    }
-
-    pub fn push(&mut self, row: &Row) {
-        let mut sample = Sample::at(row.time_s);
-        for channel in Channel::ALL {
-            if let Some(value) = row.get(channel) {
-                sample.set(channel, value);
-            }
-        }
-        sample.limited = row.is_limited();
-        self.online.push(&sample);
-        self.rows += 1;
     }
 
     pub const fn online(&self) -> &Online {
@@ -161,51 +144,17 @@ impl From<OnlineSettings> for OnlineConfig {
     }
 }
 
-/// The on-line estimators behind the row order of the record.
-pub struct LiveOnline {
-    order: RowOrder,
-    rows: Vec<Row>,
-    estimator: RowEstimator,
-}
-
-impl LiveOnline {
-    /// `layout` has to be the recorder's: what is not recorded cannot be replayed.
-    pub fn new(layout: Layout, config: OnlineConfig) -> Self {
-        Self {
-            order: RowOrder::new(layout),
-            rows: Vec::new(),
-            estimator: RowEstimator::new(config),
+impl LiveEstimator for RowEstimator {
+    fn push(&mut self, row: &Row) {
+        let mut sample = Sample::at(row.time_s);
+        for channel in Channel::ALL {
+            if let Some(value) = row.get(channel) {
+                sample.set(channel, value);
+            }
         }
-    }
-
-    pub const fn online(&self) -> &Online {
-        self.estimator.online()
-    }
-
-    pub fn result(&self) -> OnlineResult {
-        self.estimator.result()
-    }
-
-    fn take_rows(&mut self) {
-        for row in self.rows.drain(..) {
-            self.estimator.push(&row);
-        }
-    }
-}
-
-impl LiveEstimator for LiveOnline {
-    fn command(&mut self, command: &CommandRow) {
-        self.order.command(*command);
-    }
-
-    fn push(&mut self, sample: &Sample) {
-        self.order.sample(sample, &mut self.rows);
-        self.take_rows();
-    }
-
-    fn finish(&mut self) {
-        self.order.finish(&mut self.rows);
-        self.take_rows();
+        sample.limited = row.is_limited();
+        self.online.push(&sample);
+        self.rows += 1;
     }
 
     fn estimates(&self) -> Vec<ParameterEstimate> {

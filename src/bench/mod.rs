@@ -54,7 +54,7 @@ pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
-    Excitation, LiveEstimator, LiveOnline, OnlineResult, OnlineSettings, RowEstimator, replay,
+    Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,
 };
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::{Pilot, Program};

@@ -27,7 +27,7 @@ mod repeats;
 #[cfg(test)]
 mod tests;
 
-use self::balance::{Factor, Plate, Scale, Window, is_mirrored, negative};
+use self::balance::{Factor, Plate, Scale, Window, negative};
 use self::history::{History, Range, Row};
 use self::repeats::Repeats;
 use super::guard::{Trip, TripKind};
@@ -373,41 +373,11 @@ impl Plausibility {
         if last().any(unknown) {
             return None;
         }
-        let mut window: Option<Window> = None;
         let n = rows as f64;
-        for row in last() {
-            let volts = row.volts?;
-            let current_v = plate.current_v(row);
-            let speed_v = plate.back_emf * row.speed_rad_s;
-            let current = Range::around(
-                current_v,
-                plate.quickness(row.seconds) * plate.resistance * row.current_change_a.abs(),
-            );
-            let speed = Range::around(
-                speed_v,
-                plate.slowness(row.seconds) * plate.back_emf * row.speed_change_rad_s.abs(),
-            );
-            let means = (volts.middle() / n, current_v / n, speed_v / n);
-            window = Some(window.map_or(
-                Window {
-                    volts,
-                    current,
-                    speed,
-                    mean_volts: means.0,
-                    mean_current: means.1,
-                    mean_speed: means.2,
-                },
-                |sum| Window {
-                    volts: sum.volts.hull(volts),
-                    current: sum.current.hull(current),
-                    speed: sum.speed.hull(speed),
-                    mean_volts: sum.mean_volts + means.0,
-                    mean_current: sum.mean_current + means.1,
-                    mean_speed: sum.mean_speed + means.2,
-                },
-            ));
-        }
-        let mut window = window?;
+        let terms = last()
+            .map(|row| plate.terms(row, n))
+            .collect::<Option<Vec<_>>>()?;
+        let mut window = terms.into_iter().reduce(Window::and)?;
         if !self.is_signed {
             // A drive may tell no more than the magnitude: it goes either way.
             let most = window.current.low.abs().max(window.current.high.abs());
@@ -516,7 +486,7 @@ impl Plausibility {
                 .window(&plate, WINDOW)
                 .filter(|window| factor < 0.0 && window.mean_speed * window.mean_volts < 0.0);
             return Some(match window {
-                Some(window) => self.speed_trip(TripKind::EncoderReversed, &plate, &window),
+                Some(window) => self.misread(TripKind::EncoderReversed, &plate, &window),
                 None => self.current_scaled(factor),
             });
         }
@@ -557,7 +527,6 @@ impl Plausibility {
     /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
     /// sign.
     fn goes_against(&self, window: &Window) -> bool {
-        let rated_v = self.scale.volts;
         let rows = self.history.rows().iter().rev().take(WINDOW);
         let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
         if gain.abs() < REST_SPEED * self.scale.rad_s {
@@ -568,14 +537,25 @@ impl Plausibility {
         let encoder = drives
             && speed * volts < 0.0
             && gain * volts < 0.0
-            && is_mirrored(window, speed, current, MOVED_V * rated_v, rated_v);
+            && self.is_mirrored(window, speed, current, MOVED_V);
         // A braked shaft may lose speed under a current that drives it, where a load takes more.
-        let least_v = if current * volts < 0.0 { MOVED_V } else { DROP };
+        let least_share = if current * volts < 0.0 { MOVED_V } else { DROP };
         let sensor = self.is_signed
             && speed * volts > 0.0
             && gain * current < 0.0
-            && is_mirrored(window, current, speed, least_v * rated_v, rated_v);
+            && self.is_mirrored(window, current, speed, least_share);
         encoder || sensor
+    }
+
+    /// Whether a reading of at least this share of the rated voltage fits with the opposite sign, and not with its own.
+    fn is_mirrored(&self, window: &Window, reading: f64, other: f64, least_share: f64) -> bool {
+        let (rest, size) = (window.mean_volts - other, reading.abs());
+        let slack = REST_VOLTAGE * self.scale.volts;
+        let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
+        let mirrored = (rest + reading).abs();
+        size > least_share * self.scale.volts
+            && as_read > size + slack
+            && mirrored < 0.5 * size + slack
     }
 
     /// Whether no current flows that would drive anything.
@@ -704,7 +684,7 @@ impl Plausibility {
         self.frozen += 1;
         // A drive that does not stamp its samples may have read the speed some cycles ago.
         let needed = if self.is_exact() { 1 } else { self.cycles() };
-        (self.frozen >= needed).then(|| self.speed_trip(TripKind::EncoderFrozen, plate, window))
+        (self.frozen >= needed).then(|| self.misread(TripKind::EncoderFrozen, plate, window))
     }
 
     /// Which reading it is that does not fit.
@@ -717,7 +697,7 @@ impl Plausibility {
             asked > 2.0 * drop_v && answered < 0.25 * asked
         });
         let last = *self.history.last()?;
-        let speed = |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, plate, window));
+        let misread = |plausibility: &Self, kind| Some(plausibility.misread(kind, plate, window));
         let mirrored = window.with(window.current, negative(window.speed));
         let drives_back = window.mean_speed * window.mean_volts < 0.0
             && window.mean_current * window.mean_volts.signum() >= -drop_v;
@@ -726,19 +706,13 @@ impl Plausibility {
             && window.misfit(-1.0) < 0.3 * window.misfit(1.0);
         let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
         if self.speed.run() >= self.same_needed() {
-            speed(self, TripKind::EncoderFrozen)
+            misread(self, TripKind::EncoderFrozen)
         } else if drives_back && fits(mirrored) || opposite {
-            speed(self, TripKind::EncoderReversed)
+            misread(self, TripKind::EncoderReversed)
         } else if self.is_signed
-            && is_mirrored(
-                window,
-                window.mean_current,
-                window.mean_speed,
-                MOVED_V * self.scale.volts,
-                self.scale.volts,
-            )
+            && self.is_mirrored(window, window.mean_current, window.mean_speed, MOVED_V)
         {
-            Some(self.current_trip(TripKind::CurrentReversed, plate, window))
+            misread(self, TripKind::CurrentReversed)
         } else if let Some(trip) = self.swapped() {
             Some(trip)
         } else if unheeded && last.voltage_v.is_none() {
@@ -750,35 +724,45 @@ impl Plausibility {
             let figures = (answer, window.mean_volts);
             Some(self.doubt(TripKind::SetPointIgnored, figures, &what))
         } else if !turns {
-            speed(self, TripKind::EncoderFrozen)
+            misread(self, TripKind::EncoderFrozen)
         } else if self.waived {
             self.disagree = 0;
             None
         } else if window.mean_speed.abs() >= window.mean_current.abs() {
-            speed(self, TripKind::SpeedImplausible)
+            misread(self, TripKind::SpeedImplausible)
         } else {
-            Some(self.current_trip(TripKind::CurrentImplausible, plate, window))
+            misread(self, TripKind::CurrentImplausible)
         }
     }
 
-    /// The speed that the balance does not carry.
-    fn speed_trip(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
-        let ke = plate.back_emf;
-        let measured = window.mean_speed / ke;
-        let by_voltage = (window.mean_volts - window.mean_current) / ke;
-        let believed = window
-            .volts
-            .plus(negative(window.current.times(ANY)))
-            .wider(self.drop_v())
-            .times(ANY);
+    /// The speed, or else the current, that the balance does not carry.
+    fn misread(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
+        use TripKind::{CurrentReversed, EncoderFrozen, EncoderReversed, SpeedImplausible};
+        let is_speed = matches!(kind, EncoderFrozen | EncoderReversed | SpeedImplausible);
+        let (speed, current) = (window.mean_speed, window.mean_current);
+        let (name, unit, digits, per_unit, check) = if is_speed {
+            ("speed", "rad/s", 1, plate.back_emf, CHECK_ENCODER)
+        } else {
+            ("current", "A", 2, plate.resistance, CHECK_CURRENT)
+        };
+        let (reading, other, range) = if is_speed {
+            (speed, current, window.current)
+        } else {
+            (current, speed, window.speed)
+        };
+        let (measured, by_voltage) = (reading / per_unit, (window.mean_volts - other) / per_unit);
+        let believed = window.volts.plus(negative(range.times(ANY)));
+        let believed = believed.wider(self.drop_v()).times(ANY);
+        let (low, high) = (believed.low / per_unit, believed.high / per_unit);
         let how = match kind {
-            TripKind::EncoderFrozen => "stays at",
-            TripKind::EncoderReversed => "has the wrong sign:",
+            EncoderFrozen => "stays at",
+            EncoderReversed | CurrentReversed => "has the wrong sign:",
             _ => "is",
         };
+        let beside = if is_speed { "current" } else { "speed" };
         let ratio = measured / by_voltage;
         let scale = match kind {
-            TripKind::SpeedImplausible if ratio.is_finite() => {
+            SpeedImplausible if ratio.is_finite() => {
                 format!(
                     "; it reads {ratio:.2} times what it should (or Ke of the nameplate is off by as much)"
                 )
@@ -786,29 +770,7 @@ impl Plausibility {
             _ => String::new(),
         };
         let what = format!(
-            "the measured speed {how} {measured:.1} rad/s, by voltage and current it is {by_voltage:.1} rad/s, {:.1} to {:.1} rad/s would be believed{scale}; {CHECK_ENCODER}",
-            believed.low / ke,
-            believed.high / ke
-        );
-        self.doubt(kind, (measured, by_voltage), &what)
-    }
-
-    fn current_trip(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
-        let measured = window.mean_current / plate.resistance;
-        let by_voltage = (window.mean_volts - window.mean_speed) / plate.resistance;
-        let believed = window
-            .volts
-            .plus(negative(window.speed.times(ANY)))
-            .wider(self.drop_v())
-            .times(ANY);
-        let how = match kind {
-            TripKind::CurrentReversed => "has the wrong sign:",
-            _ => "is",
-        };
-        let what = format!(
-            "the measured current {how} {measured:.2} A, by voltage and speed it is {by_voltage:.2} A, {:.2} to {:.2} A would be believed; {CHECK_CURRENT}",
-            believed.low / plate.resistance,
-            believed.high / plate.resistance
+            "the measured {name} {how} {measured:.digits$} {unit}, by voltage and {beside} it is {by_voltage:.digits$} {unit}, {low:.digits$} to {high:.digits$} {unit} would be believed{scale}; {check}"
         );
         self.doubt(kind, (measured, by_voltage), &what)
     }

@@ -268,8 +268,10 @@ impl Runner<'_> {
             self.act_on_notice(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());
-        if let Some(estimator) = self.estimator.as_mut() {
-            estimator.finish();
+        for row in self.recorder.flush() {
+            if let Some(estimator) = self.estimator.as_mut() {
+                estimator.push(row);
+            }
         }
         let now_s = clock.now_s();
         // A drive that did not confirm its stop is not asked for records.
@@ -365,9 +367,10 @@ impl Runner<'_> {
             Action::Send(command) => self.exchange(clock, command),
             Action::ArmBurst => self.arm_burst(),
             Action::Row(sample) => {
-                self.recorder.row(&sample);
-                if let Some(estimator) = self.estimator.as_mut() {
-                    estimator.push(&sample);
+                for row in self.recorder.row(&sample) {
+                    if let Some(estimator) = self.estimator.as_mut() {
+                        estimator.push(row);
+                    }
                 }
                 let reference_rad_s = self.session.reference_rad_s();
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
@@ -405,9 +408,6 @@ impl Runner<'_> {
                 }),
             };
             self.recorder.command(&row);
-            if let Some(estimator) = self.estimator.as_mut() {
-                estimator.command(&row);
-            }
         }
         let took_s = now_s - sent_s;
         // So long the link may have held us; what goes beyond that was the host's.

@@ -11,19 +11,17 @@
 //! by itself. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
-mod transitions;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
-use self::transitions::{BrakeOrder, DriveWord};
 use super::bench_file::Brake;
 use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
-use crate::drive::CommandTimes;
+use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
@@ -36,6 +34,58 @@ const REST_SHARE: f64 = 0.01;
 
 /// Longest wait for the first valid reply, s.
 const FIRST_REPLY_S: f64 = 3.0;
+
+const TOLD_NOTHING: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
+
+/// What the drive tells of its state, and how long that is waited for.
+struct DriveWord {
+    /// Whether the drive tells that its output is off.
+    tells_stop: bool,
+    /// Longest wait for its word that it has stopped, s.
+    stop_time_s: f64,
+    /// When it was heard last, s.
+    heard_s: f64,
+    /// It was seen to run, or does not tell whether it does.
+    has_run: bool,
+    /// The session ended without its word that the output is off.
+    unconfirmed: bool,
+}
+
+impl Default for DriveWord {
+    fn default() -> Self {
+        Self {
+            tells_stop: true,
+            stop_time_s: CommandTimes::default().stop_s,
+            heard_s: 0.0,
+            has_run: false,
+            unconfirmed: false,
+        }
+    }
+}
+
+/// The order of a brake that holds a load: torque, then release; rest, then the brake, then the output off.
+///
+/// The drive works the brake (or a relay on its "running" output): no register of ours does. What the session can keep is
+/// the order and the times: it holds the load by torque while the brake opens, and again until it has closed. After a trip
+/// the drive's own stop acts, and with it its brake.
+#[derive(Clone, Copy, Debug)]
+struct BrakeOrder {
+    brake: Brake,
+    /// Since when the drive runs with the holding torque, s.
+    held_since_s: Option<f64>,
+    /// Since when the shaft rests under it at the end, s.
+    resting_since_s: Option<f64>,
+}
+
+impl BrakeOrder {
+    const fn new(brake: Brake) -> Self {
+        Self {
+            brake,
+            held_since_s: None,
+            resting_since_s: None,
+        }
+    }
+}
 
 /// Where a session stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -121,6 +171,9 @@ pub struct Session {
     waived: Vec<String>,
     /// It has been said what is not watched.
     told_unwatched: bool,
+    /// Of the step that is taken, and what it has come to so far.
+    now_s: f64,
+    actions: Vec<Action>,
 }
 
 impl Session {
@@ -158,6 +211,8 @@ impl Session {
             brake: None,
             waived: Vec::new(),
             told_unwatched: false,
+            now_s: 0.0,
+            actions: Vec::new(),
         }
     }
 
@@ -271,10 +326,11 @@ impl Session {
 
     /// Takes one input and appends what is to be done. Each `Cycle` sends exactly one command.
     pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
+        self.now_s = now_s;
         self.inputs += 1;
         for check in std::mem::take(&mut self.waived) {
-            self.event(now_s, "waived", json!({ "check": check }), actions);
-            notice(actions, Level::Warning, format!("waived: {check}"));
+            self.event("waived", json!({ "check": check }));
+            self.notice(Level::Warning, format!("waived: {check}"));
         }
         // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
         let trip = match input {
@@ -283,73 +339,71 @@ impl Session {
             _ => self.guard.tick(now_s),
         };
         if let Some(trip) = trip.cloned() {
-            self.trip(now_s, &trip, actions);
+            self.trip(&trip);
         }
         match input {
-            Input::Cycle => self.cycle(now_s, actions),
-            Input::Sample(sample) => self.sample(now_s, *sample, actions),
-            Input::Lost(lost) => self.lost(now_s, &lost, actions),
+            Input::Cycle => self.cycle(),
+            Input::Sample(sample) => self.sample(*sample),
+            Input::Lost(lost) => self.lost(&lost),
             Input::Missed(cycles) => {
-                self.event(now_s, "deadline_lost", json!({ "cycles": cycles }), actions);
+                self.event("deadline_lost", json!({ "cycles": cycles }));
             }
-            Input::Intent(intent) => self.intent(now_s, &intent, actions),
+            Input::Intent(intent) => self.intent(&intent),
             // At once, and nothing else before it.
             Input::Suspended(_) if !self.phase.is_final() => {
-                self.send(now_s, Demand::Stop, actions);
+                self.send(Demand::Stop);
             }
             Input::Suspended(_) | Input::OtherMaster(_) => {}
         }
+        actions.append(&mut self.actions);
     }
 
-    fn cycle(&mut self, now_s: f64, actions: &mut Vec<Action>) {
-        if self.phase == Phase::Armed && self.may_run() && self.is_brake_open(now_s, actions) {
-            self.started_s = Some(now_s);
-            self.pilot.begin(now_s, self.drive.as_ref());
+    fn cycle(&mut self) {
+        if self.phase == Phase::Armed && self.may_run() && self.is_brake_open() {
+            self.started_s = Some(self.now_s);
+            self.pilot.begin(self.now_s, self.drive.as_ref());
             self.guard.set_slew(self.pilot.slew_v_per_s());
-            self.enter(Phase::Running, now_s, actions);
+            self.enter(Phase::Running);
         }
-        if self.phase == Phase::Running && self.elapsed_s(now_s) >= self.pilot.duration_s() {
-            self.end(Outcome::Done, now_s, actions);
+        if self.phase == Phase::Running && self.elapsed_s() >= self.pilot.duration_s() {
+            self.end(Outcome::Done);
         }
-        let waited_s = now_s - *self.begun_s.get_or_insert(now_s);
+        let waited_s = self.now_s - *self.begun_s.get_or_insert(self.now_s);
         if self.phase == Phase::Connecting && self.drive.is_none() && waited_s > FIRST_REPLY_S {
             self.ending = Some(Outcome::LinkLost {
                 reason: format!("no valid reply within {FIRST_REPLY_S} s"),
             });
-            self.finish(false, now_s, actions);
+            self.finish(false);
         }
         if self.phase == Phase::Stopping {
-            self.finish_if_late(now_s, actions);
+            self.finish_if_late();
         }
-        let wanted = self.wanted(now_s).unwrap_or_else(|trip| {
+        let wanted = self.wanted().unwrap_or_else(|trip| {
             if let Some(trip) = self.guard.latch(trip).cloned() {
-                self.trip(now_s, &trip, actions);
+                self.trip(&trip);
             }
             Demand::Stop
         });
-        self.note_segment(now_s, actions);
-        let command = self.send(now_s, wanted, actions);
+        self.note_segment();
+        let command = self.send(wanted);
         if self.phase == Phase::Running {
             self.pilot.sent(&command);
             if let Some(reason) = self.pilot.news() {
-                notice(actions, Level::Info, format!("gains: {reason}"));
-                self.event(now_s, "gains", json!({ "reason": reason }), actions);
+                self.notice(Level::Info, format!("gains: {reason}"));
+                self.event("gains", json!({ "reason": reason }));
             }
         }
-        if self.phase == Phase::RampDown
-            && self.is_ramped_down(now_s)
-            && self.is_brake_shut(now_s, actions)
-        {
+        if self.phase == Phase::RampDown && self.is_ramped_down() && self.is_brake_shut() {
             if !self.is_at_rest() {
                 let text = "the ramp down is over and the shaft is not known to stand still: the output goes off all the same; see that it does";
-                notice(actions, Level::Warning, text.to_owned());
+                self.notice(Level::Warning, text);
             }
-            self.stop_now(now_s, actions);
+            self.stop_now();
         }
     }
 
     /// What the drive should do now, before the guard has had its say.
-    fn wanted(&mut self, now_s: f64) -> Result<Demand, Trip> {
+    fn wanted(&mut self) -> Result<Demand, Trip> {
         Ok(match self.phase {
             Phase::Connecting
             | Phase::Safe
@@ -368,45 +422,45 @@ impl Session {
                 }
             }
             Phase::Armed | Phase::RampDown => self.pilot.zero(),
-            Phase::Running => return self.pilot.demand(now_s, self.elapsed_s(now_s)),
+            Phase::Running => return self.pilot.demand(self.now_s, self.elapsed_s()),
             Phase::Stopping => Demand::Stop,
         })
     }
 
-    fn send(&mut self, now_s: f64, wanted: Demand, actions: &mut Vec<Action>) -> Command {
-        let shaped = self.guard.shape(now_s, wanted);
+    fn send(&mut self, wanted: Demand) -> Command {
+        let shaped = self.guard.shape(self.now_s, wanted);
         // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
         let demand = if self.phase.is_final() && !wanted.energises() {
             wanted
         } else {
             shaped.demand
         };
-        self.note_shaping(now_s, wanted, demand, shaped.causes, actions);
+        self.note_shaping(wanted, demand, shaped.causes);
         self.seq += 1;
         let command = Command {
             seq: self.seq,
             demand,
         };
         self.guard.sent(&command);
-        actions.push(Action::Send(command));
+        self.actions.push(Action::Send(command));
         command
     }
 
-    fn sample(&mut self, now_s: f64, sample: Sample, actions: &mut Vec<Action>) {
+    fn sample(&mut self, sample: Sample) {
         let armed = self.phase.is_energised();
         self.guard.follow(self.reference_rad_s());
-        let trip = self.guard.watch(now_s, &sample, armed).cloned();
+        let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
         if trip.is_none() && self.phase == Phase::Running {
             let proven = self.guard.plausibility().has_seen_direction();
             self.pilot
-                .sample(now_s, self.elapsed_s(now_s), &sample, proven);
-            self.tell_unwatched(actions);
+                .sample(self.now_s, self.elapsed_s(), &sample, proven);
+            self.tell_unwatched();
         }
         if self.phase.is_recorded() {
-            actions.push(Action::Row(Box::new(sample.clone())));
+            self.actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
-        self.word.heard_s = now_s;
+        self.word.heard_s = self.now_s;
         self.word.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
             let value = sample.get(channel).filter(|value| value.abs() >= level)?;
@@ -414,58 +468,58 @@ impl Session {
         });
         self.drive = Some(sample);
         if let Some(trip) = trip {
-            self.trip(now_s, &trip, actions);
+            self.trip(&trip);
             // At once, not in the next cycle.
-            self.send(now_s, Demand::Stop, actions);
+            self.send(Demand::Stop);
             return;
         }
         if let Some((channel, value, level)) = reached
             && self.phase == Phase::Running
         {
             let detail = json!({ "channel": channel.name(), "value": value, "level": level });
-            self.event(now_s, "reached", detail, actions);
-            self.end(Outcome::Done, now_s, actions);
+            self.event("reached", detail);
+            self.end(Outcome::Done);
         }
         match (self.phase, state) {
             (Phase::Connecting, Some(DriveState::Running | DriveState::Fault))
             | (Phase::Stopping, Some(DriveState::Running)) => {}
-            (Phase::Connecting, _) => self.enter(Phase::Safe, now_s, actions),
+            (Phase::Connecting, _) => self.enter(Phase::Safe),
             (Phase::Safe, Some(DriveState::Fault)) => {
-                notice(actions, Level::Warning, "the drive is in fault".to_owned());
-                self.enter(Phase::Connecting, now_s, actions);
+                self.notice(Level::Warning, "the drive is in fault");
+                self.enter(Phase::Connecting);
             }
-            (Phase::Stopping, _) => self.finish(true, now_s, actions),
+            (Phase::Stopping, _) => self.finish(true),
             _ => {}
         }
     }
 
     /// Says once what the drive does not give enough of to be watched.
-    fn tell_unwatched(&mut self, actions: &mut Vec<Action>) {
+    fn tell_unwatched(&mut self) {
         if self.told_unwatched {
             return;
         }
         self.told_unwatched = true;
         if let Some(text) = self.guard.plausibility().unwatched() {
-            notice(actions, Level::Info, format!("not watched: {text}"));
+            self.notice(Level::Info, format!("not watched: {text}"));
         }
     }
 
-    fn lost(&mut self, now_s: f64, lost: &Lost, actions: &mut Vec<Action>) {
+    fn lost(&mut self, lost: &Lost) {
         let (kind, message) = match lost {
             Lost::Transient(message) => ("reply_lost", message),
             Lost::Refused(message) => ("refused_by_drive", message),
             Lost::Gone(message) => ("link_gone", message),
         };
         if matches!(lost, Lost::Refused(_)) {
-            self.word.heard_s = now_s;
+            self.word.heard_s = self.now_s;
         }
-        self.event(now_s, kind, json!({ "message": message }), actions);
+        self.event(kind, json!({ "message": message }));
         if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
-            notice(actions, Level::Error, message.clone());
+            self.notice(Level::Error, message.clone());
             self.ending = Some(Outcome::LinkLost {
                 reason: message.clone(),
             });
-            self.stop_now(now_s, actions);
+            self.stop_now();
         }
         if matches!(lost, Lost::Gone(_)) && !self.phase.is_final() {
             let ending = match self.ending.take() {
@@ -475,7 +529,7 @@ impl Session {
                 },
             };
             self.ending = Some(ending);
-            self.finish(false, now_s, actions);
+            self.finish(false);
         }
     }
 
@@ -494,8 +548,8 @@ impl Session {
             .is_some_and(|speed| speed.abs() <= limit)
     }
 
-    fn is_ramped_down(&self, now_s: f64) -> bool {
-        let waited_s = now_s - self.ramp_since_s;
+    fn is_ramped_down(&self) -> bool {
+        let waited_s = self.now_s - self.ramp_since_s;
         let longest_s = self.guard.ramp_down_s() + COME_TO_REST_S;
         waited_s > longest_s || (self.shaping == Causes::default() && self.is_at_rest())
     }
@@ -504,44 +558,288 @@ impl Session {
         self.drive.as_ref().and_then(|sample| sample.state)
     }
 
-    fn elapsed_s(&self, now_s: f64) -> f64 {
-        self.started_s.map_or(0.0, |start_s| now_s - start_s)
+    fn elapsed_s(&self) -> f64 {
+        self.started_s.map_or(0.0, |start_s| self.now_s - start_s)
     }
 
-    fn enter(&mut self, phase: Phase, now_s: f64, actions: &mut Vec<Action>) {
+    fn intent(&mut self, intent: &Intent) {
+        let detail = match intent {
+            Intent::Mark(text) => json!({ "intent": intent.name(), "text": text }),
+            _ => json!({ "intent": intent.name() }),
+        };
+        self.event("intent", detail);
+        let refused = match intent {
+            Intent::Arm => self.arm(),
+            Intent::Start => {
+                let result = if self.phase == Phase::Safe {
+                    self.arm()
+                } else {
+                    Ok(())
+                };
+                let is_armed = self.phase == Phase::Armed;
+                self.start_wanted |= is_armed;
+                let refused = || format!("cannot start: the session is {}", self.phase.name());
+                result.and(is_armed.then_some(()).ok_or_else(refused))
+            }
+            Intent::Stop => {
+                self.stop(Outcome::Stopped);
+                Ok(())
+            }
+            Intent::Quit => {
+                self.stop(Outcome::Interrupted);
+                Ok(())
+            }
+            Intent::ResetFault if self.phase.is_energised() => {
+                Err("a fault is reset only with the output off".to_owned())
+            }
+            Intent::ResetFault => {
+                self.reset_wanted = true;
+                Ok(())
+            }
+            Intent::Rearm => self.rearm(),
+            Intent::Mark(_) => Ok(()),
+        };
+        if let Err(reason) = refused {
+            self.event(
+                "refused",
+                json!({ "intent": intent.name(), "reason": reason }),
+            );
+            self.notice(Level::Warning, reason);
+        }
+    }
+
+    /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
+    fn arm(&mut self) -> Result<(), String> {
+        if self.phase != Phase::Safe {
+            return Err(format!("cannot arm: the session is {}", self.phase.name()));
+        }
+        let sample = self
+            .drive
+            .as_ref()
+            .ok_or("cannot arm: no valid sample yet")?;
+        if let Some(hindrance) = sample.hindrance {
+            return Err(format!("cannot arm: {}", hindrance.sentence()));
+        }
+        self.guard
+            .check_rest(sample)
+            .map_err(|error| format!("cannot arm: {error}"))?;
+        let needs_angle = self.guard.limits().travel_rad.is_some();
+        for (channel, needed) in [
+            (Channel::Current, true),
+            (Channel::Speed, true),
+            (Channel::Angle, needs_angle),
+        ] {
+            if needed && !self.guard.has_seen(channel) {
+                return Err(format!(
+                    "cannot arm: the drive gives no {}, so its limit cannot be watched",
+                    channel.name()
+                ));
+            }
+        }
+        self.guard.begin(self.now_s, sample);
+        self.enter(Phase::Armed);
+        Ok(())
+    }
+
+    /// From an ended session back to safe, explicitly; the ended run stays ended.
+    fn rearm(&mut self) -> Result<(), String> {
+        if !self.phase.is_final() {
+            return Err(format!(
+                "nothing to re-arm: the session is {}",
+                self.phase.name()
+            ));
+        }
+        self.guard
+            .rearm(self.now_s, self.drive.as_ref())
+            .map_err(|error| format!("cannot re-arm: {error}"))?;
+        self.start_wanted = false;
+        self.started_s = None;
+        self.segment = None;
+        self.ending = None;
+        self.enter(Phase::Safe);
+        Ok(())
+    }
+
+    /// First request: ramp down. Second request: zero output at once.
+    fn stop(&mut self, outcome: Outcome) {
+        match self.phase {
+            Phase::Connecting | Phase::Safe | Phase::RampDown => {
+                self.ending = Some(outcome);
+                self.stop_now();
+            }
+            Phase::Armed | Phase::Running => self.end(outcome),
+            // The program is over and the output going to zero: whoever asks to stop now must not see a next run begin.
+            Phase::Stopping if matches!(self.ending, Some(Outcome::Done)) => {
+                self.ending = Some(outcome);
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether the load may move: the drive has held it for as long as the brake takes to open.
+    fn is_brake_open(&mut self) -> bool {
+        let runs = self.drive_state() != Some(DriveState::Disabled) && !self.shaping.any();
+        let Some(order) = self.brake.as_mut() else {
+            return true;
+        };
+        order.resting_since_s = None;
+        if !runs {
+            order.held_since_s = None;
+            return false;
+        }
+        let begins = order.held_since_s.is_none();
+        let since_s = *order.held_since_s.get_or_insert(self.now_s);
+        let release_s = order.brake.release_s;
+        let open = self.now_s - since_s >= release_s;
+        if begins {
+            let detail = json!({ "brake": "releases", "seconds": release_s });
+            self.event("brake", detail);
+        }
+        open
+    }
+
+    /// Whether the output may go off: the shaft has rested for as long as the brake takes to close.
+    fn is_brake_shut(&mut self) -> bool {
+        let Some(order) = self.brake.as_mut() else {
+            return true;
+        };
+        order.held_since_s = None;
+        let begins = order.resting_since_s.is_none();
+        let since_s = *order.resting_since_s.get_or_insert(self.now_s);
+        let apply_s = order.brake.apply_s;
+        if begins {
+            let detail = json!({ "brake": "applies", "seconds": apply_s });
+            self.event("brake", detail);
+        }
+        self.now_s - since_s >= apply_s
+    }
+
+    fn end(&mut self, outcome: Outcome) {
+        self.ending = Some(outcome);
+        self.ramp_since_s = self.now_s;
+        self.guard.begin_stop(self.now_s);
+        self.enter(Phase::RampDown);
+    }
+
+    fn trip(&mut self, trip: &Trip) {
+        let detail = json!({ "trip": trip });
+        self.event("trip", detail);
+        if self.phase.is_final() {
+            return;
+        }
+        self.notice(Level::Error, trip.reason.clone());
+        // What made it stop is the reason, not what else is found while it stops.
+        let has_reason = matches!(self.ending, Some(Outcome::LinkLost { .. }));
+        if self.phase != Phase::Stopping || !has_reason {
+            self.ending = Some(if trip.kind.is_link() {
+                Outcome::LinkLost {
+                    reason: trip.reason.clone(),
+                }
+            } else {
+                Outcome::Tripped(trip.clone())
+            });
+        }
+        self.stop_now();
+    }
+
+    fn stop_now(&mut self) {
+        self.stopping_since_s = self.now_s;
+        if self.ramp_since_s <= self.started_s.unwrap_or(self.now_s) {
+            self.ramp_since_s = self.now_s;
+        }
+        self.enter(Phase::Stopping);
+    }
+
+    fn finish_if_late(&mut self) {
+        let waited_s = self.now_s - self.stopping_since_s;
+        let silent_s = self.now_s - self.word.heard_s;
+        if waited_s > self.word.stop_time_s || waited_s.min(silent_s) > STOP_SILENCE_S {
+            self.finish(false);
+        }
+    }
+
+    fn finish(&mut self, confirmed: bool) {
+        let mut outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        if !confirmed && outcome == Outcome::Done {
+            outcome = Outcome::LinkLost {
+                reason: "the drive did not confirm that its output is off".to_owned(),
+            };
+        }
+        let phase = match &outcome {
+            Outcome::Done => Phase::Done,
+            Outcome::Stopped | Outcome::Interrupted | Outcome::NotStarted { .. } => Phase::Stopped,
+            Outcome::Tripped(_) => Phase::Tripped,
+            Outcome::LinkLost { .. } => Phase::LinkLost,
+        };
+        self.word.unconfirmed = !confirmed;
+        if confirmed && !self.word.tells_stop {
+            self.notice(Level::Warning, TOLD_NOTHING);
+        }
+        self.enter(phase);
+        self.event("finished",
+            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed && self.word.tells_stop }));
+        self.actions.push(Action::Finished(outcome));
+    }
+
+    /// What is to be said after the link's own last stop, and how that failed, where the session ended without the drive's
+    /// word.
+    pub fn last_word(&self, failed: Option<&LinkError>) -> Option<Notice> {
+        if !self.word.unconfirmed {
+            return None;
+        }
+        let (level, text) = match failed {
+            None if self.word.tells_stop => (
+                Level::Warning,
+                "the drive confirmed its stop only when it was told once more, after the run"
+                    .to_owned(),
+            ),
+            None => (Level::Warning, TOLD_NOTHING.to_owned()),
+            // It answers, or was not seen to run: no watchdog has acted.
+            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => (
+                Level::Error,
+                format!("stop NOT confirmed by the drive: {error}; see that the shaft stands still"),
+            ),
+            Some(_) if !self.word.has_run => (
+                Level::Error,
+                "stop NOT confirmed by the drive, which was not seen to run; see that the shaft stands still"
+                    .to_owned(),
+            ),
+            Some(_) => (
+                Level::Error,
+                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
+                    .to_owned(),
+            ),
+        };
+        Some(Notice { level, text })
+    }
+
+    fn enter(&mut self, phase: Phase) {
         if phase != self.phase {
             let detail = json!({ "from": self.phase, "to": phase });
             self.phase = phase;
-            self.event(now_s, "phase", detail, actions);
+            self.event("phase", detail);
         }
     }
 
-    fn note_segment(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+    fn note_segment(&mut self) {
         if self.phase != Phase::Running {
             return;
         }
-        let index = self.pilot.segment_at(self.elapsed_s(now_s));
+        let index = self.pilot.segment_at(self.elapsed_s());
         if self.segment != Some(index) {
             self.segment = Some(index);
             let detail = json!({ "index": index, "name": self.pilot.segment_name(index) });
-            self.event(now_s, "segment", detail, actions);
+            self.event("segment", detail);
             if self.burst_at == Some(index) {
                 self.burst_at = None;
-                actions.push(Action::ArmBurst);
-                self.event(now_s, "burst_armed", json!({ "segment": index }), actions);
+                self.actions.push(Action::ArmBurst);
+                self.event("burst_armed", json!({ "segment": index }));
             }
         }
     }
 
     /// One event when shaping begins or changes its cause, one when it ends: nothing silent, and no flood.
-    fn note_shaping(
-        &mut self,
-        now_s: f64,
-        wanted: Demand,
-        sent: Demand,
-        causes: Causes,
-        actions: &mut Vec<Action>,
-    ) {
+    fn note_shaping(&mut self, wanted: Demand, sent: Demand, causes: Causes) {
         if causes == self.shaping {
             self.shaped_cycles += u64::from(causes.any());
             return;
@@ -549,10 +847,10 @@ impl Session {
         if causes.any() {
             let (wanted, sent) = (demand_json(wanted), demand_json(sent));
             let detail = json!({ "causes": causes, "wanted": wanted, "sent": sent });
-            self.event(now_s, "shaped", detail, actions);
+            self.event("shaped", detail);
         } else {
             let cycles = self.shaped_cycles;
-            self.event(now_s, "shaped_end", json!({ "cycles": cycles }), actions);
+            self.event("shaped_end", json!({ "cycles": cycles }));
         }
         self.shaped_cycles = if causes.any() {
             self.shaped_cycles + 1
@@ -563,18 +861,19 @@ impl Session {
     }
 
     /// In host time: who knows the samples' time axis moves it there.
-    fn event(&self, now_s: f64, kind: &str, detail: Value, actions: &mut Vec<Action>) {
-        let event = Event::new(now_s, Some(self.seq), kind).with("host_time_s", now_s);
+    fn event(&mut self, kind: &str, detail: Value) {
+        let event = Event::new(self.now_s, Some(self.seq), kind).with("host_time_s", self.now_s);
         let mut event = event.with("input", self.inputs);
         if let Value::Object(detail) = detail {
             event.details.extend(detail);
         }
-        actions.push(Action::Event(event));
+        self.actions.push(Action::Event(event));
     }
-}
 
-fn notice(actions: &mut Vec<Action>, level: Level, text: String) {
-    actions.push(Action::Notice(Notice { level, text }));
+    fn notice(&mut self, level: Level, text: impl Into<String>) {
+        let text = text.into();
+        self.actions.push(Action::Notice(Notice { level, text }));
+    }
 }
 
 fn demand_json(demand: Demand) -> Value {

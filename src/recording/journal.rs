@@ -52,8 +52,11 @@ impl Event {
 
 /// Where a session puts what it sees. Nothing is ever refused: trouble shows in [`Record::status`].
 pub trait Record {
-    fn row(&mut self, sample: &Sample);
     fn command(&mut self, command: &CommandRow);
+    /// The rows that this sample completes: what is recorded, for whoever goes by it.
+    fn row(&mut self, sample: &Sample) -> &[Row];
+    /// Nothing comes any more: the rows of the commands that still wait.
+    fn flush(&mut self) -> &[Row];
     fn event(&mut self, event: Event);
     fn status(&self) -> RecorderStatus;
 }
@@ -66,10 +69,6 @@ pub struct RecorderStatus {
     pub events: usize,
     /// Bytes that wait in memory because the file could not take them.
     pub bytes_waiting: usize,
-    /// Samples left out because the drive had sampled nothing new.
-    pub repeats: usize,
-    /// Commands of which the drive never said when they were applied.
-    pub unconfirmed: usize,
     /// Rows that neither the file nor the memory could keep.
     pub rows_lost: usize,
     /// The first trouble with the disk; it is over when no bytes wait.
@@ -180,9 +179,8 @@ fn lines_in(text: &[u8]) -> usize {
     text.split(|byte| *byte == b'\n').count() - 1
 }
 
-/// Puts rows in order, makes lines of them and writes them; the one path of the threaded and the in-memory recorder.
+/// Makes lines of rows and writes them; the one path of the threaded and the in-memory recorder.
 pub(super) struct Journal<S> {
-    order: RowOrder,
     layout: Layout,
     samples: Lines<S>,
     events: Lines<S>,
@@ -193,7 +191,6 @@ pub(super) struct Journal<S> {
     /// The trouble with the disk that goes on.
     trouble: Option<String>,
     status: RecorderStatus,
-    rows: Vec<Row>,
 }
 
 impl<S: Durable> Journal<S> {
@@ -205,7 +202,6 @@ impl<S: Durable> Journal<S> {
         sync_every_rows: usize,
     ) -> Self {
         let mut journal = Self {
-            order: RowOrder::new(layout.clone()),
             samples,
             events,
             sync_every_rows: sync_every_rows.max(1),
@@ -213,21 +209,11 @@ impl<S: Durable> Journal<S> {
             unsynced: None,
             trouble: None,
             status: RecorderStatus::default(),
-            rows: Vec::new(),
             layout,
         };
         let result = journal.samples.push(&journal.layout.header());
         journal.note(result);
         journal
-    }
-
-    pub(super) fn row(&mut self, sample: &Sample) {
-        self.order.sample(sample, &mut self.rows);
-        self.write_rows();
-    }
-
-    pub(super) fn command(&mut self, command: CommandRow) {
-        self.order.command(command);
     }
 
     pub(super) fn event(&mut self, event: &Event) {
@@ -238,10 +224,8 @@ impl<S: Durable> Journal<S> {
         self.note_sync(synced);
     }
 
-    /// Writes the commands that still wait, tries once more what could not be written, and syncs.
+    /// Tries once more what could not be written, and syncs.
     pub(super) fn finish(&mut self) {
-        self.order.finish(&mut self.rows);
-        self.write_rows();
         self.retry();
         self.sync();
     }
@@ -267,11 +251,13 @@ impl<S: Durable> Journal<S> {
     pub(super) fn status(&self) -> RecorderStatus {
         RecorderStatus {
             bytes_waiting: self.samples.bytes_waiting() + self.events.bytes_waiting(),
-            repeats: self.order.repeats(),
-            unconfirmed: self.order.unconfirmed(),
             rows_lost: self.samples.lost,
             ..self.status.clone()
         }
+    }
+
+    pub(super) const fn layout(&self) -> &Layout {
+        &self.layout
     }
 
     /// Why what was written is not certain to be on the disk, where that is so.
@@ -292,11 +278,10 @@ impl<S: Durable> Journal<S> {
         }
     }
 
-    fn write_rows(&mut self) {
-        let mut rows = std::mem::take(&mut self.rows);
-        for row in rows.drain(..) {
+    pub(super) fn rows(&mut self, rows: &[Row]) {
+        for row in rows {
             let lost = self.samples.lost;
-            let result = self.samples.push(&self.layout.line(&row));
+            let result = self.samples.push(&self.layout.line(row));
             self.note(result);
             if lost == 0 && self.samples.lost > 0 {
                 let most = self.samples.room >> 20;
@@ -307,7 +292,6 @@ impl<S: Durable> Journal<S> {
             self.status.rows += 1;
             self.unsynced_rows += 1;
         }
-        self.rows = rows;
         if self.unsynced_rows >= self.sync_every_rows {
             self.unsynced_rows = 0;
             let synced = self.samples.sink.sync();
@@ -356,6 +340,7 @@ impl<S: Durable> Journal<S> {
 
 /// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
 pub struct MemoryRecorder {
+    order: RowOrder,
     journal: Journal<io::Sink>,
 }
 
@@ -363,12 +348,14 @@ impl MemoryRecorder {
     pub fn new(layout: Layout) -> Self {
         let lines = || Lines::new(io::sink(), usize::MAX);
         Self {
+            order: RowOrder::new(layout.clone()),
             journal: Journal::new(layout, lines(), lines(), usize::MAX),
         }
     }
 
     /// Writes the commands that still wait for their instant; to be called once at the end.
     pub fn finish(&mut self) {
+        self.flush();
         self.journal.finish();
     }
 
@@ -394,12 +381,20 @@ fn text_of(bytes: Option<&[u8]>) -> String {
 }
 
 impl Record for MemoryRecorder {
-    fn row(&mut self, sample: &Sample) {
-        self.journal.row(sample);
+    fn command(&mut self, command: &CommandRow) {
+        self.order.command(*command);
     }
 
-    fn command(&mut self, command: &CommandRow) {
-        self.journal.command(*command);
+    fn row(&mut self, sample: &Sample) -> &[Row] {
+        let rows = self.order.sample(sample);
+        self.journal.rows(rows);
+        rows
+    }
+
+    fn flush(&mut self) -> &[Row] {
+        let rows = self.order.finish();
+        self.journal.rows(rows);
+        rows
     }
 
     fn event(&mut self, event: Event) {
@@ -444,6 +439,12 @@ mod tests {
         }
     }
 
+    fn of(value: f64) -> Row {
+        let mut row = Row::at(value);
+        row.set(Channel::Current, Some(value));
+        row
+    }
+
     #[test]
     fn a_full_disk_loses_nothing_and_is_reported() {
         let layout = Layout::plain(&[Channel::Current]);
@@ -456,7 +457,7 @@ mod tests {
         let mut expected = layout.header();
         for row in 0..20_u32 {
             let value = f64::from(row);
-            journal.row(&Sample::at(value).with(Channel::Current, value));
+            journal.rows(&[of(value)]);
             expected = format!("{expected}{row},{row}\n");
         }
         let status = journal.status();
@@ -487,7 +488,7 @@ mod tests {
             Lines::new(disk, room)
         };
         let row = |journal: &mut Journal<Disk>, value: f64| {
-            journal.row(&Sample::at(value).with(Channel::Current, value));
+            journal.rows(&[of(value)]);
         };
         // The disk has room: the memory forgets what is written, and nothing is lost.
         let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);

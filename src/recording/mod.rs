@@ -1,9 +1,9 @@
 //! Run folders and CSV: writing while it runs, reading whatever is there.
 //!
 //! ```text
-//! Sample, CommandRow, Event -> Record
-//!     |- Recorder (writer thread, run folder)  -\
-//!     '- MemoryRecorder (virtual time)          -+-> Journal: RowOrder -> Layout -> whole lines
+//! Sample, CommandRow -> RowOrder -> Row -+-> whoever goes by what is recorded
+//!                           Event -------+-> Journal: Layout -> whole lines
+//!                                             of a Recorder (writer thread, run folder) or a MemoryRecorder (virtual time)
 //!
 //! run folder | samples.csv | any CSV + ColumnMap -> RunRows (row by row) -> open_run -> LoadedRun { Run, Manifest, warnings }
 //! ```

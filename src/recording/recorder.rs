@@ -11,7 +11,8 @@ use std::time::Duration;
 
 use super::journal::{Durable, EVENTS_IN_MEMORY, Journal, Lines, SAMPLES_IN_MEMORY};
 use super::{
-    CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, RunFolder,
+    CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, Row, RowOrder,
+    RunFolder,
 };
 use crate::sample::Sample;
 
@@ -19,8 +20,7 @@ use crate::sample::Sample;
 const LOOK: Duration = Duration::from_millis(500);
 
 enum Message {
-    Sample(Sample),
-    Command(CommandRow),
+    Rows(Vec<Row>),
     Event(Event),
 }
 
@@ -31,6 +31,7 @@ enum Message {
 /// without [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
 pub struct Recorder {
     folder: RunFolder,
+    order: RowOrder,
     sender: Option<Sender<Message>>,
     writer: Option<JoinHandle<Writer>>,
     status: Arc<Mutex<RecorderStatus>>,
@@ -86,7 +87,10 @@ impl Recorder {
     }
 
     fn start(writer: Writer) -> Result<Self, RecordingError> {
-        let folder = writer.folder.clone();
+        let (folder, order) = (
+            writer.folder.clone(),
+            RowOrder::new(writer.journal.layout().clone()),
+        );
         let status = Arc::new(Mutex::new(writer.journal.status()));
         let (sender, receiver) = channel();
         let shared = Arc::clone(&status);
@@ -98,6 +102,7 @@ impl Recorder {
             })?;
         Ok(Self {
             folder,
+            order,
             sender: Some(sender),
             writer: Some(writer),
             status,
@@ -112,9 +117,7 @@ impl Recorder {
     /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. An `error`
     /// in the status of what is returned was got over; the error beside it was not.
     pub fn finish(mut self, manifest: &Manifest) -> Kept {
-        // The thread ends when the channel is closed and empty.
-        drop(self.sender.take());
-        let Some(Ok(mut writer)) = self.writer.take().map(JoinHandle::join) else {
+        let Some(Ok(mut writer)) = self.close() else {
             return Kept {
                 folder: self.folder.clone(),
                 status: self.status(),
@@ -133,6 +136,15 @@ impl Recorder {
         }
     }
 
+    /// Writes the commands that still wait. The thread ends when the channel is closed and empty.
+    fn close(&mut self) -> Option<std::thread::Result<Writer>> {
+        if self.sender.is_some() {
+            self.flush();
+        }
+        drop(self.sender.take());
+        self.writer.take().map(JoinHandle::join)
+    }
+
     fn send(&self, message: Message) {
         let sent = match &self.sender {
             Some(sender) => sender.send(message).is_ok(),
@@ -148,12 +160,20 @@ impl Recorder {
 }
 
 impl Record for Recorder {
-    fn row(&mut self, sample: &Sample) {
-        self.send(Message::Sample(sample.clone()));
+    fn command(&mut self, command: &CommandRow) {
+        self.order.command(*command);
     }
 
-    fn command(&mut self, command: &CommandRow) {
-        self.send(Message::Command(*command));
+    fn row(&mut self, sample: &Sample) -> &[Row] {
+        let rows = self.order.sample(sample).to_vec();
+        self.send(Message::Rows(rows));
+        self.order.rows()
+    }
+
+    fn flush(&mut self) -> &[Row] {
+        let rows = self.order.finish().to_vec();
+        self.send(Message::Rows(rows));
+        self.order.rows()
     }
 
     fn event(&mut self, event: Event) {
@@ -167,9 +187,8 @@ impl Record for Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        drop(self.sender.take());
         // Nobody is left to tell; the manifest still says that the run is not finished.
-        let _ = self.writer.take().map(JoinHandle::join);
+        let _ = self.close();
     }
 }
 
@@ -223,7 +242,7 @@ struct Writer {
     /// Why the folder, which is gone, cannot be made again.
     gone: Option<String>,
     unfinished: Manifest,
-    /// Messages between two looks at the folder.
+    /// Rows and events between two looks at the folder.
     look_every: usize,
 }
 
@@ -258,13 +277,17 @@ impl Writer {
         let mut unlooked = 0;
         loop {
             match receiver.recv_timeout(LOOK) {
-                Ok(Message::Sample(sample)) => self.journal.row(&sample),
-                Ok(Message::Command(command)) => self.journal.command(command),
-                Ok(Message::Event(event)) => self.journal.event(&event),
-                Err(RecvTimeoutError::Timeout) => unlooked = self.look_every,
+                Ok(Message::Rows(rows)) => {
+                    self.journal.rows(&rows);
+                    unlooked += rows.len();
+                }
+                Ok(Message::Event(event)) => {
+                    self.journal.event(&event);
+                    unlooked += 1;
+                }
+                Err(RecvTimeoutError::Timeout) => unlooked = self.look_every + 1,
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            unlooked += 1;
             if unlooked > self.look_every {
                 unlooked = 0;
                 self.look();

@@ -103,8 +103,9 @@ fn the_file_grows_by_whole_lines() {
     let lines = |sink| Lines::new(sink, 1 << 20);
     let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
     for row in 0..50_usize {
-        let sample = Sample::at(row as f64).with(Channel::Current, row as f64 / 3.0);
-        journal.row(&sample);
+        let mut line = Row::at(row as f64);
+        line.set(Channel::Current, Some(row as f64 / 3.0));
+        journal.rows(&[line]);
         let text = fs::read_to_string(folder.samples()).unwrap();
         assert!(text.ends_with('\n'));
         assert_eq!(text.lines().count(), row + 2);

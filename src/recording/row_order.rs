@@ -27,11 +27,14 @@ pub struct CommandRow {
 /// Commands that may wait at once; more only pile up when a drive does not echo sequence numbers as it should.
 const WAITING_MAX: usize = 64;
 
-/// Puts rows in order; the state between calls is the waiting commands and the time of the last row.
+/// Puts rows in order, once for all who take them; the state between calls is the waiting commands and the time of the last
+/// row.
 #[derive(Clone, Debug)]
 pub struct RowOrder {
     layout: Layout,
     waiting: VecDeque<CommandRow>,
+    /// Those that the last call has completed.
+    rows: Vec<Row>,
     last_s: f64,
     repeats: usize,
     unconfirmed: usize,
@@ -42,6 +45,7 @@ impl RowOrder {
         Self {
             layout,
             waiting: VecDeque::new(),
+            rows: Vec::new(),
             last_s: f64::NEG_INFINITY,
             repeats: 0,
             unconfirmed: 0,
@@ -63,48 +67,57 @@ impl RowOrder {
     }
 
     /// The rows that this sample completes, in order, its own last.
-    pub fn sample(&mut self, sample: &Sample, rows: &mut Vec<Row>) {
+    pub fn sample(&mut self, sample: &Sample) -> &[Row] {
+        self.rows.clear();
         // A comparison that is false for NaN as well.
         let is_new = sample.time_s > self.last_s && sample.time_s.is_finite();
         if !is_new {
             self.repeats += 1;
-            return;
+            return &self.rows;
         }
         let mut own = self.sample_row(sample);
         match sample.applied {
-            Some(applied) => self.place_applied(applied, &mut own, rows),
+            Some(applied) => self.place_applied(applied, &mut own),
             None => {
                 while self
                     .waiting
                     .front()
                     .is_some_and(|row| row.time_s <= own.time_s)
                 {
-                    self.place_front(None, &mut own, rows);
+                    self.place_front(None, &mut own);
                 }
             }
         }
         while self.waiting.len() > WAITING_MAX {
             self.unconfirmed += 1;
-            self.place_front(Some("unconfirmed"), &mut own, rows);
+            self.place_front(Some("unconfirmed"), &mut own);
         }
         self.last_s = own.time_s;
-        rows.push(own);
+        self.rows.push(own);
+        &self.rows
+    }
+
+    /// Those that the last call has completed.
+    pub(super) fn rows(&self) -> &[Row] {
+        &self.rows
     }
 
     /// The commands that still wait, at the time when they were sent: the drive said nothing any more.
-    pub fn finish(&mut self, rows: &mut Vec<Row>) {
+    pub fn finish(&mut self) -> &[Row] {
+        self.rows.clear();
         while let Some(waiting) = self.waiting.pop_front() {
             self.unconfirmed += 1;
             let mut row = Row::at(self.after_last(waiting.time_s));
             self.fill(&waiting, Some("unconfirmed"), &mut row);
             if self.shows(&row) {
                 self.last_s = row.time_s;
-                rows.push(row);
+                self.rows.push(row);
             }
         }
+        &self.rows
     }
 
-    fn place_applied(&mut self, applied: Applied, own: &mut Row, rows: &mut Vec<Row>) {
+    fn place_applied(&mut self, applied: Applied, own: &mut Row) {
         while let Some(front) = self.waiting.front_mut() {
             if front.command.seq > applied.seq {
                 break;
@@ -117,12 +130,12 @@ impl RowOrder {
                 self.unconfirmed += 1;
             }
             let remark = (!confirmed).then_some("unconfirmed");
-            self.place_front(remark, own, rows);
+            self.place_front(remark, own);
         }
     }
 
     /// The first waiting command on a row of its own, or on the sample's where their times are equal.
-    fn place_front(&mut self, remark: Option<&str>, own: &mut Row, rows: &mut Vec<Row>) {
+    fn place_front(&mut self, remark: Option<&str>, own: &mut Row) {
         let Some(waiting) = self.waiting.pop_front() else {
             return;
         };
@@ -136,7 +149,7 @@ impl RowOrder {
         self.fill(&waiting, remark, &mut row);
         if self.shows(&row) {
             self.last_s = time_s;
-            rows.push(row);
+            self.rows.push(row);
         }
     }
 
@@ -240,8 +253,8 @@ mod tests {
         let mut rows = Vec::new();
         let mut stamped = sample(0.010, None);
         stamped.time_half_width_s = Some(0.0017_f64.next_up());
-        order.sample(&stamped, &mut rows);
-        order.sample(&sample(0.020, None), &mut rows);
+        rows.extend_from_slice(order.sample(&stamped));
+        rows.extend_from_slice(order.sample(&sample(0.020, None)));
         let mut text = layout.header();
         for row in &rows {
             text.push_str(&layout.line(row));
@@ -328,15 +341,18 @@ mod tests {
         ] {
             let layout = layout().without_host_time();
             let mut order = RowOrder::new(layout.clone());
-            let mut rows = Vec::new();
+            let mut text = String::new();
             for step in steps {
-                match step {
-                    Send(seq, time_s, value) => order.command(volts(seq, time_s, value)),
-                    Take(time_s, applied) => order.sample(&sample(time_s, applied), &mut rows),
-                    Finish => order.finish(&mut rows),
-                }
+                let rows = match step {
+                    Send(seq, time_s, value) => {
+                        order.command(volts(seq, time_s, value));
+                        continue;
+                    }
+                    Take(time_s, applied) => order.sample(&sample(time_s, applied)),
+                    Finish => order.finish(),
+                };
+                text.extend(rows.iter().map(|row| layout.line(row)));
             }
-            let text: String = rows.iter().map(|row| layout.line(row)).collect();
             assert_eq!(text, expected, "{name}");
             assert_eq!(
                 (order.repeats(), order.unconfirmed()),
@@ -349,7 +365,6 @@ mod tests {
     #[test]
     fn a_speed_demand_is_a_reference_and_a_stop_is_zero_volts() {
         let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
-        let mut rows = Vec::new();
         for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
             let command = Command { seq, demand };
             order.command(CommandRow {
@@ -357,7 +372,7 @@ mod tests {
                 ..volts(seq, seq as f64, 0.0)
             });
         }
-        order.sample(&Sample::at(5.0), &mut rows);
+        let rows = order.sample(&Sample::at(5.0));
         assert_eq!(rows.len(), 3);
         assert_eq!(rows[0].get(Channel::Reference), Some(50.0));
         assert_eq!(rows[0].get(Channel::VoltageCmd), None);
@@ -370,8 +385,7 @@ mod tests {
         let mut order = RowOrder::new(layout);
         let mut stale = Sample::at(1.0).with(Channel::Current, 3.0);
         stale.set_stale(Channel::Current);
-        let mut rows = Vec::new();
-        order.sample(&stale, &mut rows);
+        let rows = order.sample(&stale);
         assert_eq!(rows[0].get(Channel::Current), None);
         assert_eq!(rows[0].quality, "current_a:stale speed_rad_s:missing");
     }
@@ -393,9 +407,9 @@ mod tests {
                 time_s += step_s;
                 samples += 1;
                 let stamp = (u64::from(commands).saturating_sub(behind), time_s - applied_ago_s);
-                order.sample(&sample(time_s, stamped.then_some(stamp)), &mut rows);
+                rows.extend_from_slice(order.sample(&sample(time_s, stamped.then_some(stamp))));
             }
-            order.finish(&mut rows);
+            rows.extend_from_slice(order.finish());
             prop_assert!(rows.windows(2).all(|pair| pair[0].time_s < pair[1].time_s));
             let measured = rows.iter().filter(|row| row.get(Channel::Current).is_some()).count();
             prop_assert_eq!(measured + order.repeats(), samples);

@@ -20,7 +20,7 @@ use super::bench_file::{BenchFile, DriveFacts};
 use super::check::{CheckOptions, CheckReport, FirstMove, Waivers, check};
 use super::clock::Clock;
 use super::guard::Guard;
-use super::live_online::LiveOnline;
+use super::live_online::RowEstimator;
 use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Intent, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};
@@ -265,10 +265,9 @@ fn one_run(
     clock: &mut dyn Clock,
     (interrupted, intents): (&AtomicBool, &Receiver<Intent>),
 ) -> (RunSummary, Option<Run>) {
-    let layout = layout(&report.signals);
-    let mut recorder = MemoryRecorder::new(layout.clone());
+    let mut recorder = MemoryRecorder::new(layout(&report.signals));
     let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));
-    let mut online = LiveOnline::new(layout, config);
+    let mut online = RowEstimator::new(config);
     let summary = run(
         session,
         Bench {

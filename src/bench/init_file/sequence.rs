@@ -2,7 +2,7 @@
 
 use super::limits::set_point;
 use super::{InitError, InitRequest, InitUse, Reasoned, short};
-use crate::bench::bench_file::BenchFile;
+use crate::bench::bench_file::{BenchFile, Cells, cells};
 use crate::bench::escalate::scale;
 use crate::bench::limits::Nameplate;
 use crate::bench::plan::{Plan, plan};
@@ -135,7 +135,7 @@ fn voltages(
                 "check the nameplate against the motor, and its load",
             )
         })?;
-    bench.sequence = scaled.bench.sequence.iter().map(rounded).collect();
+    bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
     let program = bench.program(bench.runs.fit)?;
     let planned = plan(
@@ -199,8 +199,7 @@ fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
 
 /// As slow as the link needs it, every number short.
 fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
-    let pace = |segment: Segment| {
-        let mut segment = segment;
+    let pace = |mut segment: Segment| {
         match &mut segment {
             Segment::Steps(steps) => {
                 steps.hold_s = steps.hold_s.max(LEVEL_PERIODS * period_s);
@@ -219,47 +218,20 @@ fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
             }
             Segment::Standstill(_) | Segment::Staircase(_) | Segment::CoastDown(_) => {}
         }
-        rounded(&segment)
+        rounded(segment)
     };
     sequence.into_iter().map(pace).collect()
 }
 
 /// Three digits are enough of a voltage, towards zero; times to the next millisecond.
-fn rounded(segment: &Segment) -> Segment {
-    let volts =
-        |value: &mut f64| *value = value.signum() * (value.abs() * 100.0 + 1e-6).floor() / 100.0;
-    let time = |value: &mut f64| *value = (*value * 1000.0 - 1e-6).ceil() / 1000.0;
-    let mut segment = segment.clone();
-    match &mut segment {
-        Segment::Steps(steps) => {
-            steps.levels_v.iter_mut().for_each(volts);
-            // A level of 0 V has no sign.
-            for level in &mut steps.levels_v {
-                *level += 0.0;
-            }
-            time(&mut steps.hold_s);
-            if let Some(dither) = &mut steps.dither {
-                volts(&mut dither.amplitude_v);
-                time(&mut dither.clock_s);
-            }
-        }
-        Segment::Prbs(prbs) => {
-            volts(&mut prbs.amplitude_v);
-            volts(&mut prbs.offset_v);
-            prbs.offset_v += 0.0;
-            time(&mut prbs.clock_s);
-            time(&mut prbs.seconds);
-        }
-        Segment::Ramp(ramp) => {
-            volts(&mut ramp.from_v);
-            volts(&mut ramp.to_v);
-            time(&mut ramp.seconds);
-        }
-        Segment::Sine(sine) => {
-            volts(&mut sine.amplitude_v);
-            time(&mut sine.seconds);
-        }
-        Segment::Standstill(_) | Segment::Staircase(_) | Segment::CoastDown(_) => {}
+fn rounded(mut segment: Segment) -> Segment {
+    let Cells { volts, times_s, .. } = cells(&mut segment);
+    for volts in volts {
+        // A level of 0 V has no sign.
+        *volts = volts.signum() * (volts.abs() * 100.0 + 1e-6).floor() / 100.0 + 0.0;
+    }
+    for time_s in times_s {
+        *time_s = (*time_s * 1000.0 - 1e-6).ceil() / 1000.0;
     }
     segment
 }

@@ -12,7 +12,6 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::REST_VOLTAGE;
 use super::history::{Range, Row};
 
 /// What the quantities are measured by: rated values, or limits where nothing is rated.
@@ -49,6 +48,22 @@ impl Plate {
         (seconds / (3.0 * time_s)).min(0.5)
     }
 
+    /// The terms of one of `n` rows, V; `None`: its voltage is not known.
+    pub(super) fn terms(&self, row: &Row, n: f64) -> Option<Window> {
+        let volts = row.volts?;
+        let (current_v, speed_v) = (self.current_v(row), self.back_emf * row.speed_rad_s);
+        let current_by = self.quickness(row.seconds) * self.resistance * row.current_change_a.abs();
+        let speed_by = self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs();
+        Some(Window {
+            volts,
+            current: Range::around(current_v, current_by),
+            speed: Range::around(speed_v, speed_by),
+            mean_volts: volts.middle() / n,
+            mean_current: current_v / n,
+            mean_speed: speed_v / n,
+        })
+    }
+
     /// What a row's balance is in doubt because nobody looked within the cycle, V.
     pub(super) fn doubt_v(&self, row: &Row) -> f64 {
         self.quickness(row.seconds) * self.resistance * row.current_change_a.abs()
@@ -80,6 +95,18 @@ impl Window {
         (self.mean_volts - self.mean_current - speed * self.mean_speed).abs()
     }
 
+    /// With the terms of another row.
+    pub(super) fn and(self, row: Self) -> Self {
+        Self {
+            volts: self.volts.hull(row.volts),
+            current: self.current.hull(row.current),
+            speed: self.speed.hull(row.speed),
+            mean_volts: self.mean_volts + row.mean_volts,
+            mean_current: self.mean_current + row.mean_current,
+            mean_speed: self.mean_speed + row.mean_speed,
+        }
+    }
+
     /// The same with another reading in the place of a measured one.
     pub(super) fn with(&self, current: Range, speed: Range) -> Self {
         Self {
@@ -92,21 +119,6 @@ impl Window {
 
 pub(super) const fn negative(range: Range) -> Range {
     Range::new(-range.high, -range.low)
-}
-
-/// Whether a reading of at least so many volts fits with the opposite sign, and not with its own.
-pub(super) fn is_mirrored(
-    window: &Window,
-    reading: f64,
-    other: f64,
-    least_v: f64,
-    rated_v: f64,
-) -> bool {
-    let rest = window.mean_volts - other;
-    let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
-    let mirrored = (rest + reading).abs();
-    let (size, slack) = (reading.abs(), REST_VOLTAGE * rated_v);
-    size > least_v && as_read > size + slack && mirrored < 0.5 * size + slack
 }
 
 /// Rows are forgotten with this time constant, s, and not within fewer than so many rows.

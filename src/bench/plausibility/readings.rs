@@ -351,7 +351,7 @@ impl Plausibility {
             .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
         Some(match window {
             Some((plate, window)) if window.misfit(-1.0) < window.misfit(1.0) => {
-                self.speed_trip(TripKind::EncoderReversed, &plate, &window)
+                self.misread(TripKind::EncoderReversed, &plate, &window)
             }
             _ => {
                 let what = format!(

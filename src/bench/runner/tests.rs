@@ -5,18 +5,17 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::clock::MonotonicClock;
-use crate::bench::describe::layout;
 use crate::bench::guard::{Guard, TripKind};
 use crate::bench::limits::Limits;
-use crate::bench::live_online::{LiveOnline, replay};
+use crate::bench::live_online::{RowEstimator, replay};
 use crate::bench::testing::{
-    Course, Fault, LateClock, SIGNALS, ScriptedDrive, Stalls, Tamper, Tampered, Wave, constant,
-    exact, gone, has, in_memory, near, within,
+    Course, Fault, LateClock, ScriptedDrive, Stalls, Tamper, Tampered, Wave, constant, exact, gone,
+    has, in_memory, near, within,
 };
 use crate::drive::{DriveProfile, LinkError, ProfiledLink};
 use crate::emulator::{EmulatorConfig, ForeignBus, ForeignDrive, Guise, SoftDrive, VirtualClock};
 use crate::identification::online::OnlineConfig;
-use crate::recording::{CsvRows, MemoryRecorder, ReadOptions};
+use crate::recording::{CsvRows, MemoryRecorder, ReadOptions, Row};
 use crate::sample::{Channel, Sample};
 
 fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, SnapshotCell) {
@@ -33,7 +32,7 @@ fn emulated_with(
     let guard = Guard::new(bench.limits(), &bench.nameplate().unwrap(), Some(11.4));
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
     let snapshots = SnapshotCell::default();
-    let mut live = LiveOnline::new(layout(&SIGNALS), OnlineConfig::default());
+    let mut live = RowEstimator::new(OnlineConfig::default());
     let course = Course {
         motor: bench.nameplate(),
         estimator: Some(&mut live),
@@ -232,14 +231,10 @@ fn a_run_that_cannot_begin_ends_with_the_reason_and_does_not_hang() {
 struct Bomb(u32);
 
 impl LiveEstimator for Bomb {
-    fn command(&mut self, _: &CommandRow) {}
-
-    fn push(&mut self, _: &Sample) {
+    fn push(&mut self, _: &Row) {
         self.0 -= 1;
         assert!(self.0 > 0, "boom");
     }
-
-    fn finish(&mut self) {}
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
         Vec::new()

@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use super::section::{ControllerKind, GainsSection, SpeedSection};
 use crate::bench::limits::{Limits, Nameplate};
+use crate::bench::timing::whole;
 use crate::control::tuning::{Request, Rule, TuningError, tune};
 use crate::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
@@ -459,7 +460,7 @@ impl Design<'_> {
             viscous_n_m_s_per_rad: viscous,
             drive_current_limit_a: self.limits.current_a,
             period_s: self.timing.period_s,
-            delay_periods: whole(self.timing.delay_cycles() - 0.05),
+            delay_periods: whole((self.timing.delay_cycles() - 0.05).ceil().clamp(0.0, 64.0)),
             speed_noise_rad_s: 0.0,
             current_noise_a: 0.0,
         };
@@ -490,13 +491,4 @@ impl Design<'_> {
             most,
         })
     }
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "between 0 and 64"
-)]
-fn whole(cycles: f64) -> usize {
-    cycles.ceil().clamp(0.0, 64.0) as usize
 }
