@@ -5,7 +5,7 @@ use statrs::function::erf::erfc;
 
 use super::acting::constants;
 use super::asked::{prepared, why_not};
-use super::columns::{Around, Candidate, ColumnInformation, NO_PARAMETER, Variant};
+use super::columns::{Around, Candidate, ColumnInformation};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
@@ -488,7 +488,7 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         if variant.mean > 0.0 {
             // There wholly or not at all: seen where that makes a difference beyond the noise.
             let columns = reduced.columns(&without(&found.posterior.best, k));
-            let own = variant.columns[0] - reduced.linear.nuisances.len();
+            let own = variant.columns[0].at - reduced.linear.nuisances.len();
             let seen = reduced.seen(&columns, own, 1.0).information;
             out.excited |= seen * variant.mean.powi(2) > 25.0;
             continue;
@@ -507,7 +507,7 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         let mut with = reduced.cleared(&found.posterior.best, k);
         with[k] = Some(form);
         if let Some((_, sd)) = size_in(found, &with, k) {
-            let slab = variant.units[0];
+            let slab = variant.columns[0].unit;
             let excited = sd < SAYS_NOTHING_SLABS * slab;
             out.excited |= excited;
             if excited {
@@ -545,9 +545,9 @@ fn moments(found: &SearchResult, k: usize) -> Vec<ColumnInformation> {
     let alone = candidate.variants.iter();
     let alone = alone.filter(|variant| variant.columns.len() == 1);
     let m = reduced.linear.nuisances.len();
-    alone
-        .map(|variant| reduced.seen(&others, variant.columns[0] - m, variant.units[0]))
-        .collect()
+    let columns = alone.map(|variant| variant.columns[0]);
+    let seen = columns.map(|column| reduced.seen(&others, column.at - m, column.unit));
+    seen.collect()
 }
 
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
@@ -599,18 +599,16 @@ fn size_in(found: &SearchResult, set: &Set, k: usize) -> Option<(f64, f64)> {
     let columns = reduced.columns(set);
     let (mean, covariance) = reduced.sizes(&columns)?;
     let m = reduced.linear.nuisances.len();
-    let is_wave = variant.parameters.len() > 1
-        && variant.units.len() > 1
-        && variant.units[1] > 0.0
-        && variant.parameters[1] == 1
+    let second = variant.columns.get(1);
+    let is_wave = second.is_some_and(|own| own.unit > 0.0 && own.parameter == Some(1))
         && is_amplitude(reduced.linear.candidates[k].effect);
     let count = if is_wave { 2 } else { 1 };
     let (mut square, mut variance) = (0.0, 0.0_f64);
-    for (column, unit) in variant.columns.iter().zip(&variant.units).take(count) {
-        let at = columns.iter().position(|c| *c == column - m)?;
-        let size = mean[at] * unit;
+    for column in variant.columns.iter().take(count) {
+        let at = columns.iter().position(|c| *c == column.at - m)?;
+        let size = mean[at] * column.unit;
         square += size * size;
-        variance = variance.max(covariance[(at, at)] * unit * unit);
+        variance = variance.max(covariance[(at, at)] * column.unit * column.unit);
     }
     Some((square.sqrt(), variance.sqrt()))
 }
@@ -637,7 +635,7 @@ fn detectable(found: &SearchResult, with: &Set, k: usize, sd: f64) -> Option<f64
     } else {
         vec![(1.0, 0.0), (-1.0, 0.0)]
     };
-    let unit = variant.units[0];
+    let unit = variant.columns[0].unit;
     let injection = reduced.injection(&others, k, with[k]?)?;
     let is_named = |size: f64| {
         let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
@@ -687,8 +685,10 @@ fn confusable(found: &SearchResult) -> Vec<[&'static str; 2]> {
         // What another form of its onset explains it would of the rival's: it is left out of both.
         let mut columns = reduced.columns(best);
         if present.is_event() {
-            let forms = onset_forms(&present.variants[own]);
-            columns.retain(|column| !forms.contains(&(column + reduced.linear.nuisances.len())));
+            let bends = present.variants[own].columns.iter();
+            let bends = bends.filter(|column| column.parameter.is_none());
+            let bends: Vec<usize> = bends.map(|column| column.at).collect();
+            columns.retain(|column| !bends.contains(&(column + reduced.linear.nuisances.len())));
         }
         let most = reduced.log_likelihood(&columns);
         for (k, rival) in candidates.iter().enumerate() {
@@ -730,13 +730,6 @@ fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str;
     if !confusable.contains(&[gaps, drop]) {
         confusable.push([gaps, drop]);
     }
-}
-
-/// Columns of a form that only bend it.
-fn onset_forms(form: &Variant) -> Vec<usize> {
-    let columns = form.columns.iter().zip(&form.parameters);
-    let bends = columns.filter(|(_, parameter)| **parameter == NO_PARAMETER);
-    bends.map(|(column, _)| *column).collect()
 }
 
 #[cfg(test)]

@@ -159,7 +159,7 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
         .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
         .filter_map(|(k, candidate)| {
             let fall = |variant: &Variant| {
-                let (column, size) = (variant.columns[0], variant.mean);
+                let (column, size) = (variant.columns[0].at, variant.mean);
                 let present = linear.gram.row(column).transpose().dot(&linear.present);
                 let right = linear.right[column] - present;
                 size * right - 0.5 * size * size * linear.gram[(column, column)]

@@ -26,25 +26,56 @@ pub(super) const SLAB: f64 = 2.0;
 /// Mean square of the innovations above which a linear solution is not believed, and refutes nothing.
 pub(super) const FAR_MEAN_SQUARE: f64 = 3.0;
 
+/// One column of a form.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Column {
+    /// Its number among all columns.
+    pub at: usize,
+    /// The parameter that it is of; none of what only bends the form.
+    pub parameter: Option<usize>,
+    /// Size of its unit, in the unit of its parameter.
+    pub unit: f64,
+    /// Where the model has the effect already: the coordinate that it has there.
+    pub present: f64,
+    /// Of an event the run and when it happens there, s after the run's first command.
+    pub moment: Option<(usize, f64)>,
+}
+
+impl Column {
+    pub(super) fn of(parameter: Option<usize>, unit: f64, present: f64) -> Self {
+        Self {
+            parameter,
+            unit,
+            present,
+            ..Self::default()
+        }
+    }
+}
+
 /// One form of an effect.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Variant {
-    pub columns: Vec<usize>,
+    pub columns: Vec<Column>,
     /// Values of all parameters, coefficients at the slab.
     pub values: Vec<f64>,
-    /// Size of each column's unit, in the unit of its parameter.
-    pub units: Vec<f64>,
-    pub parameters: Vec<usize>,
-    /// Where the model has the effect already: the coordinates that it has there.
-    pub present: Vec<f64>,
-    /// Of an event, for each column the run and when it happens there, s after the run's first command.
-    pub moments: Vec<(usize, f64)>,
     /// Whether it is at the moment of another event of the model: only there can the two be told apart, or not.
     pub is_rival: bool,
     /// Of what is there wholly or not at all the prior mean of its first column, in its unit; else zero.
     pub mean: f64,
     pub positive: bool,
     pub log_prior: f64,
+}
+
+impl Variant {
+    /// The numbers of its columns.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = usize> + '_ {
+        self.columns.iter().map(|column| column.at)
+    }
+
+    /// Of an event the runs in which it happens, each with its moment.
+    pub(super) fn moments(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.columns.iter().filter_map(|column| column.moment)
+    }
 }
 
 /// What runs say of one column beside others: per slab the information, and what they ask for times that.
@@ -84,7 +115,7 @@ impl Candidate {
 
     /// Whether it happens once, in each run at a moment of its own.
     pub(super) fn is_event(&self) -> bool {
-        !self.variants[0].moments.is_empty()
+        self.variants[0].moments().next().is_some()
     }
 
     /// Whether it is a curve that no effect gives.
@@ -344,8 +375,7 @@ impl Part {
         }
     }
 
-    pub(super) fn push(&mut self, mut form: Form) {
-        form.variant.columns.clear();
+    pub(super) fn push(&mut self, form: Form) {
         self.candidate.variants.push(form.variant);
         self.sources.push(form.sources);
     }
@@ -356,9 +386,6 @@ pub(super) struct Form {
     pub(super) variant: Variant,
     sources: Vec<Source>,
 }
-
-/// Of a column that is no parameter's.
-pub(super) const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
     pub(super) fn new(values: Vec<f64>, log_prior: f64) -> Self {
@@ -378,14 +405,13 @@ impl Form {
         let step = sign / WHOLE;
         self.variant.mean = 1.0 / WHOLE;
         let source = Source::Difference { model, step };
-        self.column(source, NO_PARAMETER, 0.0, present);
+        self.column(source, Column::of(None, 0.0, present));
     }
 
-    pub(super) fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
+    /// One column more, numbered when all are known.
+    pub(super) fn column(&mut self, source: Source, column: Column) {
         self.sources.push(source);
-        self.variant.parameters.push(parameter);
-        self.variant.units.push(unit);
-        self.variant.present.push(present);
+        self.variant.columns.push(column);
     }
 }
 
@@ -439,10 +465,10 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             },
             Source::Tangent,
         );
-        form.column(source, index, unit, present);
+        form.column(source, Column::of(Some(index), unit, present));
     }
     for source in bends(model, effect, &values, scenario) {
-        form.column(source, NO_PARAMETER, 0.0, 0.0);
+        form.column(source, Column::default());
     }
     part.push(form);
     Some(part)
@@ -482,7 +508,8 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             values[*index] = *slab;
             form.variant.values[*index] = *slab;
             form.variant.positive |= specs[*index].min >= 0.0 || takes_power(id);
-            form.column(alone(model, effect, &values, *index), *index, *slab, 0.0);
+            let source = alone(model, effect, &values, *index);
+            form.column(source, Column::of(Some(*index), *slab, 0.0));
         }
         part.push(form);
     }
@@ -587,7 +614,9 @@ pub(super) fn linearise(
             &mut next_out
         };
         for (variant, sources) in part.candidate.variants.iter_mut().zip(&part.sources) {
-            variant.columns = (order.len()..order.len() + sources.len()).collect();
+            for (column, at) in variant.columns.iter_mut().zip(order.len()..) {
+                column.at = at;
+            }
             order.extend((*next..*next + sources.len()).map(|k| (part.candidate.in_model, k)));
             *next += sources.len();
         }
@@ -678,10 +707,9 @@ fn assemble(
     let mut squares = products[(p, p)];
     // Effects that are in the model are taken out linearly.
     let mut present = DVector::zeros(p);
-    for variant in candidates.iter().flat_map(|candidate| &candidate.variants) {
-        for (column, value) in variant.columns.iter().zip(&variant.present) {
-            present[*column] = *value;
-        }
+    let variants = candidates.iter().flat_map(|candidate| &candidate.variants);
+    for column in variants.flat_map(|variant| &variant.columns) {
+        present[column.at] = column.present;
     }
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);

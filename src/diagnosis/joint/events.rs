@@ -9,7 +9,7 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Form, Linear, NO_PARAMETER, Part, SLAB, Source, Variant};
+use super::columns::{Around, Candidate, Column, Form, Linear, Part, SLAB, Source, Variant};
 use super::forms::{Base, add_products};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
@@ -272,6 +272,10 @@ pub(super) fn parts(
     } else {
         LOG_ODDS_OTHER
     };
+    let of_size = |unit, moment, present| Column {
+        moment: Some(moment),
+        ..Column::of(Some(size), unit, present)
+    };
     let is_own = |event: &&Event| event.id() == id && event.run < runs.len();
     let own: Vec<&Event> = hypothesis.events.iter().filter(is_own).collect();
     let mut parts = Vec::new();
@@ -286,8 +290,8 @@ pub(super) fn parts(
         for event in &own {
             let unit = slab(&runs[event.run]);
             let source = Source::In(event.run, event.tangent(unit, event.time_s()));
-            form.column(source, size, unit, event.values[size] / unit);
-            form.variant.moments.push((event.run, event.time_s()));
+            let (moment, present) = ((event.run, event.time_s()), event.values[size] / unit);
+            form.column(source, of_size(unit, moment, present));
         }
         for event in &own {
             for weights in ONSET_FORMS {
@@ -295,7 +299,7 @@ pub(super) fn parts(
                     terms: event.bent(weights),
                     begins_s: event.time_s() - ONSET_S - LEAD_S,
                 };
-                form.column(Source::In(event.run, bent), NO_PARAMETER, 0.0, 0.0);
+                form.column(Source::In(event.run, bent), Column::default());
             }
         }
         part.push(form);
@@ -329,8 +333,7 @@ pub(super) fn parts(
             event.values[size] = unit;
             let source = Source::In(number, event.tangent(unit, time_s));
             let mut form = Form::new(event.values, log_share);
-            form.column(source, size, unit, 0.0);
-            form.variant.moments.push((number, time_s));
+            form.column(source, of_size(unit, (number, time_s), 0.0));
             form.variant.is_rival = is_rival;
             part.push(form);
         }
@@ -372,33 +375,30 @@ pub(super) fn pair(linear: &mut Linear, runs: usize) {
 
 fn in_model(candidates: &[Candidate]) -> impl Iterator<Item = usize> {
     let inside = candidates.iter().filter(|candidate| candidate.in_model);
-    inside.flat_map(|candidate| candidate.variants[0].columns.clone())
+    inside.flat_map(|candidate| candidate.variants[0].numbers())
 }
 
 /// An event of the model that is in two runs, in either alone.
 fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     let both = &candidate.variants[0];
-    if both.moments.len() < 2 {
+    if both.moments().count() < 2 {
         return vec![];
     }
-    let only = |k: usize| Variant {
-        columns: vec![both.columns[k]],
-        units: vec![both.units[k]],
-        parameters: vec![both.parameters[k]],
-        present: vec![both.present[k]],
-        moments: vec![both.moments[k]],
+    let own = both.columns.iter().filter(|column| column.moment.is_some());
+    let only = |column: &Column| Variant {
+        columns: vec![*column],
         log_prior: log_share_of_one(candidate.id, runs),
         ..both.clone()
     };
-    (0..both.moments.len()).map(only).collect()
+    own.map(only).collect()
 }
 
 /// An event that the model lacks, in two runs at once.
 fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant> {
     let of_run = |run: usize| -> Vec<&Variant> {
-        let is_own = |form: &&Variant| form.moments.first().is_some_and(|first| first.0 == run);
+        let is_own = |form: &&Variant| form.moments().next().is_some_and(|own| own.0 == run);
         let own = candidate.variants.iter().filter(is_own);
-        let mut own: Vec<_> = own.map(|form| (gain(form.columns[0]), form)).collect();
+        let mut own: Vec<_> = own.map(|form| (gain(form.columns[0].at), form)).collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
         let is_paired = |(place, own): &(usize, (f64, &Variant))| *place < PAIRED || own.1.is_rival;
         let own = own.into_iter().enumerate().filter(is_paired);
@@ -407,10 +407,6 @@ fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant>
     let (first, second) = (of_run(0), of_run(1));
     let both = |a: &Variant, b: &Variant| Variant {
         columns: [&a.columns[..], &b.columns].concat(),
-        units: [&a.units[..], &b.units].concat(),
-        parameters: [&a.parameters[..], &b.parameters].concat(),
-        present: [&a.present[..], &b.present].concat(),
-        moments: [&a.moments[..], &b.moments].concat(),
         log_prior: log_share_of_two(candidate.id),
         ..a.clone()
     };
@@ -508,17 +504,13 @@ impl Search<'_> {
     }
 }
 
-/// The candidate, the place in its form and the column that an event of a set has.
-fn column_of(linear: &Linear, set: &Set, event: &Event) -> Option<(usize, f64)> {
+/// The column that an event of a set has.
+fn column_of(linear: &Linear, set: &Set, event: &Event) -> Option<Column> {
     let chosen = linear.candidates.iter().zip(set);
-    chosen
-        .filter(|(candidate, _)| candidate.id == event.id())
-        .filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]))
-        .find_map(|variant| {
-            let mut moments = variant.moments.iter();
-            let place = moments.position(|moment| moment.0 == event.run)?;
-            Some((variant.columns[place], variant.units[place]))
-        })
+    let own = chosen.filter(|(candidate, _)| candidate.id == event.id());
+    let forms = own.filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]));
+    let mut columns = forms.flat_map(|form| &form.columns).copied();
+    columns.find(|column| column.moment.is_some_and(|own| own.0 == event.run))
 }
 
 /// When each of the events of a set happened, beside all else that is in it; as it was where it is not in the set.
@@ -546,23 +538,20 @@ fn place(
     runs: &[Around<'_>],
     excess: f64,
 ) -> Option<Moment> {
-    let (own, slab) = column_of(linear, set, event)?;
+    let own = column_of(linear, set, event)?;
     let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
     let chosen = linear.candidates.iter().zip(set);
     let others = chosen.flat_map(|(candidate, form)| {
-        let variant = form.map(|form| &candidate.variants[form]);
-        let columns = variant.map_or(&[][..], |variant| &variant.columns);
+        let columns = form.map_or(&[][..], |form| &candidate.variants[form].columns);
         // What another form of its onset does is what is looked for.
-        let is_own = candidate.id == event.id();
-        let kept = variant.map_or(0, |variant| variant.moments.len());
-        columns
+        let is_other = candidate.id != event.id();
+        let kept = columns
             .iter()
-            .take(if is_own { kept } else { columns.len() })
+            .filter(move |own| is_other || own.moment.is_some());
+        kept.map(|column| column.at)
     });
-    let base: Vec<usize> = (0..linear.nuisances.len())
-        .chain(others.copied())
-        .filter(|column| *column != own)
-        .collect();
+    let base = (0..linear.nuisances.len()).chain(others);
+    let base: Vec<usize> = base.filter(|column| *column != own.at).collect();
     let given = Base::of_columns(linear, &base)?;
     let shift = whitened * &linear.present;
     let white = run.followed.white.iter().enumerate();
@@ -572,7 +561,7 @@ fn place(
     let search = Search {
         run,
         event,
-        slab,
+        slab: own.unit,
         residual,
         columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
         given,

@@ -75,7 +75,7 @@ pub(super) fn keep_likeliest(
             let width = part.sources[0].len();
             for (place, form) in group.forms.iter().enumerate() {
                 if part.candidate.is_event() {
-                    let unit = part.candidate.variants[*form].units[0];
+                    let unit = part.candidate.variants[*form].columns[0].unit;
                     let seen = given.seen(&group.products, place, unit);
                     part.candidate.moments.push(seen);
                 }
@@ -102,8 +102,8 @@ impl Part {
     /// The forms of an event of each run; of what all runs share all forms.
     fn by_run(&self) -> Vec<Vec<usize>> {
         let run = |form: &usize| {
-            let first = self.candidate.variants[*form].moments.first();
-            first.map_or(0, |at| at.0)
+            let mut moments = self.candidate.variants[*form].moments();
+            moments.next().map_or(0, |moment| moment.0)
         };
         let forms: Vec<usize> = (0..self.sources.len()).collect();
         let of_runs = forms.chunk_by(|a, b| run(a) == run(b));
@@ -353,8 +353,8 @@ mod tests {
         let stepped = truth("load_step", &[0.1, 1.13]);
         let candidates = candidates(&stepped, &stepped);
         let pull = find(&candidates, "one_sided_load");
-        let mut moments = pull.variants.iter().map(|variant| variant.moments[0].1);
-        assert!(moments.any(|time_s| (time_s - 1.13).abs() < 1e-9));
+        let mut moments = pull.variants.iter().flat_map(|form| form.moments());
+        assert!(moments.any(|(_, time_s)| (time_s - 1.13).abs() < 1e-9));
         // What the moments say that have no columns is kept too.
         assert!(pull.moments.len() > pull.variants.len());
     }

@@ -34,7 +34,7 @@ struct Averaged {
 fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
     let mut columns: Vec<usize> = (0..linear.nuisances.len()).collect();
     for (candidate, variant) in linear.candidates.iter().zip(likeliest) {
-        columns.extend(&candidate.variants[*variant].columns);
+        columns.extend(candidate.variants[*variant].numbers());
     }
     columns
 }

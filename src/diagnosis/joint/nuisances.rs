@@ -4,7 +4,7 @@
 use nalgebra::DVector;
 
 use super::acting::constants;
-use super::columns::{Around, Form, NO_PARAMETER, Part, SLAB, Source, columns_of};
+use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
 use super::slopes::are_tangents;
 use super::tangent::{Axis, Tangent, Wave};
 use crate::numerics::statistics::largest;
@@ -364,9 +364,8 @@ pub(super) fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
         let mut part = Part::named(id, None, LOG_ODDS_UNKNOWN);
         let mut form = Form::new(vec![], 0.0);
         for curve in curves {
-            form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);
+            form.column(Source::Tangent(curve), Column::of(None, 1.0, 0.0));
         }
-        form.variant.parameters.clear();
         part.push(form);
         part
     };

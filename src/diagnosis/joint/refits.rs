@@ -362,7 +362,7 @@ mod tests {
         for more in [0.3, 0.0] {
             let pretend = |linear: &mut Linear| {
                 let own = linear.candidates.iter().find(|own| own.id == drag).unwrap();
-                let column = own.variants[0].columns[0];
+                let column = own.variants[0].columns[0].at;
                 linear.right[column] += more * linear.gram[(column, column)];
             };
             let found = weighed(&nameplate(), &run, &[drag], pretend, |own| {

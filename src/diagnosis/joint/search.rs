@@ -87,15 +87,11 @@ fn is_another(noise: &Noise, before: &Noise) -> bool {
 /// The candidates of a set by their names, each with the runs in which it is one that happens.
 fn names(linear: &Linear, set: &Set) -> Names {
     let candidates = linear.candidates.iter().zip(set);
-    candidates
-        .filter_map(|(candidate, chosen)| {
-            let moments = &candidate.variants[(*chosen)?].moments;
-            Some((
-                candidate.id,
-                moments.iter().map(|moment| moment.0).collect(),
-            ))
-        })
-        .collect()
+    let named = candidates.filter_map(|(candidate, chosen)| {
+        let runs = candidate.variants[(*chosen)?].moments();
+        Some((candidate.id, runs.map(|moment| moment.0).collect()))
+    });
+    named.collect()
 }
 
 /// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
@@ -417,8 +413,8 @@ fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> Option<V
         let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
         for (run, columns) in runs.iter().zip(&linear.columns) {
             let mut own = DVector::zeros(solution.len());
-            for column in &linear.candidates[candidate].variants[variant].columns {
-                own[*column] = solution[*column];
+            for column in linear.candidates[candidate].variants[variant].numbers() {
+                own[column] = solution[column];
             }
             let (part, shift) = (columns * &own, columns * &linear.present);
             let pairs = readings(run, |sample| {
@@ -460,10 +456,9 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
     for (candidate, form) in linear.candidates.iter().zip(set) {
         let Some(form) = form else { continue };
         let variant = &candidate.variants[*form];
-        all.extend(&variant.columns);
-        let sizes = variant.columns.iter().zip(&variant.units);
-        let sizes = sizes.filter(|(_, unit)| !candidate.is_unknown() && **unit > 0.0);
-        named.extend(sizes.map(|(column, _)| *column));
+        all.extend(variant.numbers());
+        let sizes = variant.columns.iter().filter(|own| own.unit > 0.0);
+        named.extend(sizes.filter(|_| !candidate.is_unknown()).map(|own| own.at));
     }
     let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
     let length = whole((samples as f64 / BLOCKS).ceil()).max(1);

@@ -60,12 +60,9 @@ impl Reduced {
             if none_is_zero && !candidate.is_unknown() {
                 // Forms of an event share columns.
                 let variants = candidate.variants.iter();
-                let columns: BTreeSet<usize> = variants.flat_map(|v| &v.columns).copied().collect();
-                hairs.extend(
-                    columns
-                        .into_iter()
-                        .map(|c| (c, 1.0 / (HAIR_SLABS * HAIR_SLABS))),
-                );
+                let columns: BTreeSet<usize> = variants.flat_map(Variant::numbers).collect();
+                let hair = 1.0 / (HAIR_SLABS * HAIR_SLABS);
+                hairs.extend(columns.into_iter().map(|column| (column, hair)));
             }
         }
         let k = hairs.len();
@@ -83,7 +80,7 @@ impl Reduced {
         let mut prior = DVector::zeros(p - m);
         for candidate in &linear.candidates {
             for variant in &candidate.variants {
-                prior[variant.columns[0] - m] = variant.mean;
+                prior[variant.columns[0].at - m] = variant.mean;
             }
         }
         Some(Self {
@@ -95,25 +92,39 @@ impl Reduced {
         })
     }
 
+    /// The columns of a set, the nuisances not counted.
     pub(super) fn columns(&self, set: &Set) -> Vec<usize> {
+        let chosen = set.iter().zip(&self.linear.candidates);
+        let variants = chosen.filter_map(|(form, own)| Some(&own.variants[(*form)?]));
+        variants.flat_map(|variant| self.own(variant)).collect()
+    }
+
+    /// The same of one form.
+    fn own(&self, variant: &Variant) -> Vec<usize> {
         let m = self.linear.nuisances.len();
-        let mut columns = Vec::new();
-        for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
-            if let Some(v) = variant {
-                columns.extend(candidate.variants[*v].columns.iter().map(|c| c - m));
-            }
-        }
-        columns
+        variant.numbers().map(|column| column - m).collect()
+    }
+
+    /// Products of columns with each other.
+    fn products(&self, rows: &[usize], columns: &[usize]) -> DMatrix<f64> {
+        DMatrix::from_fn(rows.len(), columns.len(), |r, c| {
+            self.gram[(rows[r], columns[c])]
+        })
+    }
+
+    /// What is asked of columns, their means beforehand included.
+    fn asked(&self, columns: &[usize]) -> DVector<f64> {
+        DVector::from_fn(columns.len(), |r, _| {
+            self.right[columns[r]] + self.prior[columns[r]]
+        })
     }
 
     fn factor(&self, columns: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
-        let k = columns.len();
-        let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(columns[r], columns[c])]);
-        for d in 0..k {
+        let mut a = self.products(columns, columns);
+        for d in 0..columns.len() {
             a[(d, d)] += 1.0;
         }
-        let b = DVector::from_fn(k, |r, _| self.right[columns[r]] + self.prior[columns[r]]);
-        Some((a.cholesky()?, b))
+        Some((a.cholesky()?, self.asked(columns)))
     }
 
     /// Mean and covariance of the columns of a set, in slabs.
@@ -139,20 +150,15 @@ impl Reduced {
         mean: &DVector<f64>,
         candidate: usize,
     ) -> Vec<f64> {
-        let m = self.linear.nuisances.len();
         let c = &self.linear.candidates[candidate];
         let weigh = |variant: &Variant| {
-            let own: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
-            let k = own.len();
-            let cross = DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
-            let solved = factor.solve(&cross);
-            let mut a =
-                DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
-            for d in 0..k {
+            let own = self.own(variant);
+            let cross = self.products(others, &own);
+            let mut a = self.products(&own, &own) - cross.tr_mul(&factor.solve(&cross));
+            for d in 0..own.len() {
                 a[(d, d)] += 1.0;
             }
-            let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]])
-                - cross.tr_mul(mean);
+            let right = self.asked(&own) - cross.tr_mul(mean);
             let Some(schur) = a.cholesky() else {
                 return f64::NEG_INFINITY;
             };
@@ -224,9 +230,8 @@ impl Reduced {
 
     /// Share of the squares that the best form of a candidate alone would take away.
     pub(super) fn share_alone(&self, candidate: usize) -> f64 {
-        let m = self.linear.nuisances.len();
         let explained = |variant: &Variant| {
-            let columns: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
+            let columns = self.own(variant);
             let (mean, _) = self.sizes(&columns)?;
             let parts = columns.iter().zip(mean.iter());
             let parts = parts.map(|(column, mean)| self.right[*column] * mean);
@@ -262,18 +267,13 @@ impl Reduced {
         candidate: usize,
         variant: usize,
     ) -> Option<Injection> {
-        let m = self.linear.nuisances.len();
         let candidate = &self.linear.candidates[candidate];
         let chosen = &candidate.variants[variant];
-        let own: Vec<usize> = chosen.columns.iter().map(|c| c - m).collect();
+        let own = self.own(chosen);
         let (factor, _) = self.factor(others)?;
-        let cross = DMatrix::from_fn(others.len(), own.len(), |r, c| {
-            self.gram[(others[r], own[c])]
-        });
-        let solved = factor.solve(&cross);
+        let cross = self.products(others, &own);
         // Of the form's own information what the others leave, without and with its prior.
-        let left = DMatrix::from_fn(own.len(), own.len(), |r, c| self.gram[(own[r], own[c])])
-            - cross.tr_mul(&solved);
+        let left = self.products(&own, &own) - cross.tr_mul(&factor.solve(&cross));
         let schur = (&left + DMatrix::identity(own.len(), own.len())).cholesky()?;
         Some(Injection {
             left,
@@ -457,7 +457,7 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::columns::Candidate;
+    use crate::diagnosis::joint::columns::{Candidate, Column};
     use crate::plant::effect;
 
     /// One column for each candidate, with this normal matrix and these products with the residual.
@@ -470,11 +470,11 @@ mod tests {
                 effect: effect::find(id),
                 log_odds: (0.1_f64 / 0.9).ln(),
                 variants: vec![Variant {
-                    columns: vec![column],
+                    columns: vec![Column {
+                        at: column,
+                        ..Column::of(Some(0), 1.0, 0.0)
+                    }],
                     values: vec![1.0],
-                    units: vec![1.0],
-                    parameters: vec![0],
-                    present: vec![0.0],
                     ..Variant::default()
                 }],
                 ..Candidate::default()

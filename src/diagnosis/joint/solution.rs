@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Linear};
+use super::columns::{Around, Candidate, Column, Linear};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::follow::Noise;
 use super::select::{Reduced, Set};
@@ -53,22 +53,22 @@ fn happening(
     let variant = &candidate.variants[form];
     let effect = candidate.effect?;
     let time = events::time_of(effect)?;
-    let columns = variant.columns.iter().zip(&variant.units);
-    columns
-        .zip(&variant.moments)
-        .map(|((column, unit), (run, time_s))| {
-            let mut event = Event {
-                run: *run,
-                effect,
-                values: variant.values.clone(),
-            };
-            let index = event.size_index();
-            event.values[time] = *time_s;
-            let spec = &effect.parameters()[index];
-            event.values[index] = (size(*column)? * unit).clamp(spec.min, spec.max);
-            Some(event)
-        })
-        .collect()
+    let happens = |(column, (run, time_s)): (&Column, (usize, f64))| {
+        let values = variant.values.clone();
+        let mut event = Event {
+            run,
+            effect,
+            values,
+        };
+        let index = event.size_index();
+        event.values[time] = time_s;
+        let spec = &effect.parameters()[index];
+        event.values[index] = (size(column.at)? * column.unit).clamp(spec.min, spec.max);
+        Some(event)
+    };
+    let columns = variant.columns.iter();
+    let moments = columns.filter_map(|column| Some((column, column.moment?)));
+    moments.map(happens).collect()
 }
 
 /// What there is at the linear solution of a set.
@@ -105,16 +105,14 @@ pub(super) fn at_solution(
                 let variant = &candidate.variants[*v];
                 let mut values = variant.values.clone();
                 let specs = effect.parameters();
-                let columns = variant.columns.iter().zip(&variant.units);
-                for ((column, unit), parameter) in columns.zip(&variant.parameters) {
-                    let spec = specs.get(*parameter).filter(|spec| spec.is_coefficient());
-                    if let Some(spec) = spec {
-                        let mut x = size(*column)?;
-                        if spec.min >= 0.0 || takes_power(candidate.id) {
-                            x = x.max(LEAST_START_SHARE);
-                        }
-                        values[*parameter] = x * unit;
+                for column in &variant.columns {
+                    let parameter = column.parameter.filter(|k| specs[*k].is_coefficient());
+                    let Some(parameter) = parameter else { continue };
+                    let mut x = size(column.at)?;
+                    if specs[parameter].min >= 0.0 || takes_power(candidate.id) {
+                        x = x.max(LEAST_START_SHARE);
                     }
+                    values[parameter] = x * column.unit;
                 }
                 next.effects.retain(|active| active.id() != candidate.id);
                 next.effects.push(ActiveEffect::with(effect, &values));
@@ -163,14 +161,14 @@ pub(super) fn happened(
         let variant = &candidate.variants[form];
         let own = happening(candidate, form, |column| at(column).map(|k| mean[k]))?;
         let moments = events::placed(&own, linear, set, runs, excess);
-        let columns = variant.columns.iter().zip(&variant.units);
-        for ((mut event, moment), (column, unit)) in own.into_iter().zip(moments).zip(columns) {
-            let k = at(*column)?;
+        let columns = variant.columns.iter().filter(|own| own.moment.is_some());
+        for ((mut event, moment), column) in own.into_iter().zip(moments).zip(columns) {
+            let k = at(column.at)?;
             event.put_at(moment.time_s);
             all.push(Happened {
                 event,
                 moment,
-                deviation: covariance[(k, k)].sqrt() * unit,
+                deviation: covariance[(k, k)].sqrt() * column.unit,
             });
         }
     }

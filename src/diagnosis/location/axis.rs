@@ -4,17 +4,19 @@
 //! turns or many amperes within one window counts as what it is there. Their adjusted share of the error is compared.
 
 use std::f64::consts::{PI, TAU};
+use std::fmt::Display;
 
 use nalgebra::{DMatrix, DVector};
 
+use super::FailureLocation;
 use super::windows::{Window, Windows, own_keys};
-use super::{FailureLocation, name, sentences};
 use crate::numerics::count::whole;
 use crate::plant::{Balance, Model, MotorKey};
+use crate::text::number::{share, shortest};
 
 /// Hat functions along speed and current, and along time.
 const HATS: usize = 16;
-pub(super) const HATS_OF_TIME: usize = 24;
+const HATS_OF_TIME: usize = 24;
 /// Periods per turn that are looked for.
 const ORDERS: usize = 36;
 /// Windows (by their weight) in which a wave must be visible.
@@ -32,71 +34,15 @@ const PARSIMONY: f64 = 1.03;
 const ONE_SIDED_SHARE: f64 = 0.75;
 const ONE_SIDED_SHARE_OF_TIME: f64 = 0.6;
 const ONE_SIDED_WINDOWS: usize = 20;
+/// Share of the time above which a region is the whole range.
+const NEARLY_ALL_SHARE: f64 = 0.75;
 /// Share of the largest diagonal that keeps columns without data from being singular.
 const RIDGE: f64 = 1e-9;
 
-/// What form the dependence has.
-pub(super) enum Shape {
-    /// A curve over the variable.
-    Curve,
-    /// One of the motor's own values differs by this much.
-    Own {
-        key: MotorKey,
-        by: f64,
-        share: f64,
-    },
-    /// So many periods per turn, with this amplitude.
-    Turns {
-        order: usize,
-        amplitude: f64,
-    },
-    /// A curve over time; of the resistance, from its begin to its end, or of the equation itself.
-    Drift {
-        resistance: Option<[f64; 2]>,
-    },
-    Line {
-        amplitude: f64,
-    },
-    /// The voltage seems to come later by this time, s.
-    Late {
-        delay_s: f64,
-        resolved: bool,
-    },
-    OneWay {
-        forward: bool,
-    },
-    /// The same everywhere.
-    Offset {
-        by: f64,
-    },
-}
-
-pub(super) struct Axis {
-    pub equation: Balance,
-    pub variable: &'static str,
-    pub shape: Shape,
-    pub region: Region,
-    pub follows: f64,
-    strength: f64,
+/// A variable that the error follows, and what it is ranked by.
+struct Ranked {
+    location: FailureLocation,
     weight: f64,
-}
-
-impl Axis {
-    pub(super) fn into_location(self) -> FailureLocation {
-        let Region { from, to, .. } = self.region;
-        let is_around_zero = self.region.of_size && self.region.from_lowest;
-        FailureLocation {
-            equation: name(self.equation),
-            variable: self.variable,
-            from: if is_around_zero { -to } else { from },
-            to,
-            share_of_error: self.region.share_of_error,
-            share_of_time: self.region.share_of_time,
-            follows: self.follows,
-            strength: self.strength,
-            sentence: sentences::sentence(&self),
-        }
-    }
 }
 
 /// The variables that the error follows, the one that it follows most first. `refitted`: whether the error is what the
@@ -106,7 +52,7 @@ pub(super) fn ranked(
     equation: Balance,
     refitted: bool,
     model: &Model,
-) -> Vec<Axis> {
+) -> Vec<FailureLocation> {
     let search = Search {
         windows,
         equation,
@@ -135,25 +81,26 @@ pub(super) fn ranked(
     found.extend(search.offset());
     found.extend(search.drift());
     found.extend(search.one_way());
-    found.sort_by(|a: &Axis, b| b.weight.total_cmp(&a.weight));
+    found.sort_by(|a: &Ranked, b| b.weight.total_cmp(&a.weight));
     // One variable, one sentence: the better form of it.
-    let mut kept: Vec<Axis> = Vec::new();
-    for axis in found {
-        if kept.iter().all(|before| before.variable != axis.variable) {
-            kept.push(axis);
+    let mut kept: Vec<FailureLocation> = Vec::new();
+    for Ranked { location, .. } in found {
+        if kept.iter().all(|own| own.variable != location.variable) {
+            kept.push(location);
         }
     }
     kept
 }
 
-pub(super) struct Search<'a> {
-    pub windows: &'a Windows<'a>,
-    pub equation: Balance,
+struct Search<'a> {
+    windows: &'a Windows<'a>,
+    equation: Balance,
     /// How many of the equation's own columns stand before every variable's.
-    pub own: usize,
+    own: usize,
 }
 
 /// How much of an error some columns explain.
+#[derive(Default)]
 struct Fit {
     /// Coefficient of each column, the equation's own first.
     coefficients: Vec<f64>,
@@ -166,16 +113,12 @@ struct Fit {
 }
 
 impl Search<'_> {
-    pub(super) fn of(&self) -> impl Iterator<Item = &Window> {
+    fn of(&self) -> impl Iterator<Item = &Window> {
         self.windows.of(self.equation)
     }
 
     /// A row of columns for each window, the equation's own first.
-    pub(super) fn rows(
-        &self,
-        columns: usize,
-        mut fill: impl FnMut(&Window, &mut [f64]),
-    ) -> Vec<Vec<f64>> {
+    fn rows(&self, columns: usize, mut fill: impl FnMut(&Window, &mut [f64])) -> Vec<Vec<f64>> {
         let row = |window: &Window| {
             let mut row = vec![0.0; self.own + columns];
             row[..self.own].copy_from_slice(&window.own(self.equation)[..self.own]);
@@ -186,7 +129,7 @@ impl Search<'_> {
     }
 
     /// The same from a value that every sample has, each `put` into the columns with its weight in the window.
-    pub(super) fn averaged(
+    fn averaged(
         &self,
         values: &[f64],
         columns: usize,
@@ -282,23 +225,64 @@ impl Search<'_> {
         )
     }
 
-    fn axis(
+    fn ranked(
         &self,
         variable: &'static str,
-        shape: Shape,
         region: Region,
         fit: &Fit,
         weight: f64,
-    ) -> Axis {
-        Axis {
-            equation: self.equation,
+        sentence: String,
+    ) -> Ranked {
+        let Region { from, to, .. } = region;
+        let is_around_zero = region.of_size && region.from_lowest;
+        let location = FailureLocation {
+            equation: self.equation.key(),
             variable,
-            shape,
-            region,
+            from: if is_around_zero { -to } else { from },
+            to,
+            share_of_error: region.share_of_error,
+            share_of_time: region.share_of_time,
             follows: fit.follows,
             strength: fit.strength,
-            weight: weight * fit.adjusted,
+            sentence,
+        };
+        let weight = weight * fit.adjusted;
+        Ranked { location, weight }
+    }
+
+    /// "85 % of the torque error ..."
+    fn says(&self, of_error: f64, what: impl Display) -> String {
+        format!(
+            "{} of the {} error {what}",
+            share(of_error),
+            self.equation.key()
+        )
+    }
+
+    /// "85 % of the torque error lies below 12 rad/s (11 % of the time)"; that it follows the variable, and over which `range`,
+    /// where the region is nearly everything.
+    fn lies(&self, variable: &str, region: &Region, fit: &Fit, range: &str) -> String {
+        let (name, unit) = name_and_unit(variable);
+        if region.share_of_time > NEARLY_ALL_SHARE {
+            return self.says(
+                fit.follows,
+                format_args!("follows the {name}, over {range}"),
+            );
         }
+        let (from, to) = (figure(region.from), figure(region.to));
+        let place = match (region.from_lowest, region.to_highest) {
+            (true, _) => format!("below {to} {unit}"),
+            (_, true) => format!("above {from} {unit}"),
+            _ => format!("between {from} and {to} {unit}"),
+        };
+        let either = if region.of_size {
+            " in either direction"
+        } else {
+            ""
+        };
+        let time = share(region.share_of_time);
+        let lies = format_args!("lies {place}{either} ({time} of the time)");
+        self.says(region.share_of_error, lies)
     }
 
     /// Quantiles of a variable over the windows: sharp where the run spent much time.
@@ -321,7 +305,7 @@ impl Search<'_> {
     }
 
     /// A curve of hats over speed or current.
-    fn curve(&self, variable: &'static str) -> Option<Axis> {
+    fn curve(&self, variable: &'static str) -> Option<Ranked> {
         let scenario = self.windows.scenario;
         let (at, values): (fn(&Window) -> f64, &[f64]) = match variable {
             "speed_rad_s" => (|window| window.speed_rad_s, &scenario.speed_rad_s),
@@ -332,11 +316,12 @@ impl Search<'_> {
         let rows = self.averaged(values, knots.len(), put);
         let fit = self.fit(&rows)?;
         let region = self.region(&rows, &fit, at)?;
-        Some(self.axis(variable, Shape::Curve, region, &fit, 1.0))
+        let sentence = self.lies(variable, &region, &fit, "its whole range");
+        Some(self.ranked(variable, region, &fit, 1.0, sentence))
     }
 
     /// Each of the equation's own parameters alone.
-    fn own_values(&self, model: &Model) -> Vec<Axis> {
+    fn own_values(&self, model: &Model) -> Vec<Ranked> {
         let variables: &[&'static str] = match self.equation {
             Balance::Voltage => &["current_a", "current_rate_a_s", "speed_rad_s"],
             Balance::Torque => &["acceleration_rad_s2", "direction"],
@@ -352,29 +337,43 @@ impl Search<'_> {
             } else {
                 self.region(&rows, &fit, value)?
             };
-            let share = by / model.motor.get(key).unwrap_or(f64::NAN);
-            let shape = Shape::Own { key, by, share };
-            Some(self.axis(variable, shape, region, &fit, PARSIMONY))
+            let part = by / model.motor.get(key).unwrap_or(f64::NAN);
+            let what = format!(
+                "follows the {}, as {} {} too {} in the model would make it ({} {})",
+                name_of_variable(variable),
+                name_of(key),
+                share(part.abs()),
+                if by > 0.0 { "low" } else { "high" },
+                figure(by.abs()),
+                key.unit()
+            );
+            let sentence = self.says(fit.follows, what);
+            Some(self.ranked(variable, region, &fit, PARSIMONY, sentence))
         };
         keys.filter_map(one).collect()
     }
 
     /// The steps of the voltage: `v = -delay <du/dt>` where it comes late.
-    fn late(&self, model: &Model) -> Option<Axis> {
+    fn late(&self, model: &Model) -> Option<Ranked> {
         let fit = self.fit(&self.rows(1, |window, row| row[0] = window.input_rate))?;
         // The loss is u(t) - u(t - delay).
         let delay_s = fit.coefficients[self.own];
         let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
         let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
         // Samples that miss the armature's transient tell that there is a delay, not how long it is.
-        let resolved = self.windows.period_s < 0.5 * time_constant_s;
-        let shape = Shape::Late { delay_s, resolved };
+        let is_resolved = self.windows.period_s < 0.5 * time_constant_s;
+        let by = || format!(" {} ms", figure(1e3 * delay_s.abs()));
+        let by = is_resolved.then(by).unwrap_or_default();
+        let word = if delay_s > 0.0 { "late" } else { "early" };
+        let what =
+            format_args!("follows the steps of the voltage, as if it came{by} {word} (timing)");
+        let sentence = self.says(fit.follows, what);
         let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
-        Some(self.axis("voltage_edge_s", shape, region, &fit, 1.0))
+        Some(self.ranked("voltage_edge_s", region, &fit, 1.0, sentence))
     }
 
     /// The order per turn that explains most.
-    fn turns(&self) -> Option<Axis> {
+    fn turns(&self) -> Option<Ranked> {
         let angle = self.angle_at_samples()?;
         // Averages of the waves of all orders at once: [cos, sin] of each.
         let average = |window: &Window| {
@@ -421,9 +420,16 @@ impl Search<'_> {
         let fit = self.fit(&self.rows(2, |_, row| {
             row.copy_from_slice(each.next().map_or(&[f64::NAN; 2], |waves| &waves[order]));
         }))?;
-        let amplitude = self.amplitude(&fit);
-        let shape = Shape::Turns { order, amplitude };
-        Some(self.axis("angle_rad", shape, everywhere(0.0, TAU), &fit, 1.0))
+        let (unit, amplitude) = (self.equation.unit(), figure(self.amplitude(&fit)));
+        let times = match order {
+            1 => "once".to_owned(),
+            2 => "twice".to_owned(),
+            order => format!("{order} times"),
+        };
+        let what =
+            format_args!("follows the angle: it repeats {times} per turn, with {amplitude} {unit}");
+        let sentence = self.says(fit.follows, what);
+        Some(self.ranked("angle_rad", everywhere(0.0, TAU), &fit, 1.0, sentence))
     }
 
     /// Amplitude of a wave that was fitted by its cosine and its sine.
@@ -431,7 +437,7 @@ impl Search<'_> {
         fit.coefficients[self.own].hypot(fit.coefficients[self.own + 1])
     }
 
-    pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
+    fn angle_at_samples(&self) -> Option<Vec<f64>> {
         let points = self.windows.scenario.shaft_angle();
         if points.len() < 2 {
             return None;
@@ -448,12 +454,15 @@ impl Search<'_> {
         Some(times.map(at).collect())
     }
 
-    fn line(&self) -> Option<Axis> {
+    fn line(&self) -> Option<Ranked> {
         let line = self.strongest_line()?;
         let fit = self.fit(&self.rows(2, |window, row| {
             row.copy_from_slice(&line.wave(window.time_s));
         }))?;
-        let amplitude = self.amplitude(&fit) / line.seen;
+        let (unit, amplitude) = (
+            self.equation.unit(),
+            figure(self.amplitude(&fit) / line.seen),
+        );
         // As sharp as the length of the run allows.
         let times = &self.windows.scenario.sample_time_s;
         let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
@@ -461,13 +470,15 @@ impl Search<'_> {
             share_of_error: fit.follows,
             ..everywhere(line.frequency_hz - half_hz, line.frequency_hz + half_hz)
         };
-        let shape = Shape::Line { amplitude };
-        Some(self.axis("frequency_hz", shape, region, &fit, WEIGHT_OF_LINE))
+        let middle = figure(0.5 * (region.from + region.to));
+        let what = format_args!("is a line at {middle} Hz, with {amplitude} {unit}");
+        let sentence = self.says(fit.follows, what);
+        Some(self.ranked("frequency_hz", region, &fit, WEIGHT_OF_LINE, sentence))
     }
 
     /// A curve over time: of the equation itself, or of what multiplies its current (voltage) or its direction (torque:
     /// friction acts against the motion, and a load that changes does so too); the better.
-    fn drift(&self) -> Option<Axis> {
+    fn drift(&self) -> Option<Ranked> {
         let at = |window: &Window| window.time_s;
         let knots = self.knots(at, HATS_OF_TIME)?;
         let modulation: fn(&Window) -> f64 = match self.equation {
@@ -487,32 +498,36 @@ impl Search<'_> {
         });
         let (rows, fit) = if is_modulated { modulated? } else { plain? };
         let region = self.region(&rows, &fit, at)?;
-        let ends = [self.own, self.own + knots.len() - 1].map(|end| fit.coefficients[end]);
-        let of_resistance = is_modulated && self.equation == Balance::Voltage;
-        let resistance = of_resistance.then_some(ends);
-        Some(self.axis(
-            "time_s",
-            Shape::Drift { resistance },
-            region,
-            &fit,
-            WEIGHT_OF_TIME,
-        ))
+        let sentence = if is_modulated && self.equation == Balance::Voltage {
+            let ends = [self.own, self.own + knots.len() - 1].map(|end| fit.coefficients[end]);
+            let what = format!(
+                "follows the time, as a resistance that moves by {:+.3} ohm from begin to end would",
+                ends[1] - ends[0]
+            );
+            self.says(fit.follows, what)
+        } else {
+            self.lies("time_s", &region, &fit, "the whole run")
+        };
+        Some(self.ranked("time_s", region, &fit, WEIGHT_OF_TIME, sentence))
     }
 
     /// What is the same in every window.
-    fn offset(&self) -> Option<Axis> {
+    fn offset(&self) -> Option<Ranked> {
         let fit = self.fit(&self.rows(1, |_, row| row[0] = 1.0))?;
         let by = fit.coefficients[self.own];
         let variable = match self.equation {
             Balance::Torque => "offset_n_m",
             Balance::Voltage => "offset_v",
         };
+        let (lacks, unit) = (figure(by), self.equation.unit());
+        let what = format_args!("is the same everywhere: {lacks} {unit} are missing in the model");
+        let sentence = self.says(fit.follows, what);
         let region = everywhere(by.min(0.0), by.max(0.0));
-        Some(self.axis(variable, Shape::Offset { by }, region, &fit, PARSIMONY))
+        Some(self.ranked(variable, region, &fit, PARSIMONY, sentence))
     }
 
     /// Whether nearly all of the error falls in one direction of motion.
-    fn one_way(&self) -> Option<Axis> {
+    fn one_way(&self) -> Option<Ranked> {
         let mut sums = [(0.0, 0_usize); 2];
         for window in self.of() {
             if window.speed_rad_s.abs() > self.windows.dead_zone_rad_s {
@@ -525,28 +540,37 @@ impl Search<'_> {
         let count: usize = sums.iter().map(|side| side.1).sum();
         let forward = sums[1].0 > sums[0].0;
         let (beyond, windows) = sums[usize::from(forward)];
-        let (share, time) = (beyond / power, windows as f64 / count.max(1) as f64);
-        let is_one_sided = share >= ONE_SIDED_SHARE && time <= ONE_SIDED_SHARE_OF_TIME;
-        let [from, to] = if forward { [0.0, 1.0] } else { [-1.0, 0.0] };
-        (is_one_sided && windows >= ONE_SIDED_WINDOWS).then(|| Axis {
-            equation: self.equation,
-            variable: "direction",
-            shape: Shape::OneWay { forward },
-            region: Region {
-                share_of_error: share,
-                share_of_time: time,
-                ..everywhere(from, to)
-            },
-            follows: share,
+        let (held, time) = (beyond / power, windows as f64 / count.max(1) as f64);
+        if !(held >= ONE_SIDED_SHARE
+            && time <= ONE_SIDED_SHARE_OF_TIME
+            && windows >= ONE_SIDED_WINDOWS)
+        {
+            return None;
+        }
+        let (from, to, word) = if forward {
+            (0.0, 1.0, "forward")
+        } else {
+            (-1.0, 0.0, "reverse")
+        };
+        let region = Region {
+            share_of_error: held,
+            share_of_time: time,
+            ..everywhere(from, to)
+        };
+        let fit = Fit {
+            follows: held,
             strength: windows as f64,
-            // Always after the variables that say more.
-            weight: 0.0,
-        })
+            ..Fit::default()
+        };
+        let time = share(time);
+        let what = format_args!("falls in {word} motion ({time} of the time in motion)");
+        // Always after the variables that say more.
+        Some(self.ranked("direction", region, &fit, 0.0, self.says(held, what)))
     }
 }
 
 /// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
-pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
+fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
     let last = knots.len() - 1;
     let after = knots.partition_point(|knot| *knot <= value);
     if after == 0 {
@@ -560,6 +584,41 @@ pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
     }
 }
 
+/// Three digits are what such a place or size carries.
+pub(super) fn figure(value: f64) -> String {
+    shortest(value, 3)
+}
+
+const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
+    match variable.as_bytes() {
+        b"speed_rad_s" => ("speed", "rad/s"),
+        b"current_a" => ("current", "A"),
+        b"time_s" => ("time", "s"),
+        b"acceleration_rad_s2" => ("acceleration", "rad/s2"),
+        b"current_rate_a_s" => ("rate of the current", "A/s"),
+        b"direction" => ("direction of motion", ""),
+        b"angle_rad" => ("angle", "rad"),
+        b"voltage_edge_s" => ("timing of the voltage", "s"),
+        b"frequency_hz" => ("phase of a line in frequency", ""),
+        _ => ("variable", ""),
+    }
+}
+
+pub(super) const fn name_of_variable(variable: &str) -> &'static str {
+    name_and_unit(variable).0
+}
+
+pub(super) const fn name_of(key: MotorKey) -> &'static str {
+    match key {
+        MotorKey::Resistance => "resistance",
+        MotorKey::Inductance => "inductance",
+        MotorKey::BackEmf => "back-EMF constant",
+        MotorKey::Inertia => "inertia",
+        MotorKey::LoadTorque => "load torque",
+        MotorKey::TorqueConstant => "torque constant",
+    }
+}
+
 /// Bins of equal population, and the share of the error that follows the variable which a region must hold.
 const BINS: usize = 24;
 const REGION_SHARE: f64 = 0.8;
@@ -568,17 +627,17 @@ const NARROWER_SHARE: f64 = 0.7;
 
 /// A range with what lies in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Region {
-    pub from: f64,
-    pub to: f64,
+struct Region {
+    from: f64,
+    to: f64,
     /// Share of the squared error beyond the noise.
-    pub share_of_error: f64,
-    pub share_of_time: f64,
+    share_of_error: f64,
+    share_of_time: f64,
     /// The range is one of sizes: it stands for both signs.
-    pub of_size: bool,
+    of_size: bool,
     /// It begins at the lowest value, ends at the highest.
-    pub from_lowest: bool,
-    pub to_highest: bool,
+    from_lowest: bool,
+    to_highest: bool,
 }
 
 const fn everywhere(from: f64, to: f64) -> Region {
@@ -663,15 +722,15 @@ const REFINEMENT: i32 = 12;
 const FEWEST_WINDOWS: usize = 64;
 
 /// A line in the spectrum of what an equation lacks: a shaker, a belt, a gear that turns by itself.
-pub(super) struct Line {
-    pub frequency_hz: f64,
+struct Line {
+    frequency_hz: f64,
     /// Share of a wave's amplitude that is left when windows average it.
-    pub seen: f64,
+    seen: f64,
 }
 
 impl Line {
     /// Cosine and sine at a time.
-    pub(super) fn wave(&self, time_s: f64) -> [f64; 2] {
+    fn wave(&self, time_s: f64) -> [f64; 2] {
         let (sin, cos) = (TAU * self.frequency_hz * time_s).sin_cos();
         [cos, sin]
     }
@@ -680,7 +739,7 @@ impl Line {
 impl Search<'_> {
     /// The windows stand at nearly equal distances; where one was dropped there is a zero, which spreads a line but does
     /// not move it. The highest peak of the periodogram is then refined in true time.
-    pub(super) fn strongest_line(&self) -> Option<Line> {
+    fn strongest_line(&self) -> Option<Line> {
         let stride_s = 0.5 * self.windows.length_s();
         let first = self.of().next()?;
         let (begin_s, end_s) = (first.time_s, self.of().last()?.time_s);

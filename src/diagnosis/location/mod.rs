@@ -4,9 +4,7 @@
 //! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what
 //!                  |      a change of the motor's own values would explain of it (told, or taken out)
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
-//!                  |           the narrowest range that holds most of it
-//!                  |-> curve   the same as a curve along each axis, which a table can hold
-//!                  |-> sentences   one sentence each
+//!                  |           the narrowest range that holds most of it; one sentence each
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -16,17 +14,16 @@
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
 mod axis;
-mod sentences;
 mod windows;
 
 use serde::Serialize;
 
-use self::axis::Axis;
+use self::axis::{figure, name_of, name_of_variable};
 use self::windows::{Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
 use crate::numerics::count::whole;
-use crate::plant::{Balance, Input, Model, Scenario};
+use crate::plant::{Balance, Input, Model, MotorKey, Scenario};
 
 /// A region that holds much of the error of one equation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -108,21 +105,6 @@ pub enum ErrorOf {
     Structure,
 }
 
-/// As an equation stands in the JSON and in sentences.
-const fn name(equation: Balance) -> &'static str {
-    match equation {
-        Balance::Torque => "torque",
-        Balance::Voltage => "voltage",
-    }
-}
-
-const fn unit(equation: Balance) -> &'static str {
-    match equation {
-        Balance::Torque => "N.m",
-        Balance::Voltage => "V",
-    }
-}
-
 /// Windows below which nothing is said.
 const FEWEST_WINDOWS: usize = 40;
 /// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
@@ -155,7 +137,7 @@ pub fn locate(
             found.notes.push(format!(
                 "{} equation: {usable} usable windows of {:.0} ms, at least {FEWEST_WINDOWS} are needed to say where it \
                  fails: record a longer run{}",
-                name(equation),
+                equation.key(),
                 1e3 * windows.length_s(),
                 if equation == Balance::Torque { " in which the shaft turns" } else { "" }
             ));
@@ -170,11 +152,9 @@ pub fn locate(
         };
         // Without a known noise, what follows nothing may be the noise.
         balance.fails &= balance.nres.is_some() || !axes.is_empty();
-        sentences::describe(&mut balance, axes.first());
+        balance.sentence = balance.in_words(axes.first());
         found.balances.push(balance);
-        found
-            .locations
-            .extend(axes.into_iter().map(Axis::into_location));
+        found.locations.extend(axes);
     }
     rank(&mut found);
     if scenario.angle.is_empty() && !found.balances.is_empty() {
@@ -214,9 +194,7 @@ pub(super) fn locate_difference(
         let balance = windows.balance(equation, noise);
         if balance.fails {
             let axes = axis::ranked(&windows, equation, true, model);
-            found
-                .locations
-                .extend(axes.into_iter().map(Axis::into_location));
+            found.locations.extend(axes);
         }
         found.balances.push(balance);
     }
@@ -278,6 +256,65 @@ fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
     nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
 }
 
+/// Fall of the error, in multiples of the noise, from which on it is worth a word that the motor's values may move.
+const WORTH_SAYING_NRES: f64 = 0.1;
+
+impl EquationBalance {
+    /// The whole balance as a sentence; `first` is what its error follows most.
+    fn in_words(&self, first: Option<&FailureLocation>) -> String {
+        let name = self.equation;
+        let is_torque = name == Balance::Torque.key();
+        let size = match self.nres {
+            Some(nres) => format!("{nres:.2} times its noise"),
+            None => format!(
+                "{} % of the {} (no noise is known to compare it with)",
+                figure(100.0 * self.relative),
+                if is_torque {
+                    "driving torque"
+                } else {
+                    "voltage"
+                }
+            ),
+        };
+        let moved = match (self.refitted, self.nres, self.nres_refitted) {
+            (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => {
+                format!(
+                    ", {after:.2} times where {} may move",
+                    self.largest_change()
+                )
+            }
+            _ => String::new(),
+        };
+        match (self.fails, first) {
+            (false, _) if self.nres.is_none() => {
+                format!(
+                    "the {name} equation: its error is {size} and follows nothing, as noise does"
+                )
+            }
+            (false, _) => format!("the {name} equation holds: its error is {size}{moved}"),
+            (true, Some(first)) => {
+                format!(
+                    "the {name} equation fails: its error is {size}{moved}; {}",
+                    first.sentence
+                )
+            }
+            (true, None) => format!(
+                "the {name} equation fails: its error is {size}{moved} and follows no variable that was asked"
+            ),
+        }
+    }
+
+    /// The parameter that is farthest off, with its move.
+    fn largest_change(&self) -> String {
+        let changes = self.own_changes.iter();
+        let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
+        largest.map_or_else(String::new, |change| {
+            let name = MotorKey::from_key(change.key).map_or("a value", name_of);
+            format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
+        })
+    }
+}
+
 /// Standard deviations within which two figures are alike.
 const ALIKE_SIGMAS: f64 = 2.0;
 
@@ -315,8 +352,8 @@ pub(super) fn undecided(
         format!(
             "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
             worst.equation,
-            sentences::name_of_variable(first.variable),
-            sentences::name_of_variable(second.variable),
+            name_of_variable(first.variable),
+            name_of_variable(second.variable),
             100.0 * first.follows,
             100.0 * second.follows
         )

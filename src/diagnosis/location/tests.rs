@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::*;
 use crate::diagnosis::kit::{nameplate, truth};
 use crate::identification::output_error;
-use crate::plant::{MotorKey, Plant, State, testing};
+use crate::plant::{Plant, State, testing};
 
 /// Both directions, slow passages through zero, dither of 40 ms; another run for each seed.
 fn record(truth: &Model, period_s: f64, seed: u64) -> Scenario {

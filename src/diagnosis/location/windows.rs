@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{EquationBalance, name, unit};
+use super::EquationBalance;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
 use crate::numerics::count::whole;
@@ -347,8 +347,8 @@ impl<'a> Windows<'a> {
         };
         let is_seen = nres.is_none_or(|nres| nres > noise.tolerance(LARGEST_NRES));
         EquationBalance {
-            equation: name(equation),
-            unit: unit(equation),
+            equation: equation.key(),
+            unit: equation.unit(),
             nres,
             rms,
             relative,

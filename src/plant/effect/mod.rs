@@ -126,6 +126,13 @@ impl Balance {
             Self::Torque => "torque",
         }
     }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Voltage => "V",
+            Self::Torque => "N.m",
+        }
+    }
 }
 
 impl From<Balance> for Enters {
