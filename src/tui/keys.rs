@@ -38,7 +38,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-const CHARACTERS: [(char, Press); 21] = [
+pub(super) const CHARACTERS: [(char, Press); 21] = [
     (' ', Press::Stop),
     ('q', Press::Quit),
     ('?', Press::Help),

@@ -8,8 +8,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget};
 
-use super::guess::Guessing;
-use super::state::{Row, State};
+use super::state::{Guessing, Row, State};
 use super::view::{at_most, detectable, status};
 use crate::diagnosis::Reached;
 use crate::sample::TWO_SIDED_95;
@@ -80,8 +79,8 @@ pub(super) fn curve(state: &State, index: usize, first: usize, area: Rect, buffe
     let Some((_, map)) = curves.get(index) else {
         return;
     };
-    let is_voltage = map.equation == "voltage";
-    let unit = if is_voltage { "V" } else { "N.m" };
+    let equation = map.equation;
+    let unit = if equation == "voltage" { "V" } else { "N.m" };
     let axis = match map.axis {
         "speed_rad_s" => "speed, rad/s",
         "current_a" => "current, A",
@@ -89,7 +88,6 @@ pub(super) fn curve(state: &State, index: usize, first: usize, area: Rect, buffe
         "angle_rad" => "angle, rad",
         _ => "time, s",
     };
-    let equation = map.equation;
     let title = format!("what the {equation} equation lacks, {unit}, over {axis}");
     let place = format!("{} of {}", index + 1, curves.len());
     let inner = titled_with(&title, &place, area, buffer);
@@ -141,10 +139,9 @@ const LARGEST: f64 = 9.0;
 /// The error of one equation over speed x current, as digits: readable without colour. `index` 0 is the equation that
 /// fails worse.
 pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
-    let Some(comparison) = state.comparison.as_ref() else {
-        return;
-    };
-    let Some(map) = &comparison.map else {
+    let compared = state.comparison.as_ref();
+    let Some((comparison, map)) = compared.and_then(|found| Some((found, found.map.as_ref()?)))
+    else {
         return;
     };
     let worse = comparison.balances.first();
@@ -231,17 +228,15 @@ pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
             lines.push(paragraph("compared", text));
         }
         for entry in &next.menu {
-            let (mark, style) = if entry.is_told() {
+            let is_told = entry.is_told();
+            let (mark, style) = if is_told {
                 ("✓", theme::GOOD)
             } else {
                 ("·", theme::DIM)
             };
-            let text = format!(
-                "{mark} {:<20} {:>10} of {}",
-                entry.program,
-                significant(entry.expected_separation, 2),
-                significant(entry.needed, 2)
-            );
+            let [expected, needed] =
+                [entry.expected_separation, entry.needed].map(|value| significant(value, 2));
+            let text = format!("{mark} {:<20} {expected:>10} of {needed}", entry.program);
             lines.push(Line::styled(text, style));
         }
     }

@@ -9,11 +9,11 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
-use super::guess::Guessing;
 use super::pages;
-use super::state::{Over, Row, State, Step};
+use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ResidualLights, Status,
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ResidualLights, SignalScore,
+    Status,
 };
 use crate::plant::{Effect, effect};
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
@@ -220,36 +220,35 @@ fn word(diagnosis: &Diagnosis) -> (&'static str, Style) {
 
 /// The keys that do something now, the first first, and those that are always shown.
 fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
-    let leave = "? help  q leave";
+    const LEAVE: &str = "? help  q leave";
     let curves = state.curves().len();
-    match state.over {
-        Over::Card(_) => (vec!["Up Down scroll", "a add", "r remove"], "Esc back"),
-        Over::Next(_) => (vec!["Up Down scroll"], "n Esc back"),
-        Over::Map(0) => (vec!["e the other equation"], "Esc back"),
-        Over::Map(_) => (vec![], "e Esc back"),
+    let (keys, always) = match state.over {
+        Over::Card(_) => ("Up Down scroll|a add|r remove", "Esc back"),
+        Over::Next(_) => ("Up Down scroll", "n Esc back"),
+        Over::Map(0) => ("e the other equation", "Esc back"),
+        Over::Map(_) => ("", "e Esc back"),
         Over::Curve(index, _) if index + 1 < curves => {
-            let keys = vec!["t add it", "c the next curve", "Up Down scroll"];
-            (keys, "Esc back")
+            ("t add it|c the next curve|Up Down scroll", "Esc back")
         }
-        Over::Curve(..) => (vec!["t add it", "Up Down scroll"], "c Esc back"),
-        Over::Help(_) => (vec!["Up Down scroll"], "any other key closes the help"),
-        Over::Nothing if state.guessing == Guessing::Choosing => {
-            let keys = "g guess it|Esc show names|Up Down choose|Enter card|e map";
-            (keys.split('|').collect(), leave)
-        }
+        Over::Curve(..) => ("t add it|Up Down scroll", "c Esc back"),
+        Over::Help(_) => ("Up Down scroll", "any other key closes the help"),
+        Over::Nothing if state.guessing == Guessing::Choosing => (
+            "g guess it|Esc show names|Up Down choose|Enter card|e map",
+            LEAVE,
+        ),
         Over::Nothing if state.working.is_some() => {
-            let keys = "Up Down select|Enter card|g guess first|e map";
-            (keys.split('|').collect(), leave)
+            ("Up Down select|Enter card|g guess first|e map", LEAVE)
         }
-        Over::Nothing if curves > 0 => {
-            let keys = "c curve|t add it|a add|r remove|w write|n next run|e map";
-            (keys.split('|').collect(), leave)
-        }
-        Over::Nothing => {
-            let keys = "a add|r remove|w write|Enter card|n next run|e map";
-            (keys.split('|').collect(), leave)
-        }
-    }
+        Over::Nothing if curves > 0 => (
+            "c curve|t add it|a add|r remove|w write|n next run|e map",
+            LEAVE,
+        ),
+        Over::Nothing => ("a add|r remove|w write|Enter card|n next run|e map", LEAVE),
+    };
+    (
+        keys.split('|').filter(|key| !key.is_empty()).collect(),
+        always,
+    )
 }
 
 /// Places that are told.
@@ -276,30 +275,22 @@ fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
 fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     let mut figures = Vec::new();
     let signals = &comparison.signals;
-    let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
-        let times = floor.map_or_else(String::new, |floor| {
-            format!(" = {} x noise", fixed(rmse / floor, 2))
-        });
-        let text = format!(
-            " {name} fit {}, error {} {unit}{times} ",
-            percent(fit),
-            significant(rmse, 3)
-        );
+    let mut figure = |name: &str, unit: &str, held: SignalScore, floor: Option<f64>| {
+        let times = floor.map(|floor| format!(" = {} x noise", fixed(held.rmse / floor, 2)));
+        let (fit, rmse) = (percent(held.fit_percent), significant(held.rmse, 3));
+        let times = times.unwrap_or_default();
+        let text = format!(" {name} fit {fit}, error {rmse} {unit}{times} ");
         figures.push(Span::styled(text, theme::BOLD));
     };
     if let Some(torque) = &signals.torque_n_m {
-        let held = torque.holdout;
-        let floor = torque.noise_floor;
-        figure("torque", "N.m", held.fit_percent, held.rmse, floor);
+        figure("torque", "N.m", torque.holdout, torque.noise_floor);
     }
-    let speed = signals.speed_name();
     for (name, unit, signal) in [
-        (speed.as_str(), "rad/s", signals.speed_rad_s),
-        ("current", "A", signals.current_a),
+        (signals.speed_name(), "rad/s", signals.speed_rad_s),
+        ("current".to_owned(), "A", signals.current_a),
     ] {
         if let Some(signal) = signal {
-            let held = signal.holdout;
-            figure(name, unit, held.fit_percent, held.rmse, signal.noise_floor);
+            figure(&name, unit, signal.holdout, signal.noise_floor);
         }
     }
     let mut lines: Vec<Line<'static>> = if area.width < SIDE_BY_SIDE && area.height >= TALL {
@@ -316,11 +307,8 @@ fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
         let balances = comparison.balances.iter();
         lines.extend(balances.map(|balance| Line::raw(format!(" - {}", balance.sentence))));
     }
-    let notes = comparison
-        .limits
-        .iter()
-        .map(|limit| format!(" note: {limit}"));
-    lines.extend(notes.map(|note| Line::styled(note, theme::DIM)));
+    let notes = comparison.limits.iter();
+    lines.extend(notes.map(|note| Line::styled(format!(" note: {note}"), theme::DIM)));
     lines
 }
 
@@ -345,20 +333,17 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
         return Line::styled(text, theme::DIM);
     }
     let mut line = Line::raw(" residual: ");
+    let independent = residual.independent_of_input;
     for (passes, good, bad) in [
         (residual.white, "✓ white  ", "✗ not white  "),
         (
-            residual.independent_of_input,
+            independent,
             "✓ independent of the input  ",
             "✗ goes with the input  ",
         ),
     ] {
-        let (text, style) = if passes {
-            (good, theme::GOOD)
-        } else {
-            (bad, theme::BAD)
-        };
-        line.push_span(Span::styled(text, style));
+        let style = if passes { theme::GOOD } else { theme::BAD };
+        line.push_span(Span::styled(if passes { good } else { bad }, style));
     }
     let outside = per_cent(residual.autocorrelation_outside_99_percent);
     let lags = format!("({outside} of lags outside)");

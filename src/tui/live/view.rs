@@ -126,7 +126,7 @@ fn top_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         width: stop_width,
         ..area
     };
-    Line::styled(STOP, theme::STOP_KEY).render(stop, buffer);
+    Line::styled(STOP, theme::ALARM).render(stop, buffer);
 }
 
 fn items(snapshot: &Snapshot) -> Vec<Span<'static>> {
