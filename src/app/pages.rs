@@ -6,8 +6,8 @@ use serde_json::Value;
 
 use super::evidence::{About, Prepared};
 use super::failure::Failure;
+use super::files::Recorded;
 use super::output;
-use super::recorded::Recorded;
 use super::rig::Rig;
 use crate::bench::{Outcome, Plan};
 use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Rung, Score, compare};

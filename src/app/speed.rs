@@ -11,8 +11,8 @@ use serde_json::json;
 
 use super::controls::Controls;
 use super::failure::Failure;
+use super::files::Recorded;
 use super::opening::wired_profile;
-use super::recorded::Recorded;
 use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
 use super::{files, output, pages};
 use crate::bench::{

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::failure::Failure;
 use super::{opening, output};
 use crate::app::files::read_text;
-use crate::app::line::told;
+use crate::app::opening::told;
 use crate::bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
 use crate::config_text::{self, ConfigError};
 use crate::drive::serial_ports::describe;

@@ -14,7 +14,7 @@ use super::failure::{Failure, LINK, REFUSED};
 use super::opening;
 use super::output::{self, lines};
 use crate::app::Tap;
-use crate::app::line::{Asking, Survey, far_end, look, survey};
+use crate::app::opening::{Asking, Survey, far_end, look, survey};
 use crate::drive::{Framing, ProbeReport, ProbeVerdict, ProbedSignal};
 use crate::text::number::{reading, with_unit};
 

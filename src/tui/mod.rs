@@ -24,7 +24,6 @@ mod diagnosis;
 mod frame;
 mod keys;
 mod live;
-mod terminal;
 mod theme;
 
 pub use application::{Exit, Screen, is_gone, show};

@@ -15,7 +15,6 @@
 //!
 //! `state` has the teaching flow too, in which no name is shown before the person has given one.
 
-mod pages;
 mod state;
 mod view;
 

@@ -2,11 +2,9 @@
 //!
 //! ```text
 //! PaperA -> paper_a, PaperB -> paper_b (both: comparison, every regulator on the same cases) --\
-//! Study -> study (with mysteries), calibration              LineStudy -> lines ------------------+-> Section -> Reproduction
+//! Study -> study (with mysteries and calibration)            LineStudy -> section ----------------+-> Section -> Reproduction
 //! ```
 
-mod calibration;
-mod lines;
 mod paper_a;
 mod paper_b;
 mod study;
