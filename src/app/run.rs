@@ -13,7 +13,7 @@ use super::files::Recorded;
 use super::files::model_file;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
-use crate::bench::{Plan, RunSummary, burst_part};
+use crate::bench::{CheckReport, Plan, RunSummary, burst_part};
 use crate::drive::offer::Purpose;
 use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
@@ -28,13 +28,6 @@ use crate::workflow::{
 /// An end between two runs.
 pub(super) const BETWEEN_RUNS: &str =
     "interrupted; nothing is energised, what was recorded is kept";
-
-/// What is asked of a run.
-pub struct RunRequest {
-    pub rig: RigOptions,
-    /// Seed of the sequence's random parts; `None`: `runs.fit` of the bench file.
-    pub run_seed: Option<u64>,
-}
 
 /// The result as JSON.
 #[derive(Serialize)]
@@ -68,19 +61,22 @@ pub struct Whole {
     plate: Motor,
 }
 
-/// Makes one run over the rig that `open` gives.
+/// Makes one run over the rig that `open` gives. `run_seed`: that of the sequence's random parts; without it `runs.fit` of the
+/// bench file.
 ///
 /// # Errors
 /// What stood in the way of a run; how a run that began went is in its record.
-pub fn run(request: RunRequest, open: OpenRig, controls: &Controls) -> Result<RunDone, Failure> {
-    let run_seed = request.run_seed;
-    let mut rig = open(request.rig, run_seed, Purpose::Voltages)?;
+pub fn run(
+    options: RigOptions,
+    run_seed: Option<u64>,
+    open: OpenRig,
+    controls: &Controls,
+) -> Result<RunDone, Failure> {
+    let mut rig = open(options, run_seed, Purpose::Voltages)?;
     let headless = rig.asked.headless;
     let report = rig.check(controls)?;
     if headless {
-        for item in &report.items {
-            output::message(&format!("{:<18} {}", item.name, item.text));
-        }
+        tell_checks(&report);
     }
     let mut escalation = None;
     if rig.escalates {
@@ -116,9 +112,13 @@ fn write_results(whole: &mut Whole, nameplate: &Motor) {
     recorded.write(RunFile::Model, &model.to_toml());
     let result = serde_json::to_value(run_result(whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
-    match pages::run(&whole.recorded, Some(&whole.plan), nameplate, None) {
-        Ok(page) => drop(whole.recorded.write(RunFile::Report, &page)),
-        Err(failure) => output::message(&format!("no report: {}", failure.headline())),
+    pages::write_run(&mut whole.recorded, Some(&whole.plan), nameplate, None);
+}
+
+/// Each check and what came of it, for who reads along.
+pub(super) fn tell_checks(report: &CheckReport) {
+    for item in &report.items {
+        output::message(&format!("{:<18} {}", item.name, item.text));
     }
 }
 

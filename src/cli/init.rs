@@ -1,7 +1,7 @@
 //! `init`: a bench file from a drive profile, a port and a nameplate, every limit with its reason.
 //!
 //! ```text
-//! profile, nameplate -> app::line: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
+//! profile, nameplate -> app::opening: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! `probe`: is this the drive of that profile, and are its registers where the profile says? Only read.
 //!
 //! ```text
-//! --drive    -> app::line::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
-//! no --drive -> app::line::survey: every built-in profile in turn
+//! --drive    -> app::opening::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
+//! no --drive -> app::opening::survey: every built-in profile in turn
 //! ```
 
 use std::fmt::Write as _;

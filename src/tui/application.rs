@@ -1,4 +1,5 @@
-//! The event loop of every screen: keys and changes in, effects out, a frame after each change.
+//! The event loop of every screen: keys and changes in, effects out, a frame after each change; the terminal, given back on
+//! every path: end, error, panic here and panic elsewhere.
 
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::mem::ManuallyDrop;

@@ -1,4 +1,5 @@
-//! The whole frame of the diagnosis as a function of the state: verdict, where it fails, candidates, ladder, keys.
+//! The whole frame of the diagnosis as a function of the state: verdict, where it fails, candidates, ladder, keys; and the
+//! pages over it: the card of an effect, the curve that the error follows, the map of the error, the next run.
 
 use std::fmt::Write as _;
 

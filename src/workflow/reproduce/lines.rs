@@ -390,24 +390,17 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
 }
 
 fn motor(truth: [f64; 5]) -> MotorTruth {
-    let [
-        resistance_ohm,
-        inductance_h,
-        back_emf_v_s_per_rad,
-        inertia_kg_m2,
-        load_torque_n_m,
-    ] = truth;
     MotorTruth {
         name: "own".to_owned(),
         rated_voltage_v: 110.0,
         rated_current_a: 5.7,
         rated_speed_rad_s: 293.2,
-        resistance_ohm,
-        inductance_h,
-        back_emf_v_s_per_rad,
+        resistance_ohm: truth[0],
+        inductance_h: truth[1],
+        back_emf_v_s_per_rad: truth[2],
         torque_n_m_per_a: None,
-        inertia_kg_m2,
-        load_torque_n_m,
+        inertia_kg_m2: truth[3],
+        load_torque_n_m: truth[4],
     }
 }
 
@@ -449,16 +442,14 @@ fn run_of(rows: &[Row], commands: &[(f64, f64)], errors: Errors) -> Run {
     }
     let times = lines.iter().map(|line| line.0).collect();
     let mut run = Run::new("line", times).unwrap_or_default();
-    for (at, (channel, origin)) in [
+    let columns = [
         (Channel::VoltageCmd, Origin::Commanded),
         (Channel::TimeHalfWidth, Origin::Derived),
         (Channel::Voltage, Origin::Measured),
         (Channel::Current, Origin::Measured),
         (Channel::Speed, Origin::Measured),
-    ]
-    .into_iter()
-    .enumerate()
-    {
+    ];
+    for (at, (channel, origin)) in columns.into_iter().enumerate() {
         let cells: Vec<f64> = lines.iter().map(|line| line.1[at]).collect();
         if cells.iter().any(|cell| cell.is_finite()) {
             // Columns are as long as the time axis that was made of the same lines.

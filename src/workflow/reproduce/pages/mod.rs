@@ -103,15 +103,12 @@ fn trials<'a>(
 ) -> Figure {
     let mut trials = trials.into_iter().peekable();
     let first = trials.peek().map_or(&[][..], |(_, trace)| trace);
-    trials.fold(
-        Figure::over_time(of(first, TIME)),
-        |figure, (name, trace)| {
-            let figure = figure.panel(speed_panel(format!("{name}: speed"), height));
-            lines
-                .iter()
-                .fold(figure, |figure, (label, style, quantity)| {
-                    figure.line(label, *style, &of(trace, *quantity))
-                })
-        },
-    )
+    let mut figure = Figure::over_time(of(first, TIME));
+    for (name, trace) in trials {
+        figure = figure.panel(speed_panel(format!("{name}: speed"), height));
+        for (label, style, quantity) in lines {
+            figure = figure.line(label, *style, &of(trace, *quantity));
+        }
+    }
+    figure
 }

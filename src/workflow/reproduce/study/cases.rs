@@ -15,7 +15,8 @@ const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
 const NULLS_PER_SET: u64 = 6;
 /// Machines with nothing but the small effects, in each excitation for each set of a cell.
 const SMALL_PER_SET: u64 = 24;
-/// What is hard in other ways than the effect itself is asked of a rich run, a plain one and a slow one.
+/// What is hard in other ways than the effect itself is asked of a rich run, a plain one and a slow one; two effects of the
+/// first two, one among small ones of the first.
 const HARD: [Excitation; 3] = [Excitation::Rich, Excitation::Steps, Excitation::Rich100Hz];
 /// Length of each run, s.
 const SECONDS: f64 = 12.0;
@@ -174,19 +175,9 @@ pub(super) fn all(size: Size) -> Vec<Case> {
     add(Group::Null, &Excitation::ALL, &nothing, nulls);
     add(Group::Unknown, &Excitation::ALL, &unknown, sets);
     add(Group::WrongForm, &Excitation::ALL, &other_shapes, sets);
-    add(
-        Group::Pair,
-        &[Excitation::Rich, Excitation::Steps],
-        &pairs,
-        sets,
-    );
+    add(Group::Pair, &HARD[..2], &pairs, sets);
     for level in BACKGROUND_LEVELS {
-        add(
-            Group::Background { level },
-            &[Excitation::Rich],
-            &known,
-            sets,
-        );
+        add(Group::Background { level }, &HARD[..1], &known, sets);
     }
     for excitation in HARD {
         for group in [Group::Harsh, Group::Noisy, Group::Lossy] {

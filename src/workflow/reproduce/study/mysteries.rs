@@ -205,24 +205,17 @@ pub fn files() -> impl Iterator<Item = &'static str> {
 }
 
 fn answer(record: &Record, folder: &Path) -> RecordAnswer {
-    let empty = RecordAnswer {
+    let found = diagnosis(record, folder);
+    let error = |of: fn(&Diagnosis) -> f64| found.as_ref().ok().map(of);
+    let effects = found.as_ref().map(|found| found.effects.clone());
+    RecordAnswer {
         machine: record.machine,
         source: record.source,
         file: record.file,
-        sentence: String::new(),
-        effects: Vec::new(),
-        holdout_before: None,
-        holdout_after: None,
-    };
-    match diagnosis(record, folder) {
-        Err(sentence) => RecordAnswer { sentence, ..empty },
-        Ok(found) => RecordAnswer {
-            sentence: found.sentence,
-            effects: found.effects,
-            holdout_before: Some(found.holdout_before),
-            holdout_after: Some(found.holdout_after),
-            ..empty
-        },
+        holdout_before: error(|found| found.holdout_before),
+        holdout_after: error(|found| found.holdout_after),
+        effects: effects.unwrap_or_default(),
+        sentence: found.map_or_else(|reason| reason, |found| found.sentence),
     }
 }
 
