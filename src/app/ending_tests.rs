@@ -4,7 +4,7 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 
 use super::*;
-use crate::app::{OpenRig, Recorded, Rig, RigOptions, RunDone, RunRequest, run};
+use crate::app::{OpenRig, Recorded, Rig, RigOptions, RunDone, run};
 use crate::bench::{BenchFile, Outcome, VirtualClock, Waivers};
 use crate::drive::offer::Purpose;
 use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
@@ -137,12 +137,8 @@ impl Lab {
         &self,
         hook: impl FnMut() + Send + 'static,
     ) -> impl FnOnce(&Controls) -> Result<RunDone, Failure> + Send + 'static {
-        let request = RunRequest {
-            rig: self.options(),
-            run_seed: None,
-        };
-        let open = self.opener(hook);
-        move |controls| run(request, open, controls)
+        let (options, open) = (self.options(), self.opener(hook));
+        move |controls| run(options, None, open, controls)
     }
 
     /// By the drive's own word: off, without a fault, and not by its watchdog.

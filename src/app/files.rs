@@ -1,15 +1,22 @@
-//! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths.
+//! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
+//! has been recorded: its files, what ended it early, and what could not be kept of it.
 
 use std::path::{Path, PathBuf};
 
-use super::failure::{Failure, USAGE};
+use serde::Serialize;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
+use crate::bench::{OnlineResult, Outcome, RunSummary};
 use crate::diagnosis::{Fitted, Rung};
 use crate::emulator::mystery::Mystery;
 use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
-use crate::plant::{FileHistory, FittedValue, ModelFile};
-use crate::recording::{ColumnMap, LoadedRun, open_run};
+use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
+use crate::recording::{
+    ColumnMap, Kept, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
+    run_from_memory, write_run,
+};
 use crate::sample::ParameterEstimate;
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
@@ -99,4 +106,170 @@ pub(crate) fn seal(mystery: &Mystery, path: &Path) -> Result<(), Failure> {
 
 pub(crate) fn sealed_name(seed: u64) -> PathBuf {
     PathBuf::from(format!("mystery-{seed}.sealed.json"))
+}
+
+/// A run that was recorded, to its end or not.
+pub struct Recorded {
+    pub folder: RunFolder,
+    pub summary: RunSummary,
+    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    pub(crate) online: OnlineResult,
+    pub(crate) manifest: Manifest,
+    /// Where the burst of the drive's own recorder is.
+    pub(crate) capture: Option<PathBuf>,
+    /// The text of `samples.csv`, as far as the memory held it.
+    samples: Option<Vec<u8>>,
+    /// Why the record on the disk is not whole.
+    unkept: Option<String>,
+}
+
+/// `result.json`: what a command has to say, and what the live estimators said.
+#[derive(Serialize)]
+struct KeptResult<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    online: &'a OnlineResult,
+}
+
+impl Recorded {
+    pub(crate) fn new(
+        kept: Kept,
+        manifest: Manifest,
+        summary: RunSummary,
+        online: OnlineResult,
+    ) -> Self {
+        let mut recorded = Self {
+            folder: kept.folder,
+            summary,
+            online,
+            manifest,
+            capture: None,
+            samples: kept.samples,
+            unkept: None,
+        };
+        if let Some(error) = &kept.error {
+            recorded.note(&error.to_string());
+        }
+        recorded
+    }
+
+    /// The run as anyone can replay it, read back from the disk; where the record there is damaged, as the memory has it.
+    pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
+        let path = self.folder.path();
+        let from_disk = match &self.unkept {
+            None => load(path, None),
+            Some(reason) => Err(Failure::internal(reason.clone())),
+        };
+        match (from_disk, &self.samples) {
+            (Err(failure), Some(samples)) => {
+                let (folder, reason) = (path.display(), failure.headline());
+                output::message(&format!("{folder}: {reason}; what is in memory is used"));
+                complete(run_from_memory(path, samples, &self.manifest)?)
+            }
+            (loaded, _) => loaded,
+        }
+    }
+
+    /// The burst as it is kept on the disk, with its path.
+    pub(crate) fn burst(&self) -> Option<(&Path, Result<Scenario, Failure>)> {
+        let path = self.capture.as_deref()?;
+        let loaded = load(path, None);
+        let burst = loaded.and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
+        Some((path, burst))
+    }
+
+    /// The rows are not needed any more; what they were for is done.
+    pub(crate) fn forget(&mut self) {
+        self.samples = None;
+    }
+
+    /// Writes `result.json`; a disk that does not take it is told of and no end.
+    pub(crate) fn write_result<T: Serialize>(&mut self, result: &T) {
+        let kept = KeptResult {
+            result,
+            online: &self.online,
+        };
+        match serde_json::to_string_pretty(&kept) {
+            Ok(text) => drop(self.write(RunFile::Result, &text)),
+            Err(error) => self.note(&format!("the result has no JSON form: {error}")),
+        }
+    }
+
+    /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
+    pub(crate) fn write(&mut self, file: RunFile, text: &str) -> Option<PathBuf> {
+        let written = self.folder.write(file, text);
+        self.kept(written)
+    }
+
+    /// Keeps what the drive recorded in a burst beside the samples, as a run that every command takes.
+    pub(crate) fn keep_capture(&mut self, name: &str) {
+        let Some(capture) = &self.summary.capture else {
+            return;
+        };
+        let run = match capture.run(name) {
+            Ok(run) => run,
+            Err(error) => return output::message(&format!("burst not used: {error}")),
+        };
+        let (rows, rate_hz) = (run.rows(), 1.0 / capture.period_s);
+        let written = self.folder.write_capture(&write_run(&run));
+        self.capture = self.kept(written);
+        if let Some(path) = &self.capture {
+            let samples = format!("{rows} samples at {rate_hz:.0} Hz");
+            output::message(&format!("burst capture: {samples} in {}", path.display()));
+        }
+    }
+
+    fn kept(&mut self, written: Result<PathBuf, RecordingError>) -> Option<PathBuf> {
+        written.map_err(|error| self.note(&error.to_string())).ok()
+    }
+
+    /// Told at once; the first reason is the one that stays.
+    fn note(&mut self, reason: &str) {
+        if self.unkept.is_none() {
+            output::message(&format!("warning: the record is not whole: {reason}"));
+            self.unkept = Some(reason.to_owned());
+        }
+    }
+
+    /// The failure of a record that could not be kept, for a command whose result is printed.
+    pub(crate) fn record_failure(&self) -> Option<Failure> {
+        let reason = self.unkept.as_ref()?;
+        let folder = self.folder.path().display();
+        let headline = format!("the record could not be kept: {reason}");
+        let help = format!(
+            "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+        );
+        Some(Failure::with_help(INTERNAL, headline, help))
+    }
+
+    /// The failure that ended the run early, else that of its record, if any.
+    pub fn failure(&self) -> Option<Failure> {
+        self.run_failure().or_else(|| self.record_failure())
+    }
+
+    /// The failure that ended the run early, if any.
+    pub(crate) fn run_failure(&self) -> Option<Failure> {
+        let mut kept = match &self.unkept {
+            None => format!("the record is kept in {}", self.folder.path().display()),
+            Some(reason) => format!("the record could not be kept: {reason}"),
+        };
+        if let Some(reopened) = &self.summary.reopened {
+            kept = format!("{}; {kept}", reopened.text);
+        }
+        let (status, headline) = match &self.summary.outcome {
+            Outcome::Done => {
+                let error = self.summary.stop_error.as_ref()?;
+                let headline = format!("the last stop did not reach the drive: {error}");
+                (LINK, headline)
+            }
+            Outcome::Stopped | Outcome::Interrupted => (
+                INTERRUPTED,
+                "stopped before the end of the sequence".to_owned(),
+            ),
+            Outcome::Tripped(trip) => (TRIP, format!("safety trip: {}", trip.reason)),
+            Outcome::NotStarted { reason } => (LINK, format!("not started: {reason}")),
+            Outcome::LinkLost { reason } => (LINK, format!("link lost: {reason}")),
+        };
+        Some(Failure::with_help(status, headline, kept))
+    }
 }

@@ -7,16 +7,15 @@
 //! ending: whatever returns, fails, panics or hangs up -> zero, disable, the drive's word -> status
 //! ```
 //!
-//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `line`: drives that are only looked at.
-//! * `run`, `commission`, `speed`, `identify`, `replay`, `forecast`, `study`, `by_hand`: the order of work of each command; a
-//!   test of a live run gives a rig of its own.
-//! * `evidence`, `next_experiment`: runs and models that are judged, and the run that would tell more.
+//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; drives that are only looked at.
+//! * `run` (and commissioning), `speed`, `identify`, `replay`, `forecast`, `study`, `by_hand`: the order of work of each
+//!   command; a test of a live run gives a rig of its own.
+//! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `recorded`, `pages`, `files`: what is left in folders.
+//! * `files`, `pages`: what is left in folders.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
-pub(crate) mod commission;
 mod controls;
 mod ending;
 pub(crate) mod evidence;
@@ -24,13 +23,10 @@ pub(crate) mod failure;
 pub(crate) mod files;
 pub(crate) mod forecast;
 pub(crate) mod identify;
-pub(crate) mod line;
-pub(crate) mod next_experiment;
 pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
-mod recorded;
 pub(crate) mod replay;
 mod rig;
 mod run;
@@ -38,16 +34,15 @@ pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;
 
-pub use commission::{CommissionDone, commission};
 pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};
 pub use failure::Failure;
+pub use files::Recorded;
 pub use opening::Reopener;
 pub(crate) use opening::Tap;
-pub use recorded::Recorded;
 pub(crate) use rig::MYSTERY;
 pub use rig::{OpenRig, Rig, RigOptions};
 pub(crate) use run::run_result;
-pub use run::{RunDone, RunRequest, Whole, escalation_failure, run};
+pub use run::{CommissionDone, RunDone, Whole, commission, escalation_failure, run};
 pub(crate) use speed::speed_result;
 pub use speed::{SpeedDone, SpeedRequest, SpeedResult, speed};

@@ -6,15 +6,15 @@ use serde_json::Value;
 
 use super::evidence::{About, Prepared};
 use super::failure::Failure;
+use super::files::Recorded;
 use super::output;
-use super::recorded::Recorded;
 use super::rig::Rig;
 use crate::bench::{Outcome, Plan};
 use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Rung, Score, compare};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
-use crate::recording::{LoadedRun, Manifest};
+use crate::recording::{LoadedRun, Manifest, RunFile};
 use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
@@ -26,8 +26,20 @@ pub(crate) struct Report {
     pub(crate) text: String,
 }
 
-/// The page of one run, from its folder.
-pub(crate) fn run(
+/// Writes the page of one run into its folder; where there is none that is said.
+pub(crate) fn write_run(
+    recorded: &mut Recorded,
+    plan: Option<&Plan>,
+    nameplate: &Motor,
+    speed_loop: Option<&SpeedLoop>,
+) {
+    match run(recorded, plan, nameplate, speed_loop) {
+        Ok(page) => drop(recorded.write(RunFile::Report, &page)),
+        Err(failure) => output::message(&format!("no report: {}", failure.headline())),
+    }
+}
+
+fn run(
     recorded: &Recorded,
     plan: Option<&Plan>,
     nameplate: &Motor,

@@ -12,12 +12,12 @@ use std::sync::atomic::Ordering;
 
 use super::controls::{Controls, DriveCell, DriveWord};
 use super::failure::{Failure, LINK, USAGE};
+use super::files::Recorded;
 use super::files::{seal, sealed_name};
 use super::opening::{
     self, Reopener, Tap, emulator_config, in_memory, serve, suited, tap, target, wired_profile,
 };
 use super::output;
-use super::recorded::Recorded;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, FirstMove, Guard,
     LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK, RowEstimator,

@@ -11,9 +11,10 @@ use serde_json::json;
 
 use super::controls::Controls;
 use super::failure::Failure;
+use super::files::Recorded;
 use super::opening::wired_profile;
-use super::recorded::Recorded;
 use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
+use super::run::tell_checks;
 use super::{files, output, pages};
 use crate::bench::{
     BenchFile, CheckReport, ControllerKind, Design, ForwardUse, Limits, LoopDelay, Nameplate,
@@ -226,10 +227,7 @@ pub fn speed(
     if let Some(report) = &whole.recorded.summary.speed {
         let page = speed_loop(report, whole.delay.as_ref());
         let plate = request.motor.motor();
-        match pages::run(&whole.recorded, None, &plate, Some(&page)) {
-            Ok(page) => drop(whole.recorded.write(RunFile::Report, &page)),
-            Err(failure) => output::message(&format!("no report: {}", failure.headline())),
-        }
+        pages::write_run(&mut whole.recorded, None, &plate, Some(&page));
     }
     Ok(whole)
 }
@@ -283,9 +281,7 @@ fn tell(
     regulator: &Regulator,
     by_nameplate: bool,
 ) {
-    for item in &report.items {
-        output::message(&format!("{:<18} {}", item.name, item.text));
-    }
+    tell_checks(report);
     if by_nameplate {
         output::message("no --model: the loop is tuned on the nameplate of the bench file");
     }

@@ -1,7 +1,7 @@
 //! The order of work of a study of the diagnosis: machines whose truth is known, then mystery drives commissioned by the
 //! program itself, started as a person would, in virtual time.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -18,28 +18,21 @@ use crate::workflow::reproduce::study::{
 /// Records of each kind of line beside the study.
 const LINE_RUNS: usize = 40;
 
-/// What is asked of a study.
-pub(crate) struct StudyRequest {
-    pub(crate) sets: u64,
-    pub(crate) mysteries: u64,
-    pub(crate) seed: u64,
-    /// Where public records of real machines are.
-    pub(crate) records: Option<PathBuf>,
-}
-
-/// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-pub(crate) fn study(asked: &StudyRequest) -> Result<Study, Failure> {
+/// Runs the study with its progress on stderr; a signal ends it after the sets that are under way. `folder`: where public
+/// records of real machines are.
+pub(crate) fn study(
+    sets: u64,
+    mysteries: u64,
+    seed: u64,
+    folder: Option<&Path>,
+) -> Result<Study, Failure> {
     // Before the study, which takes long.
-    let real = asked
-        .records
-        .as_deref()
-        .map_or(Ok(Vec::new()), real_records)?;
+    let real = folder.map_or(Ok(Vec::new()), real_records)?;
     let size = Size {
-        sets: asked.sets,
-        seed: asked.seed,
+        sets,
+        seed,
         reduced: false,
     };
-    let mysteries = asked.mysteries;
     if size.sets == 0 && mysteries == 0 {
         return Err(Failure::usage(
             "--sets 0 --mysteries 0 leaves nothing to study",

@@ -10,7 +10,7 @@ use super::output::{self, lines};
 use super::{progress, signals};
 use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
-use crate::app::next_experiment::Place;
+use crate::app::evidence::Place;
 use crate::app::pages;
 use crate::diagnosis::{Candidate, Diagnosis, Reached, diagnose_with};
 use crate::plant::effect::Axis;

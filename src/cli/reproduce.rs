@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::failure::Failure;
 use super::{output, progress, signals};
-use crate::app::study::{StudyRequest, study};
+use crate::app::study::study;
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 
@@ -57,24 +57,18 @@ enum Paper {
     Lines,
 }
 
-impl Paper {
-    const fn folder(self) -> &'static str {
-        match self {
-            Self::PaperA => "reproduce-paper-a",
-            Self::PaperB => "reproduce-paper-b",
-            Self::Discovery => "reproduce-discovery",
-            Self::Lines => "reproduce-lines",
-        }
+impl Arguments {
+    /// Where the files go, if anywhere.
+    fn folder(&self) -> Option<PathBuf> {
+        let paper = self.paper.to_possible_value();
+        let default = paper.map(|paper| PathBuf::from(format!("reproduce-{}", paper.get_name())));
+        self.out.clone().or(default.filter(|_| !self.json))
     }
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let out = arguments.out.clone().or_else(|| {
-        let default = || PathBuf::from(arguments.paper.folder());
-        (!arguments.json).then(default)
-    });
     // Before the work, not after it.
-    if let Some(folder) = &out {
+    if let Some(folder) = &arguments.folder() {
         require_empty(folder)?;
     }
     let of_study = arguments.records.is_some() || arguments.mysteries.is_some();
@@ -103,31 +97,24 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     match arguments.paper {
         Paper::PaperA => {
             let found = reproduce::paper_a(stage);
-            drop(shown);
-            finish(arguments, out.as_deref(), &found, &found.report(), None)
+            finish(arguments, shown, &found, &found.report(), None)
         }
         Paper::PaperB => {
             let found = reproduce::paper_b(stage);
-            drop(shown);
-            finish(arguments, out.as_deref(), &found, &found.report(), None)
+            finish(arguments, shown, &found, &found.report(), None)
         }
         Paper::Lines => {
             let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
             let found = reproduce::lines::line_study(runs, seed);
-            drop(shown);
             let page = Some("lines.md");
-            finish(arguments, out.as_deref(), &found, &found.report(), page)
+            finish(arguments, shown, &found, &found.report(), page)
         }
         Paper::Discovery => {
-            let found = study(&StudyRequest {
-                sets: arguments.sets.unwrap_or(1),
-                mysteries: arguments.mysteries.unwrap_or(MYSTERIES),
-                seed,
-                records: arguments.records.clone(),
-            })?;
-            drop(shown);
+            let sets = arguments.sets.unwrap_or(1);
+            let mysteries = arguments.mysteries.unwrap_or(MYSTERIES);
+            let found = study(sets, mysteries, seed, arguments.records.as_deref())?;
             let page = Some("validation.md");
-            finish(arguments, out.as_deref(), &found, &found.report(), page)
+            finish(arguments, shown, &found, &found.report(), page)
         }
     }
 }
@@ -135,15 +122,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 /// Writes the files and prints what was found; `page` is the name of the page as Markdown, where there is one.
 fn finish(
     arguments: &Arguments,
-    out: Option<&Path>,
+    shown: progress::Shown,
     found: &impl Serialize,
     report: &Reproduction,
     page: Option<&str>,
 ) -> Result<(), Failure> {
-    if let Some(folder) = out {
+    drop(shown);
+    if let Some(folder) = arguments.folder() {
         let mut files = report.files();
         files.extend(page.map(|name| (name.to_owned(), report.markdown())));
-        write(folder, &files)?;
+        write(&folder, &files)?;
         output::message(&format!("written to {}", folder.display()));
     }
     output::result(found, arguments.json, |_| report.text())

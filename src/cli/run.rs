@@ -6,9 +6,7 @@ use super::arguments::{LiveArguments, UnknownMotor};
 use super::diagnose::parameter_text;
 use super::failure::Failure;
 use super::output;
-use crate::app::{
-    Recorded, Rig, RunDone, RunRequest, conduct, escalation_failure, run, run_result,
-};
+use crate::app::{Recorded, Rig, RunDone, conduct, escalation_failure, run, run_result};
 use crate::bench::RunSummary;
 use crate::workflow::EscalationResult;
 
@@ -31,12 +29,10 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let json = arguments.live.json;
-    let request = RunRequest {
-        rig: arguments.live.options(arguments.unknown.escalate)?,
-        run_seed: arguments.run_seed,
-    };
-    let done = conduct(arguments.live.audience(None), move |strings| {
-        run(request, Box::new(Rig::open), strings)
+    let options = arguments.live.options(arguments.unknown.escalate)?;
+    let run_seed = arguments.run_seed;
+    let done = conduct(arguments.live.audience(None), move |controls| {
+        run(options, run_seed, Box::new(Rig::open), controls)
     })?;
     let left = done.left;
     match &done.work {

@@ -38,7 +38,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-const CHARACTERS: [(char, Press); 20] = [
+pub(super) const CHARACTERS: [(char, Press); 20] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),

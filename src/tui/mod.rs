@@ -7,8 +7,8 @@
 //!                                            view (pure), drawn only after a change
 //! ```
 //!
-//! * `application`: the event loop, which shows one screen, a value, until it is left; `terminal` gives the terminal back on
-//!   every path.
+//! * `application`: the event loop, which shows one screen, a value, until it is left, and gives the terminal back on every
+//!   path.
 //! * `keys`: the key table, one meaning for each key on every screen.
 //! * `frame`, `theme`: help, hints, panels and colours that all screens have in common.
 //! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand.
@@ -24,7 +24,6 @@ mod diagnosis;
 mod frame;
 mod keys;
 mod live;
-mod terminal;
 mod theme;
 
 pub use application::{Exit, Screen, is_gone, show};

@@ -15,15 +15,13 @@ mod burst;
 mod commission;
 pub mod curve;
 mod discovery;
-mod escalate;
 pub mod reproduce;
 mod reveal;
 
 pub use burst::BurstResult;
 pub use commission::{
-    Commission, CommissionResult, Progress, ProgressCell, Role, RunRecord, StepState, StepView,
-    Task, Truth,
+    Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, Role,
+    RunRecord, StageRecord, StepState, StepView, Task, Truth, compared, scaled_sentence,
 };
 pub use discovery::{Discovery, News, Order, Tell};
-pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

@@ -13,10 +13,8 @@
 //! +-------------------------------------------+   over it: pages (card, map, curve, next run)
 //! ```
 //!
-//! `guess`: the teaching flow, in which no name is shown before the person has given one.
+//! `state` has the teaching flow too, in which no name is shown before the person has given one.
 
-mod guess;
-mod pages;
 mod state;
 mod view;
 

@@ -1,14 +1,16 @@
-//! What the screen knows, and what each event does to it. Pure: an update returns what the program is to do.
+//! What the screen knows, and what each event does to it. Pure: an update returns what the program is to do. Behind it the
+//! teaching flow: guess first, then see.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::guess::{Guess, Guessing, compared};
 use crate::diagnosis::{
-    AddResult, AxisMap, Candidate, Comparison, Diagnosis, Event as Found, NextExperiment,
+    AddResult, AxisMap, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Event as Found,
+    NextExperiment, Status,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect::{self, Axis};
+use crate::text::number::probability;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::workflow::{News, Order};
@@ -156,11 +158,8 @@ impl State {
         let mut judged: Vec<_> = self.judged.iter().collect();
         let share = |judged: &Judged| judged.share.unwrap_or(f64::NEG_INFINITY);
         judged.sort_by(|a, b| share(b.1).total_cmp(&share(a.1)));
-        rows.extend(
-            judged
-                .into_iter()
-                .map(|(id, judged)| Row::Judged(id, *judged)),
-        );
+        let judged = judged.into_iter();
+        rows.extend(judged.map(|(id, judged)| Row::Judged(id, *judged)));
         rows
     }
 
@@ -183,9 +182,8 @@ impl State {
     pub(super) fn is_floor_known(&self) -> bool {
         let answered = self.diagnosis.as_ref().map(|found| found.noise_floor_from);
         let compared = || self.comparison.as_ref().map(|found| found.noise_floor_from);
-        answered
-            .or_else(compared)
-            .is_some_and(|from| from != FloorSource::None)
+        let from = answered.or_else(compared);
+        from.is_some_and(|from| from != FloorSource::None)
     }
 
     /// The candidate of this effect in the answer.
@@ -331,11 +329,10 @@ impl State {
         None
     }
 
-    fn exit(&self) -> Exit {
-        if self.working.is_some() {
-            Exit::Quit
-        } else {
-            Exit::Finished
+    const fn exit(&self) -> Exit {
+        match self.working {
+            Some(_) => Exit::Quit,
+            None => Exit::Finished,
         }
     }
 
@@ -556,5 +553,103 @@ impl State {
             self.guessing = Guessing::Off;
             self.selected = None;
         }
+    }
+}
+
+/// What a person may take to be missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Guess {
+    Effect(&'static str),
+    Nothing,
+    /// Something that no effect of the catalogue describes.
+    Unknown,
+}
+
+impl Guess {
+    /// Everything that can be guessed of a model that has the effects `present`.
+    pub(super) fn all(present: &[&'static str]) -> impl Iterator<Item = Self> {
+        let effects = effect::CATALOGUE.iter().map(|effect| effect.card().id);
+        let absent = effects.filter(|id| !present.contains(id));
+        let none = [Self::Nothing, Self::Unknown].into_iter();
+        none.chain(absent.map(Self::Effect))
+    }
+
+    pub(super) const fn key(self) -> &'static str {
+        match self {
+            Self::Effect(id) => id,
+            Self::Nothing => "nothing is missing",
+            Self::Unknown => "nothing of the catalogue",
+        }
+    }
+}
+
+/// How far the teaching flow is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Guessing {
+    #[default]
+    Off,
+    Choosing,
+    Guessed(Guess),
+}
+
+/// The guess beside the answer, in one sentence that says why.
+pub(super) fn compared(guess: Guess, diagnosis: &Diagnosis) -> String {
+    let answer = answer(diagnosis);
+    let same = match (guess, diagnosis.verdict) {
+        (Guess::Nothing, DiagnosisVerdict::None) => diagnosis.sufficient,
+        (Guess::Unknown, DiagnosisVerdict::Unexplained) => true,
+        (Guess::Effect(id), _) => diagnosis.effects.contains(&id),
+        _ => false,
+    };
+    if same {
+        let more = match (guess, diagnosis.effects.len()) {
+            (Guess::Effect(_), 2..) => format!(", which is part of the answer: {answer}"),
+            _ => String::new(),
+        };
+        return format!("right: you and the tool say {}{more}", guess.key());
+    }
+    let Guess::Effect(id) = guess else {
+        return format!("you: {}. The tool: {answer}", guess.key());
+    };
+    if diagnosis
+        .confusable
+        .iter()
+        .flatten()
+        .any(|rival| *rival == id)
+    {
+        return format!("as good: this run cannot tell your {id} from the tool's answer: {answer}");
+    }
+    let times = diagnosis.noise_floor_from.times();
+    let mut candidates = diagnosis.candidates.iter();
+    let why = match candidates.find(|candidate| candidate.effect == id) {
+        Some(candidate) => format!("{id} is {}", reason(candidate, times)),
+        None => format!("{id} was not judged on this run"),
+    };
+    format!("you: {id}. The tool: {answer}; {why}")
+}
+
+fn answer(diagnosis: &Diagnosis) -> String {
+    match diagnosis.verdict {
+        DiagnosisVerdict::None if !diagnosis.sufficient => diagnosis.sentence.clone(),
+        DiagnosisVerdict::None => "nothing is missing".to_owned(),
+        DiagnosisVerdict::Unexplained => "no effect of the catalogue explains it".to_owned(),
+        DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => diagnosis.effects.join(" and "),
+    }
+}
+
+fn reason(candidate: &Candidate, times: &str) -> String {
+    let before = candidate.holdout_before;
+    let there = probability(candidate.probability);
+    match (candidate.status, candidate.holdout_after) {
+        (Status::Supported, _) => "supported".to_owned(),
+        (Status::Possible, None) => format!("possible, with {there}"),
+        (Status::Possible, Some(after)) => {
+            format!("possible, but leaves more: {before:.2} -> {after:.2} {times}")
+        }
+        (Status::RuledOut, None) => format!("ruled out: there with {there}"),
+        (Status::RuledOut, Some(after)) => {
+            format!("ruled out: held-out error {before:.2} -> {after:.2} {times}")
+        }
+        (Status::NotExcited, _) => "not to be seen in this run".to_owned(),
     }
 }

@@ -1,5 +1,784 @@
 //! Screens on a fixed diagnosis, keys in every state, and any data at any size.
 
-mod fixtures;
-mod keys;
-mod screens;
+use std::sync::LazyLock;
+
+use insta::assert_snapshot;
+use proptest::prelude::*;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+use super::state::{Event, Guess, Guessing, Over, State, compared};
+use super::view::view;
+use crate::diagnosis::next_experiment::MenuEntry;
+use crate::diagnosis::{
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorMap, ErrorOf,
+    Event as Found, Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached,
+    ResidualLights, Rung, Status, compare,
+};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::plant::{Model, Motor, testing};
+use crate::sample::{ParameterEstimate, Verdict};
+use crate::tui::application::{Effect, Exit};
+use crate::tui::keys::Press;
+use crate::workflow::{News, Order};
+
+fn fitted(effects: &[&str]) -> Fitted {
+    let mut model = Model::baseline(Motor::zk_22fc());
+    for effect in effects {
+        model = model.with_effect(effect).unwrap();
+    }
+    Fitted {
+        model,
+        parameters: Vec::new(),
+        nrms: 4.9,
+        noise: NoiseFloor {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            source: FloorSource::Standstill,
+            samples: 300,
+        },
+        interval_factor: 1.0,
+        start: crate::plant::State::default(),
+    }
+}
+
+fn candidate(effect: &'static str, status: Status, after: f64) -> Candidate {
+    let spec = &crate::plant::effect::find(effect).unwrap().parameters()[0];
+    let size = ParameterEstimate {
+        key: format!("{effect}.{}", spec.key),
+        value: Some(0.2),
+        std: Some(0.01),
+        unit: spec.unit,
+        verdict: Verdict::Settled,
+        reason: None,
+    };
+    Candidate {
+        effect,
+        rank: 1,
+        status,
+        probability: match status {
+            Status::Supported => 0.97,
+            Status::Possible => 0.43,
+            _ => 0.01,
+        },
+        parameters: Some(size)
+            .into_iter()
+            .filter(|_| status == Status::Supported)
+            .collect(),
+        onsets: vec![],
+        interval_factor: 2.0,
+        reached: Some(Reached {
+            torque_n_m: Some(Peak {
+                value: 0.2,
+                std: Some(0.01),
+                interval_95: Some([0.18, 0.22]),
+                unit: "N.m",
+                percent_of_largest: Some(7.2),
+            }),
+            ..Reached::default()
+        }),
+        error_before: 4.8,
+        error_after: Some(1.01),
+        holdout_before: 5.1,
+        holdout_after: Some(after),
+        explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
+        upper_bound: Some(0.002),
+        detectable: Some(0.002),
+        evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
+    }
+}
+
+fn diagnosis() -> Diagnosis {
+    Diagnosis {
+        rivals: Vec::new(),
+        sensor_floor: Some(1.0),
+        repeat_floor: None,
+        repeats: None,
+        repeat_follows: Vec::new(),
+        verdict: DiagnosisVerdict::Effect,
+        effect: Some("stribeck_friction"),
+        effects: vec!["stribeck_friction"],
+        sufficient: true,
+        noise_floor_from: FloorSource::Standstill,
+        holdout_from: HoldoutFrom::Run,
+        explained_percent: 99.8,
+        holdout_before: 5.1,
+        holdout_after: 1.03,
+        candidates: vec![
+            candidate("stribeck_friction", Status::Supported, 1.03),
+            candidate("cogging", Status::Possible, 3.9),
+            candidate("viscous_friction", Status::RuledOut, 5.08),
+            candidate("inductance_saturation", Status::NotExcited, 5.1),
+        ],
+        confusable: Vec::new(),
+        ladder: Vec::new(),
+        axis_map: Vec::new(),
+        confirm: None,
+        limits: vec![
+            "whether this machine repeats is not known: too many rows were lost".to_owned(),
+        ],
+        equivalences: Vec::new(),
+        next_experiment: None,
+        unknown: vec![],
+        sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
+            .to_owned(),
+        baseline: fitted(&[]),
+        model: fitted(&["stribeck_friction"]),
+    }
+}
+
+/// What is left once the effect is in the model.
+fn nothing_more() -> Diagnosis {
+    Diagnosis {
+        verdict: DiagnosisVerdict::None,
+        effect: None,
+        effects: Vec::new(),
+        holdout_before: 1.03,
+        holdout_after: 1.03,
+        explained_percent: 0.0,
+        candidates: vec![
+            candidate("cogging", Status::RuledOut, 1.03),
+            candidate("inductance_saturation", Status::NotExcited, 1.03),
+        ],
+        sentence: "nothing is missing: held-out error 1.03 times the noise floor".to_owned(),
+        baseline: fitted(&["stribeck_friction"]),
+        ..diagnosis()
+    }
+}
+
+/// The figures of a short run, all of them replaced below by fixed ones.
+static COMPARED: LazyLock<Comparison> = LazyLock::new(|| {
+    let model = Model::baseline(Motor::zk_22fc());
+    let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -40.0)];
+    let run = |seed| testing::record(&model, events.clone(), 0.01, 1.5, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    compare(&model, &evidence, ErrorOf::Structure).unwrap()
+});
+
+fn comparison(rmse: f64) -> Comparison {
+    let mut signals = COMPARED.signals.clone();
+    for (signal, rmse, floor) in [
+        (&mut signals.speed_rad_s, rmse, 0.15),
+        (&mut signals.current_a, 0.2 * rmse, 0.03),
+    ] {
+        let signal = signal.as_mut().unwrap();
+        (signal.holdout.fit_percent, signal.holdout.rmse) = (97.9, rmse);
+        signal.noise_floor = Some(floor);
+    }
+    let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
+    let row = |row| (0..12).map(|column| cell(row, column)).collect();
+    let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
+    Comparison {
+        signals,
+        locations: vec![FailureLocation {
+            equation: "torque",
+            variable: "speed_rad_s",
+            from: -12.0,
+            to: 12.0,
+            share_of_error: 0.85,
+            share_of_time: 0.11,
+            follows: 0.9,
+            strength: 300.0,
+            sentence: "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time"
+                .to_owned(),
+        }],
+        balances: Vec::new(),
+        map: Some(ErrorMap {
+            speed_edges_rad_s: (0..13).map(|k| -300.0 + 50.0 * f64::from(k)).collect(),
+            current_edges_a: (0..13).map(|k| -6.0 + f64::from(k)).collect(),
+            count: vec![vec![3; 12]; 12],
+            torque_rms_n_m: cells.clone(),
+            voltage_rms_v: cells,
+        }),
+        residual: ResidualLights {
+            white: false,
+            enough_samples: true,
+            autocorrelation_outside_99_percent: 0.8,
+            independent_of_input: true,
+            ..ResidualLights::default()
+        },
+        noise_floor_from: FloorSource::Standstill,
+        noise: NoiseFloor {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            source: FloorSource::Standstill,
+            samples: 300,
+        },
+        holdout_from: HoldoutFrom::Run,
+        holdout_rmse: 5.1,
+        limits: Vec::new(),
+    }
+}
+
+fn added(effect: &'static str, accepted: bool) -> News {
+    let rung = |effects: Vec<&'static str>, holdout_rmse| Rung {
+        effects,
+        holdout_rmse,
+    };
+    News::Added(Box::new(AddResult {
+        effect,
+        accepted,
+        reason: format!("{effect} helps only in training (4.80 -> 4.20)"),
+        before: comparison(0.76),
+        after: comparison(0.155),
+        parameters: Vec::new(),
+        ladder: vec![rung(Vec::new(), 5.1), rung(vec![effect], 1.03)],
+        confirm: None,
+        fit: fitted(&["stribeck_friction"][..usize::from(accepted)]),
+    }))
+}
+
+fn hear(state: &mut State, news: News) {
+    assert_eq!(state.update(Event::News(news)), None);
+}
+
+fn press(state: &mut State, press: Press) -> Option<Effect> {
+    state.update(Event::Press(press))
+}
+
+fn begun(guess_first: bool) -> State {
+    let mut state = State::new("run-a, held out run-b".to_owned(), guess_first);
+    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
+    state
+}
+
+/// While the effects are being judged.
+fn searching(guess_first: bool) -> State {
+    let mut state = begun(guess_first);
+    for (effect, share) in [
+        ("viscous_friction", 0.11),
+        ("stribeck_friction", 0.97),
+        ("cogging", 0.4),
+        ("voltage_drop", 0.02),
+    ] {
+        let screened = Found::Screened { effect, share };
+        hear(&mut state, News::Progress(screened));
+    }
+    let refitted = Found::Refitted {
+        effect: "stribeck_friction",
+        error: 1.01,
+    };
+    hear(&mut state, News::Progress(refitted));
+    state
+}
+
+fn answered() -> State {
+    let mut state = searching(false);
+    hear(&mut state, News::Diagnosed(Box::new(diagnosis())));
+    state
+}
+
+/// After the effect was added.
+fn at_the_floor() -> State {
+    let mut state = answered();
+    press(&mut state, Press::Add);
+    hear(&mut state, added("stribeck_friction", true));
+    hear(&mut state, News::Diagnosed(Box::new(nothing_more())));
+    state
+}
+
+fn terminal(state: &State, width: u16, height: u16) -> Terminal<TestBackend> {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    terminal.draw(|frame| view(state, frame)).unwrap();
+    terminal
+}
+
+fn text(state: &State, width: u16, height: u16) -> String {
+    terminal(state, width, height).backend().to_string()
+}
+
+fn shows(state: &State, parts: &[&str]) {
+    let shown = text(state, 80, 24);
+    for part in parts {
+        assert!(shown.contains(part), "{part}: {shown}");
+    }
+}
+
+#[test]
+fn fixed_screens() {
+    let over = |over| State { over, ..answered() };
+    let (mut refused, mut card) = (answered(), answered());
+    for key in [Press::Move(1), Press::Add] {
+        press(&mut refused, key);
+    }
+    hear(&mut refused, added("cogging", false));
+    press(&mut card, Press::Open);
+    for (name, state, width, height) in [
+        ("begun_80x24", begun(false), 80, 24),
+        ("searching_80x24", searching(false), 80, 24),
+        ("guessing_80x24", searching(true), 80, 24),
+        ("answered_80x24", answered(), 80, 24),
+        ("answered_120x40", answered(), 120, 40),
+        ("answered_40x10", answered(), 40, 10),
+        ("at_the_floor_80x24", at_the_floor(), 80, 24),
+        ("refused_80x24", refused, 80, 24),
+        ("card_80x24", card, 80, 24),
+        ("map_80x24", over(Over::Map(0)), 80, 24),
+        ("help_80x24", over(Over::Help(0)), 80, 24),
+    ] {
+        assert_snapshot!(name, text(&state, width, height));
+    }
+}
+
+const OVER: [Over; 7] = [
+    Over::Card(3),
+    Over::Map(0),
+    Over::Map(1),
+    Over::Next(1),
+    Over::Help(0),
+    Over::Help(7),
+    Over::Curve(0, 2),
+];
+
+fn number() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        4 => -10.0..300.0_f64,
+        1 => any::<f64>(),
+        1 => Just(f64::NAN),
+        1 => Just(f64::INFINITY),
+        1 => Just(f64::MAX),
+    ]
+}
+
+fn state() -> impl Strategy<Value = State> {
+    let over = prop_oneof![
+        Just(Over::Nothing),
+        (0..400_usize).prop_map(Over::Card),
+        Just(Over::Map(0)),
+        Just(Over::Map(1)),
+        (0..400_usize).prop_map(Over::Next),
+        (0..400_usize).prop_map(Over::Help),
+        (0..3_usize, 0..40_usize).prop_map(|(index, row)| Over::Curve(index, row)),
+    ];
+    let verdict = prop::sample::select(vec![
+        DiagnosisVerdict::Effect,
+        DiagnosisVerdict::Ambiguous,
+        DiagnosisVerdict::None,
+        DiagnosisVerdict::Unexplained,
+    ]);
+    let numbers = prop::collection::vec(number(), 8);
+    let (kind, down) = (0..5_usize, 0..40_i32);
+    (
+        kind,
+        over,
+        verdict,
+        numbers,
+        ".{0,120}",
+        down,
+        any::<bool>(),
+    )
+        .prop_map(|(kind, over, verdict, numbers, words, down, speaks)| {
+            let mut state = match kind {
+                0 => begun(false),
+                1 => searching(false),
+                2 => searching(true),
+                3 => at_the_floor(),
+                _ => answered(),
+            };
+            let mut answer = diagnosis();
+            answer.verdict = verdict;
+            answer.sentence.clone_from(&words);
+            answer.holdout_before = numbers[0];
+            for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
+                candidate.explained_percent = Some(*number);
+                candidate.detectable = Some(*number);
+                candidate.upper_bound = Some(*number);
+                candidate.probability = *number;
+                for parameter in &mut candidate.parameters {
+                    parameter.value = Some(*number);
+                    parameter.std = Some(numbers[7]);
+                }
+            }
+            if kind > 2 {
+                hear(&mut state, News::Diagnosed(Box::new(answer)));
+            } else {
+                let found = Found::Screened {
+                    effect: "cogging",
+                    share: numbers[1],
+                };
+                hear(&mut state, News::Progress(found));
+            }
+            for (step, number) in state.ladder.iter_mut().zip(&numbers) {
+                step.error = *number;
+            }
+            for _ in 0..down {
+                press(&mut state, Press::Move(1));
+            }
+            state.over = over;
+            state.title.clone_from(&words);
+            state.message = speaks.then_some(words);
+            state
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn any_diagnosis_can_be_drawn_at_any_size(
+        state in state(),
+        width in 1..=200_u16,
+        height in 1..=60_u16,
+    ) {
+        terminal(&state, width, height);
+    }
+}
+
+#[test]
+fn every_small_size() {
+    for state in [begun(false), searching(true), answered(), at_the_floor()] {
+        for over in OVER.into_iter().chain([Over::Nothing]) {
+            let mut state = state.clone();
+            state.over = over;
+            for width in (1..=40).chain([72, 110, 200]) {
+                for height in [1, 2, 3, 5, 6, 7, 9, 12, 14, 20, 60] {
+                    terminal(&state, width, height);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_selected_row_is_always_in_sight() {
+    let mut state = searching(true);
+    for _ in 0..40 {
+        let shown = text(&state, 80, 24);
+        assert!(shown.contains('▶'), "{shown}");
+        press(&mut state, Press::Move(1));
+    }
+}
+
+const DOWN: Press = Press::Move(1);
+const UP: Press = Press::Move(-1);
+const FINISHED: Option<Effect> = Some(Effect::Leave(Exit::Finished));
+
+fn every_state() -> Vec<State> {
+    let mut failed = begun(false);
+    hear(&mut failed, News::Failed("the run is too short".to_owned()));
+    let mut states = vec![
+        begun(false),
+        searching(false),
+        searching(true),
+        answered(),
+        at_the_floor(),
+        failed,
+    ];
+    for index in 0..states.len() {
+        for over in OVER {
+            let state = states[index].clone();
+            states.push(State { over, ..state });
+        }
+    }
+    states
+}
+
+fn selected(state: &State) -> &'static str {
+    let rows = state.rows();
+    rows[state.selected(&rows)].key()
+}
+
+fn select(state: &mut State, key: &str) {
+    while selected(state) != key {
+        press(state, DOWN);
+    }
+}
+
+fn told(state: &State) -> &str {
+    state.message.as_deref().unwrap_or_default()
+}
+
+fn answer(state: &mut State, answer: crate::diagnosis::Diagnosis) {
+    hear(state, News::Diagnosed(Box::new(answer)));
+}
+
+#[test]
+fn a_adds_the_selected_effect_and_the_ladder_shows_the_fall() {
+    let mut state = answered();
+    assert_eq!(selected(&state), "stribeck_friction");
+    let effect = press(&mut state, Press::Add);
+    assert_eq!(effect, Some(Effect::Order(Order::Add("stribeck_friction"))));
+    assert_eq!(press(&mut state, Press::Add), None, "not twice");
+    hear(&mut state, added("stribeck_friction", true));
+    assert_eq!(state.present, ["stribeck_friction"]);
+    assert!(state.diagnosis.is_none() && state.working.is_some());
+    answer(&mut state, nothing_more());
+    let errors: Vec<f64> = state.ladder.iter().map(|step| step.error).collect();
+    assert_eq!(errors, [5.1, 1.03]);
+    shows(&state, &["at the floor", "NOTHING MISSING"]);
+}
+
+#[test]
+fn a_refused_effect_leaves_the_model_and_says_why() {
+    let mut state = answered();
+    press(&mut state, DOWN);
+    let effect = press(&mut state, Press::Add);
+    assert_eq!(effect, Some(Effect::Order(Order::Add("cogging"))));
+    hear(&mut state, added("cogging", false));
+    assert!(state.present.is_empty() && state.ladder.len() == 1);
+    assert!(state.diagnosis.is_some() && state.working.is_none());
+    shows(&state, &["refused: cogging helps only in training"]);
+}
+
+#[test]
+fn r_removes_what_is_in_the_model_and_nothing_else() {
+    let mut state = answered();
+    assert_eq!(press(&mut state, Press::Remove), None);
+    assert_eq!(told(&state), "the model has no effect yet");
+    let mut state = at_the_floor();
+    let effect = press(&mut state, Press::Remove);
+    assert_eq!(effect, None, "a candidate is selected");
+    press(&mut state, UP);
+    assert_eq!(selected(&state), "stribeck_friction");
+    assert_eq!(press(&mut state, Press::Add), None);
+    let removes = Effect::Order(Order::Remove("stribeck_friction"));
+    assert_eq!(press(&mut state, Press::Remove), Some(removes));
+}
+
+#[test]
+fn orders_wait_for_the_worker_and_q_always_leaves() {
+    for state in every_state() {
+        let busy = state.working.is_some();
+        let guessing = state.guessing == Guessing::Choosing;
+        for key in [Press::Add, Press::Remove, Press::Write] {
+            let effect = press(&mut state.clone(), key);
+            assert!(effect.is_none() || !(busy || guessing), "{key:?} {state:?}");
+        }
+        let mut quits = state.clone();
+        // A first q closes what lies over the screen.
+        let first = press(&mut quits, Press::Quit);
+        let effect = first.or_else(|| press(&mut quits, Press::Quit));
+        let exit = if busy { Exit::Quit } else { Exit::Finished };
+        assert_eq!(effect, Some(Effect::Leave(exit)), "{state:?}");
+        let effect = press(&mut state.clone(), Press::Interrupt);
+        assert_eq!(effect, Some(Effect::Leave(Exit::Interrupted)), "{state:?}");
+    }
+}
+
+#[test]
+fn no_name_is_shown_before_the_guess() {
+    let mut state = searching(true);
+    select(&mut state, "stribeck_friction");
+    for _ in 0..2 {
+        let shown = text(&state, 120, 60);
+        for word in ["missing: stribeck", "supported", "refitted"] {
+            assert!(!shown.contains(word), "{word}: {shown}");
+        }
+        for key in [Press::Add, Press::Next, Press::Remove, Press::Write] {
+            assert_eq!(press(&mut state, key), None);
+            assert!(!text(&state, 120, 60).contains("supported"));
+        }
+        press(&mut state, Press::Open);
+        let card = text(&state, 120, 60);
+        assert!(
+            card.contains("equation: ") && !card.contains("here: "),
+            "{card}"
+        );
+        press(&mut state, Press::Open);
+        answer(&mut state, diagnosis());
+    }
+    for _ in 0..40 {
+        press(&mut state, UP);
+    }
+    assert_eq!(selected(&state), "nothing is missing");
+    assert_eq!(press(&mut state, Press::Guess), None);
+    assert_eq!(state.guessing, Guessing::Guessed(Guess::Nothing));
+    let sentence = "you: nothing is missing. The tool: stribeck_friction";
+    assert_eq!(told(&state), sentence);
+    assert!(text(&state, 120, 60).contains("supported"));
+}
+
+#[test]
+fn a_guess_is_compared_with_the_answer() {
+    use DiagnosisVerdict::{Ambiguous, Effect, None, Unexplained};
+    let pair = vec![["stribeck_friction", "viscous_friction"]];
+    let worse = "ruled out: held-out error 5.10 -> 5.08";
+    for (guess, verdict, rivals, expected) in [
+        ("stribeck_friction", Effect, vec![], "right: "),
+        ("viscous_friction", Effect, vec![], worse),
+        ("viscous_friction", Ambiguous, pair, "as good: "),
+        ("nothing is missing", None, vec![], "right"),
+        ("nothing of the catalogue", Unexplained, vec![], "right"),
+    ] {
+        let mut state = searching(true);
+        select(&mut state, guess);
+        press(&mut state, Press::Guess);
+        let mut found = diagnosis();
+        (found.verdict, found.confusable) = (verdict, rivals);
+        answer(&mut state, found);
+        let sentence = told(&state);
+        // The reason stands behind what was guessed, a judgement before it.
+        let begins = sentence.starts_with(expected);
+        let has_reason = expected.contains("held-out") && sentence.contains(expected);
+        assert!(begins || has_reason, "{guess}: {sentence}");
+    }
+}
+
+#[test]
+fn without_a_floor_nothing_is_said_in_multiples_of_it() {
+    let without = || {
+        let mut diagnosis = diagnosis();
+        diagnosis.noise_floor_from = FloorSource::None;
+        diagnosis.sentence = "missing: stribeck_friction".to_owned();
+        diagnosis
+    };
+    for id in ["cogging", "viscous_friction"] {
+        let text = compared(Guess::Effect(id), &without());
+        assert!(text.contains("times the baseline's residual"), "{text}");
+    }
+    let mut state = searching(true);
+    answer(&mut state, without());
+    let shown = text(&state, 120, 30);
+    let part = "to 1.03 times the baseline's residual";
+    assert!(shown.contains(part), "{shown}");
+    let mut state = answered();
+    answer(&mut state, without());
+    press(&mut state, Press::Add);
+    let News::Added(mut change) = added("stribeck_friction", true) else {
+        unreachable!("it adds");
+    };
+    let [before, after] = [5.1, 0.4].map(|holdout_rmse| Rung {
+        effects: Vec::new(),
+        holdout_rmse,
+    });
+    change.confirm = Some([before, after]);
+    change.before.noise_floor_from = FloorSource::None;
+    change.after.noise_floor_from = FloorSource::None;
+    hear(&mut state, News::Added(change));
+    let shown = text(&state, 160, 40);
+    let part = "0.40 times the baseline's residual";
+    assert!(shown.contains(part), "{shown}");
+    assert!(!shown.contains("times the noise"), "{shown}");
+}
+
+#[test]
+fn guessing_ends_with_escape_and_is_refused_after_the_answer() {
+    let mut state = searching(false);
+    press(&mut state, Press::Guess);
+    assert_eq!(state.guessing, Guessing::Choosing);
+    press(&mut state, Press::Stop);
+    assert_eq!(state.guessing, Guessing::Off);
+    let mut state = answered();
+    press(&mut state, Press::Guess);
+    assert_eq!(state.guessing, Guessing::Off);
+    assert!(told(&state).starts_with("too late"));
+}
+
+#[test]
+fn the_selection_stays_on_its_effect_while_the_order_changes() {
+    let mut state = searching(false);
+    press(&mut state, DOWN);
+    assert_eq!(selected(&state), "cogging");
+    let screened = Found::Screened {
+        effect: "quadratic_load",
+        share: 0.99,
+    };
+    hear(&mut state, News::Progress(screened));
+    assert_eq!(selected(&state), "cogging");
+    for _ in 0..99 {
+        press(&mut state, Press::Move(10));
+    }
+    assert_eq!(selected(&state), "voltage_drop");
+}
+
+#[test]
+fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
+    let mut state = answered();
+    for over in [Over::Map(0), Over::Map(1), Over::Nothing] {
+        press(&mut state, Press::Map);
+        assert_eq!(state.over, over);
+    }
+    let mut bare = State::new(String::new(), false);
+    press(&mut bare, Press::Map);
+    assert_eq!(bare.over, Over::Nothing);
+    assert!(told(&bare).starts_with("there is no map"));
+}
+
+#[test]
+fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
+    let mut state = searching(false);
+    press(&mut state, Press::Next);
+    assert_eq!(state.over, Over::Nothing);
+    let mut found = diagnosis();
+    found.confusable = vec![["viscous_friction", "quadratic_load"]];
+    answer(&mut state, found);
+    let entry = |program, expected_separation| MenuEntry {
+        program,
+        expected_separation,
+        needed: 612.0,
+    };
+    let next = NextExperiment {
+        sentence: "run a slow ramp over the whole speed".to_owned(),
+        bench: None,
+        pair: Some(["viscous_friction", "quadratic_load"]),
+        pairs: Vec::new(),
+        reveals: Vec::new(),
+        expected_separation: 8463.0,
+        menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
+        peaks: None,
+        recipe: None,
+    };
+    hear(&mut state, News::Recommended(Box::new(next)));
+    press(&mut state, Press::Next);
+    // The dither is above the constant, below what that run needs.
+    let tried = [
+        "from which on that run tells",
+        "✓ slow_ramp",
+        "· dither",
+        "of 612",
+    ];
+    shows(&state, &tried);
+    shows(
+        &state,
+        &["not told apart: viscous_friction and quadratic_load"],
+    );
+    shows(&state, &["next run: run a slow ramp"]);
+    press(&mut state, Press::Next);
+    assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
+fn q_waits_for_a_model_that_is_being_written() {
+    let mut state = answered();
+    let effect = press(&mut state, Press::Write);
+    assert_eq!(effect, Some(Effect::Order(Order::Write)));
+    shows(&state, &["… writing the model"]);
+    assert_eq!(press(&mut state, Press::Write), None, "not twice");
+    assert_eq!(press(&mut state, Press::Quit), None);
+    shows(&state, &["leaves when the model is written"]);
+    assert_eq!(press(&mut state, Press::Add), None);
+    let written = || Event::News(News::Written("model written to m.toml".to_owned()));
+    assert_eq!(state.clone().update(written()), FINISHED);
+    let mut stays = state.clone();
+    press(&mut stays, Press::Stop);
+    assert_eq!(stays.update(written()), None);
+    shows(&stays, &["model written to m.toml", "ready"]);
+    assert_eq!(press(&mut stays, Press::Quit), FINISHED);
+    // Ctrl-C does not wait.
+    let effect = press(&mut state, Press::Interrupt);
+    assert_eq!(effect, Some(Effect::Leave(Exit::Interrupted)));
+}
+
+#[test]
+fn a_model_that_cannot_be_written_keeps_the_screen() {
+    let mut state = answered();
+    press(&mut state, Press::Write);
+    press(&mut state, Press::Quit);
+    let mut gone = state.clone();
+    hear(&mut state, News::NotWritten("the disk is full".to_owned()));
+    shows(&state, &["NOT WRITTEN: the disk is full"]);
+    assert_eq!(press(&mut state, Press::Quit), FINISHED);
+    assert_eq!(gone.update(Event::WorkerGone), None);
+    shows(&gone, &["the model is NOT WRITTEN"]);
+    assert_eq!(press(&mut gone, Press::Quit), FINISHED);
+}
+
+#[test]
+fn a_worker_that_has_gone_is_told() {
+    let mut state = searching(false);
+    state.update(Event::WorkerGone);
+    shows(&state, &["ERROR: the analysis has ended"]);
+    let mut idle = answered();
+    idle.update(Event::WorkerGone);
+    assert_eq!(idle.failure, None);
+}

@@ -12,7 +12,6 @@
 //! ```
 
 mod model;
-mod parameters;
 mod scope;
 mod view;
 
@@ -31,7 +30,7 @@ use crate::bench::{Intent, SnapshotCell};
 use crate::workflow::ProgressCell;
 use model::{Event, Model};
 
-pub(super) use parameters::name as parameter_name;
+pub(super) use view::name as parameter_name;
 
 /// What the screen is given; the worker holds the other ends.
 #[derive(Debug)]

@@ -1,6 +1,732 @@
 //! The screen on fixed snapshots, keys in every state, and any data at any size.
 
-mod any_size;
-mod fixtures;
-mod keys;
-mod screens;
+use std::sync::Arc;
+
+use insta::assert_snapshot;
+use proptest::prelude::*;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::style::{Color, Modifier};
+
+use super::model::{Event, Model, Page, ZOOM_S};
+use super::view::view;
+use super::{WorkerCell, WorkerState};
+use crate::bench::{
+    Excitation, Intent, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind,
+};
+use crate::drive::LinkStatistics;
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
+use crate::tui::application::{Effect, Exit};
+use crate::tui::keys::{CHARACTERS, Press};
+use crate::workflow::{Progress, StepState, StepView};
+
+fn found(
+    key: &str,
+    value: f64,
+    std: f64,
+    unit: &'static str,
+    verdict: Verdict,
+) -> ParameterEstimate {
+    ParameterEstimate {
+        value: Some(value),
+        std: Some(std),
+        verdict,
+        reason: None,
+        ..ParameterEstimate::not_observable(key, unit, "")
+    }
+}
+
+/// A voltage that steps every two seconds, a first-order speed, a model that is 10 % too fast, and a gap at 6 s.
+fn trace(seconds: f64) -> Vec<TracePoint> {
+    let mut speed = 0.0;
+    let mut voltage = 0.0;
+    (0..(seconds * 100.0) as u32)
+        .map(|row| {
+            let time_s = f64::from(row) * 0.01;
+            voltage = [0.0, 60.0, -60.0, 97.0][(row / 200) as usize % 4];
+            let settled = voltage / 0.4;
+            speed += (settled - speed) * 0.03;
+            let gap = (6.0..6.6).contains(&time_s);
+            let measured = |value: f64| if gap { f64::NAN } else { value };
+            TracePoint {
+                time_s,
+                voltage_v: measured(voltage),
+                current_a: measured((settled - speed) * 0.02 + 1.3 * voltage.signum()),
+                speed_rad_s: measured(speed),
+                model_speed_rad_s: speed * 1.1,
+                reference_rad_s: f64::NAN,
+            }
+        })
+        .collect()
+}
+
+fn notice(level: Level, text: &str) -> Notice {
+    let text = text.to_owned();
+    Notice { level, text }
+}
+
+fn running() -> Snapshot {
+    use Verdict::{Searching, Settled};
+    let carried = "the shaft has not turned both ways";
+    let estimates = vec![
+        found("resistance_ohm", 1.103_28, 0.021, "ohm", Settled),
+        found("inductance_h", 0.009_87, 0.000_31, "H", Searching),
+        found("back_emf_v_s_per_rad", 0.354_1, 0.000_4, "V.s/rad", Settled),
+        found("inertia_kg_m2", 0.004_6, 0.001_9, "kg.m2", Searching),
+        ParameterEstimate::not_observable("load_torque_n_m", "N.m", carried),
+    ];
+    Snapshot {
+        name: "zk-22fc-emulated".to_owned(),
+        link: "modbus-rtu /dev/pts/7".to_owned(),
+        target: Target::Sim,
+        phase: Some(Phase::Running),
+        drive_state: Some(DriveState::Running),
+        elapsed_s: 8.4,
+        total_s: 24.0,
+        segment: Some("prbs".to_owned()),
+        trace: Arc::new(trace(8.4)),
+        estimates: Arc::new(estimates),
+        excitation: Arc::new(Excitation::from([
+            ("resistance_ohm", 0.98),
+            ("inductance_h", 0.81),
+            ("back_emf_v_s_per_rad", 1.0),
+            ("inertia_kg_m2", 0.42),
+            ("load_torque_n_m", 0.05),
+        ])),
+        link_statistics: LinkStatistics {
+            sent: 845,
+            ok: 841,
+            timeout: 3,
+            crc: 1,
+            ..LinkStatistics::default()
+        },
+        timing: Timing {
+            rate_asked_hz: 100.0,
+            rate_achieved_hz: 99.6,
+            lateness_p50_s: 0.000_12,
+            lateness_p99_s: 0.001_9,
+            lateness_max_s: 0.004,
+            cycles: 845,
+            missed_cycles: 3,
+        },
+        rows: 840,
+        notices: vec![
+            notice(
+                Level::Info,
+                "watchdog proven: output off 98 ms after silence",
+            ),
+            notice(Level::Warning, "voltage limited by the guard in 12 cycles"),
+        ],
+        ..Snapshot::default()
+    }
+}
+
+fn hardware() -> Snapshot {
+    Snapshot {
+        target: Target::Hardware,
+        phase: Some(Phase::Safe),
+        drive_state: Some(DriveState::Ready),
+        trace: Arc::default(),
+        estimates: Arc::default(),
+        excitation: Arc::default(),
+        elapsed_s: 0.0,
+        segment: None,
+        link: "/dev/ttyUSB0".to_owned(),
+        ..running()
+    }
+}
+
+fn tripped() -> Snapshot {
+    let reason = "over-current: current 11.8200 A, limit 11.4000 A";
+    let mut notices = running().notices;
+    notices.push(notice(Level::Error, reason));
+    Snapshot {
+        phase: Some(Phase::Tripped),
+        drive_state: Some(DriveState::Disabled),
+        trip: Some(Trip {
+            kind: TripKind::OverCurrent,
+            at_s: 8.4,
+            value: 11.82,
+            limit: 11.4,
+            reason: reason.to_owned(),
+        }),
+        notices,
+        recorder_error: Some("no space left on device".to_owned()),
+        outcome: Some("tripped"),
+        ..running()
+    }
+}
+
+fn done() -> Snapshot {
+    Snapshot {
+        phase: Some(Phase::Done),
+        drive_state: Some(DriveState::Disabled),
+        elapsed_s: 24.0,
+        outcome: Some("done"),
+        model_is_identified: true,
+        ..running()
+    }
+}
+
+/// Only the speed comes in, with nothing else known.
+fn missing() -> Snapshot {
+    let trace = trace(3.0).into_iter().map(|point| TracePoint {
+        voltage_v: f64::NAN,
+        current_a: f64::NAN,
+        model_speed_rad_s: f64::NAN,
+        ..point
+    });
+    Snapshot {
+        phase: Some(Phase::Running),
+        trace: Arc::new(trace.collect()),
+        ..Snapshot::default()
+    }
+}
+
+fn workflow(finished: bool) -> Progress {
+    use StepState::{Active, Done, Failed, Waiting};
+    let step = |(title, state, line): &(&str, StepState, &str)| StepView {
+        title: (*title).to_owned(),
+        state: *state,
+        line: (*line).to_owned(),
+    };
+    let checked = ("check the drive", Done, "watchdog proven in 98 ms");
+    let found = "quadratic_load, probability 0.99";
+    let (steps, report) = if finished {
+        let steps = [
+            checked,
+            ("excite (fit)", Done, "2,400 rows"),
+            ("diagnose", Done, found),
+            ("confirm", Failed, "the third run was stopped"),
+        ];
+        let report = [
+            "verdict: quadratic_load (a fan or a pump)",
+            "ladder: baseline 5.10 -> + quadratic_load 1.03 (floor 1.00)",
+        ];
+        (steps, report.map(str::to_owned).to_vec())
+    } else {
+        let steps = [
+            checked,
+            ("excite (fit)", Active, "8.4 of 24 s"),
+            ("diagnose", Waiting, ""),
+            ("confirm", Waiting, ""),
+        ];
+        (steps, Vec::new())
+    };
+    Progress {
+        steps: steps.iter().map(step).collect(),
+        report,
+        finished,
+    }
+}
+
+fn model(snapshot: Snapshot) -> Model {
+    let mut model = Model::new(None);
+    model.update(Event::Snapshot(Arc::new(snapshot)));
+    model
+}
+
+fn terminal(model: &Model, width: u16, height: u16) -> Terminal<TestBackend> {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    terminal.draw(|frame| view(model, frame)).unwrap();
+    terminal
+}
+
+fn text(model: &Model, width: u16, height: u16) -> String {
+    terminal(model, width, height).backend().to_string()
+}
+
+fn with(model: &Model, change: impl FnOnce(&mut Model)) -> Model {
+    let mut changed = model.clone();
+    change(&mut changed);
+    changed
+}
+
+fn finished(mut model: Model) -> Model {
+    finish(&mut model);
+    model
+}
+
+#[test]
+fn fixed_snapshots_and_the_other_screens() {
+    let (run, waiting) = (model(running()), model(hardware()));
+    let (trip, asked) = (
+        model(tripped()),
+        with(&waiting, |own| own.confirm_start = true),
+    );
+    let steps = with(&run, |own| report(own, false));
+    let page = |model: &Model, page| with(model, |own| own.page = page);
+    let parameters = page(&run, Page::Parameters);
+    for (name, model, width, height) in [
+        ("running_80x24", &run, 80, 24),
+        ("running_120x40", &run, 120, 40),
+        ("running_40x10", &run, 40, 10),
+        ("tripped_80x24", &trip, 80, 24),
+        ("tripped_40x10", &finished(trip.clone()), 40, 10),
+        ("done_80x24", &finished(model(done())), 80, 24),
+        ("hardware_80x24", &waiting, 80, 24),
+        ("hardware_confirm_120x40", &asked, 120, 40),
+        ("missing_80x24", &model(missing()), 80, 24),
+        ("parameters_80x24", &parameters, 80, 24),
+        ("parameters_40x10", &parameters, 40, 10),
+        ("steps_80x24", &page(&steps, Page::Steps), 80, 24),
+        (
+            "help_80x24",
+            &with(&steps, |own| own.help = Some(0)),
+            80,
+            24,
+        ),
+    ] {
+        assert_snapshot!(name, text(model, width, height));
+    }
+}
+
+#[test]
+fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
+    let mut lost = running();
+    lost.phase = Some(Phase::LinkLost);
+    lost.outcome = Some("link_lost");
+    lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
+    for (width, height) in [(80, 24), (120, 40), (40, 10)] {
+        let shown = text(&model(lost.clone()), width, height);
+        assert!(shown.contains("LINK LOST"), "{shown}");
+        assert!(shown.contains("reopening (attempt 3)…"), "{shown}");
+    }
+    lost.phase = Some(Phase::Safe);
+    lost.reopening = Some("x: the same drive is back, stop confirmed".to_owned());
+    let shown = text(&finished(model(lost)), 80, 24);
+    assert!(shown.contains(" SAFE "), "{shown}");
+    assert!(shown.contains("stop confirmed. q = quit."), "{shown}");
+}
+
+#[test]
+fn the_report_is_shown_when_it_comes() {
+    let mut model = finished(model(done()));
+    report(&mut model, false);
+    assert_eq!(model.page, Page::Live);
+    report(&mut model, true);
+    assert_eq!(model.page, Page::Steps);
+    assert_snapshot!("report_80x24", text(&model, 80, 24));
+    // Turning away afterwards is respected.
+    model.page = Page::Live;
+    report(&mut model, true);
+    assert_eq!(model.page, Page::Live);
+}
+
+#[test]
+fn hardware_is_reversed_and_a_trip_is_white_on_red() {
+    let terminal_of = |snapshot| terminal(&model(snapshot), 80, 24);
+    let real = terminal_of(hardware());
+    let cell = &real.backend().buffer()[(2, 0)];
+    assert_eq!((cell.symbol(), cell.fg), ("A", Color::Red));
+    assert!(cell.modifier.contains(Modifier::REVERSED));
+
+    let soft = terminal_of(running());
+    let cell = &soft.backend().buffer()[(2, 0)];
+    assert_eq!((cell.symbol(), cell.fg), ("I", Color::Green));
+    assert!(!cell.modifier.contains(Modifier::REVERSED));
+
+    let trip = terminal_of(tripped());
+    let cell = &trip.backend().buffer()[(4, 3)];
+    assert_eq!(
+        (cell.symbol(), cell.fg, cell.bg),
+        ("e", Color::White, Color::Red)
+    );
+}
+
+#[test]
+fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
+    let mut model = model(running());
+    model.frozen = Some(Arc::clone(&model.snapshot));
+    let mut later = tripped();
+    later.trace = Arc::default();
+    model.update(Event::Snapshot(Arc::new(later)));
+    let text = text(&model, 80, 24);
+    assert!(
+        text.contains("SAFETY TRIP") && text.contains("TRIPPED"),
+        "{text}"
+    );
+    assert!(
+        text.contains("FROZEN") && text.contains('⣀') && text.contains('⠉'),
+        "{text}"
+    );
+}
+
+fn number() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        4 => -300.0..300.0_f64,
+        1 => any::<f64>(),
+        1 => Just(f64::NAN),
+        1 => Just(f64::INFINITY),
+        1 => Just(f64::MAX),
+        1 => Just(-f64::MAX),
+        1 => Just(0.0),
+    ]
+}
+
+fn point() -> impl Strategy<Value = TracePoint> {
+    prop::array::uniform6(number()).prop_map(|of| TracePoint {
+        time_s: of[0],
+        voltage_v: of[1],
+        current_a: of[2],
+        speed_rad_s: of[3],
+        model_speed_rad_s: of[4],
+        reference_rad_s: of[5],
+    })
+}
+
+fn estimate() -> impl Strategy<Value = ParameterEstimate> {
+    use Verdict::{Fixed, Invalid, NotObservable, Searching, Settled};
+    let verdicts = vec![Settled, Searching, NotObservable, Invalid, Fixed];
+    let figure = || prop::option::of(number());
+    let reason = prop::option::of(".{0,80}");
+    let verdict = prop::sample::select(verdicts);
+    (".{0,30}", figure(), figure(), verdict, reason).prop_map(|found| ParameterEstimate {
+        key: found.0,
+        value: found.1,
+        std: found.2,
+        unit: "kg.m2",
+        verdict: found.3,
+        reason: found.4,
+    })
+}
+
+fn snapshot() -> impl Strategy<Value = Snapshot> {
+    (
+        prop::sample::select(vec![running(), tripped(), done(), hardware()]),
+        (number(), number()),
+        prop::collection::vec(point(), 0..60),
+        any::<bool>(),
+        prop::collection::vec(estimate(), 0..9),
+        (".{0,90}", ".{0,90}", number()),
+    )
+        .prop_map(
+            |(mut base, (elapsed, total), mut points, sorted, estimates, texts)| {
+                if sorted {
+                    points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+                }
+                base.elapsed_s = elapsed;
+                base.total_s = total;
+                base.trace = Arc::new(points);
+                base.estimates = Arc::new(estimates);
+                base.segment = Some(texts.0.clone());
+                base.link = texts.1.clone();
+                base.timing.rate_achieved_hz = texts.2;
+                base.timing.lateness_p99_s = texts.2;
+                base.notices.push(Notice {
+                    level: Level::Error,
+                    text: texts.0,
+                });
+                if let Some(trip) = &mut base.trip {
+                    trip.reason = texts.1;
+                }
+                base
+            },
+        )
+}
+
+fn screens() -> impl Strategy<Value = (usize, bool, bool, usize, usize, Option<bool>, bool)> {
+    (
+        0..Page::ALL.len(),
+        any::<bool>(),
+        any::<bool>(),
+        0..ZOOM_S.len(),
+        0..200_usize,
+        prop::option::of(any::<bool>()),
+        any::<bool>(),
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn any_snapshot_can_be_drawn_at_any_size(
+        snapshot in snapshot(),
+        (screen, help, frozen, zoom, scroll, steps, finished) in screens(),
+        width in 1..=200_u16,
+        height in 1..=60_u16,
+    ) {
+        let mut model: Model = model(snapshot);
+        if let Some(over) = steps {
+            report(&mut model, over);
+        }
+        model.page = Page::ALL[screen];
+        (model.help, model.zoom, model.scroll) = (help.then_some(0), zoom, scroll);
+        if frozen {
+            model.frozen = Some(Arc::clone(&model.snapshot));
+        }
+        if finished {
+            finish(&mut model);
+        }
+        let shown = terminal(&model, width, height).backend().to_string();
+        if width >= 30 && height >= 6 {
+            prop_assert!(shown.contains("Space = STOP"), "{shown}");
+        }
+    }
+}
+
+#[test]
+fn every_small_width() {
+    let mut model = model(tripped());
+    report(&mut model, true);
+    for page in Page::ALL {
+        model.page = page;
+        for width in (1..=40).chain([72, 110, 200]) {
+            for height in [1, 2, 3, 5, 6, 7, 9, 12, 20, 60] {
+                terminal(&model, width, height);
+            }
+        }
+    }
+}
+
+fn phases() -> impl Iterator<Item = Option<Phase>> {
+    use Phase::{Armed, Connecting, Done, LinkLost, RampDown, Running, Safe};
+    use Phase::{Stopped, Stopping, Tripped};
+    let before = [Connecting, Safe, Armed, Running, RampDown];
+    let after = [Stopping, Done, Stopped, Tripped, LinkLost];
+    std::iter::once(None).chain(before.into_iter().chain(after).map(Some))
+}
+
+/// Every key but that which stops and Ctrl-C.
+fn others() -> impl Iterator<Item = Press> {
+    use Press::{Move, NextScreen, Open, Other, PreviousScreen};
+    let more = [
+        NextScreen,
+        PreviousScreen,
+        Move(-1),
+        Move(1),
+        Move(10),
+        Open,
+        Other,
+    ];
+    let keys = CHARACTERS.into_iter().map(|(_, press)| press);
+    keys.filter(|press| *press != Press::Stop).chain(more)
+}
+
+const STOP: [Effect; 2] = [Effect::Send(Intent::Stop), Effect::RequestStop];
+const STOP_AND_QUIT: [Effect; 2] = [Effect::Send(Intent::Quit), Effect::RequestStop];
+const START: [Effect; 1] = [Effect::Send(Intent::Start)];
+
+fn press(model: &mut Model, press: Press) -> Vec<Effect> {
+    model.update(Event::Press(press))
+}
+
+fn finish(model: &mut Model) -> Vec<Effect> {
+    model.update(Event::Worker(WorkerState::Finished))
+}
+
+fn report(model: &mut Model, is_there: bool) {
+    model.update(Event::Workflow(Arc::new(workflow(is_there))));
+}
+
+fn in_phase(phase: Option<Phase>, target: Target) -> Model {
+    model(Snapshot {
+        phase,
+        target,
+        drive_state: Some(DriveState::Ready),
+        ..missing()
+    })
+}
+
+/// Every state that changes what keys do.
+fn every_state() -> Vec<Model> {
+    let mut models = Vec::new();
+    for phase in phases() {
+        for target in [Target::Sim, Target::Hardware] {
+            for variant in 0..6 {
+                let mut model = in_phase(phase, target);
+                match variant {
+                    1 => model.help = Some(0),
+                    2 => drop(press(&mut model, Press::Freeze)),
+                    3 => report(&mut model, true),
+                    4 => model.confirm_start = true,
+                    5 => drop(finish(&mut model)),
+                    _ => {}
+                }
+                models.push(model);
+            }
+        }
+    }
+    models
+}
+
+#[test]
+fn space_and_escape_stop_in_every_state() {
+    for mut model in every_state() {
+        assert_eq!(press(&mut model, Press::Stop), STOP, "{model:?}");
+    }
+}
+
+#[test]
+fn no_key_but_the_confirmed_start_starts_and_none_leaves_while_energised() {
+    for model in every_state() {
+        for key in others() {
+            let effects = press(&mut model.clone(), key);
+            if effects.contains(&START[0]) {
+                let is_asked = key == Press::Start && !model.is_hardware();
+                let is_confirmed = key == Press::Yes && model.confirm_start;
+                let may_start = model.waits_for_start() && (is_asked || is_confirmed);
+                assert!(may_start, "{key:?} {model:?}");
+            }
+            let mut effects = effects.iter();
+            let leaves = effects.any(|effect| matches!(effect, Effect::Leave(_)));
+            assert!(!(leaves && model.is_energised()), "{key:?} {model:?}");
+        }
+    }
+}
+
+#[test]
+fn q_says_stop_first_exactly_where_the_output_may_be_on() {
+    for phase in phases() {
+        let mut model = in_phase(phase, Target::Sim);
+        let effects = press(&mut model, Press::Quit);
+        if matches!(
+            phase,
+            Some(Phase::Armed | Phase::Running | Phase::RampDown | Phase::Stopping)
+        ) {
+            assert_eq!(effects, [], "{phase:?}");
+            assert_eq!(model.message.as_deref(), Some("stop first: Space"));
+        } else {
+            assert_eq!(effects, STOP_AND_QUIT, "{phase:?}");
+            assert_eq!(finish(&mut model), [Effect::Leave(Exit::Quit)]);
+        }
+    }
+    // Found running by somebody else, before this program ever started it.
+    let mut found = in_phase(Some(Phase::Connecting), Target::Hardware);
+    Arc::make_mut(&mut found.snapshot).drive_state = Some(DriveState::Running);
+    assert_eq!(press(&mut found, Press::Quit), []);
+}
+
+#[test]
+fn a_screen_on_which_no_run_ever_began_leaves_by_itself_so_that_the_reason_is_told() {
+    let left = finish(&mut Model::new(None));
+    assert_eq!(left, [Effect::Leave(Exit::Finished)]);
+}
+
+#[test]
+fn q_leaves_when_the_work_is_over() {
+    for snapshot in [running(), tripped(), done(), hardware()] {
+        let mut model = model(snapshot);
+        assert_eq!(finish(&mut model), []);
+        let left = press(&mut model, Press::Quit);
+        assert_eq!(left, [Effect::Leave(Exit::Finished)]);
+    }
+}
+
+#[test]
+fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
+    let mut model = model(done());
+    report(&mut model, true);
+    assert_eq!(press(&mut model, Press::Diagnose), []);
+    finish(&mut model);
+    let left = press(&mut model, Press::Diagnose);
+    assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
+    report(&mut model, false);
+    assert_eq!(press(&mut model, Press::Diagnose), []);
+}
+
+#[test]
+fn ctrl_c_stops_then_quits_and_the_third_leaves_a_worker_that_hangs() {
+    for mut model in every_state() {
+        let left = [Effect::Leave(Exit::Interrupted)];
+        if model.is_finished() {
+            assert_eq!(press(&mut model, Press::Interrupt), left);
+            continue;
+        }
+        let mut hanging = model.clone();
+        assert_eq!(press(&mut model, Press::Interrupt), STOP_AND_QUIT);
+        assert_eq!(finish(&mut model), left);
+        for _ in 0..2 {
+            assert_eq!(press(&mut hanging, Press::Interrupt), STOP_AND_QUIT);
+        }
+        let third = press(&mut hanging, Press::Interrupt);
+        assert!(third.contains(&Effect::Leave(Exit::Forced)));
+    }
+}
+
+#[test]
+fn a_start_on_hardware_is_confirmed_and_anything_else_withdraws_it() {
+    let mut soft = in_phase(Some(Phase::Safe), Target::Sim);
+    assert_eq!(press(&mut soft, Press::Start), START);
+    let mut hard = in_phase(Some(Phase::Safe), Target::Hardware);
+    assert_eq!(press(&mut hard, Press::Start), []);
+    let (mut refused, mut late) = (hard.clone(), hard.clone());
+    assert_eq!(press(&mut hard, Press::Yes), START);
+    assert_eq!(press(&mut refused, Press::Next), []);
+    assert_eq!(press(&mut refused, Press::Yes), []);
+    // A question that is no longer one is withdrawn.
+    late.update(Event::Snapshot(Arc::new(tripped())));
+    assert!(!late.confirm_start);
+    assert_eq!(press(&mut late, Press::Yes), []);
+}
+
+#[test]
+fn faults_are_reset_only_where_there_is_one_and_nothing_is_energised() {
+    let reset = vec![Effect::Send(Intent::ResetFault)];
+    for (phase, state, expected) in [
+        (Phase::Connecting, DriveState::Fault, reset),
+        (Phase::Running, DriveState::Fault, vec![]),
+        (Phase::Safe, DriveState::Ready, vec![]),
+    ] {
+        let mut model = in_phase(Some(phase), Target::Sim);
+        Arc::make_mut(&mut model.snapshot).drive_state = Some(state);
+        let effects = press(&mut model, Press::ResetFault);
+        assert_eq!(effects, expected, "{phase:?} {state:?}");
+    }
+}
+
+#[test]
+fn view_keys_change_the_view_and_send_nothing() {
+    let mut model = model(running());
+    for is_frozen in [true, false] {
+        assert_eq!(press(&mut model, Press::Freeze), []);
+        assert_eq!(model.frozen.is_some(), is_frozen);
+    }
+    let before_s = model.window_s();
+    assert_eq!(press(&mut model, Press::Zoom), []);
+    assert!(model.window_s() < before_s);
+    press(&mut model, Press::Help);
+    press(&mut model, Press::Move(3));
+    assert_eq!(model.help, Some(3));
+    assert_eq!(press(&mut model, Press::Quit), []);
+    assert!(model.help.is_none() && model.message.is_none());
+    let marked = Intent::Mark("mark 1".to_owned());
+    assert_eq!(press(&mut model, Press::Mark), [Effect::Send(marked)]);
+}
+
+#[test]
+fn tab_goes_round_the_pages_that_there_are() {
+    let mut model = model(running());
+    for (key, page) in [
+        (Press::NextScreen, Page::Parameters),
+        (Press::NextScreen, Page::Live),
+        (Press::Page(2), Page::Live),
+    ] {
+        press(&mut model, key);
+        assert_eq!(model.page, page, "{key:?}");
+    }
+    report(&mut model, false);
+    for (key, page) in [
+        (Press::PreviousScreen, Page::Steps),
+        (Press::NextScreen, Page::Live),
+        (Press::Page(2), Page::Steps),
+    ] {
+        press(&mut model, key);
+        assert_eq!(model.page, page, "{key:?}");
+    }
+}
+
+#[test]
+fn a_worker_that_panics_has_finished() {
+    let cell = WorkerCell::default();
+    let inner = cell.clone();
+    let worker = std::thread::spawn(move || {
+        let _guard = inner.finish_on_drop();
+        assert_eq!(inner.state(true), WorkerState::Working);
+        std::panic::resume_unwind(Box::new("on purpose"));
+    });
+    assert!(worker.join().is_err());
+    assert_eq!(cell.state(false), WorkerState::Finished);
+    assert_eq!(cell.state(true), WorkerState::Leave);
+}

@@ -519,9 +519,8 @@ mod tests {
         }
         for row in figure.adapted(1).chain(figure.adapted(2)) {
             let response = row.adaptive.response;
-            let settles = response
-                .settling_s
-                .is_some_and(|s| s <= row.allowed_settling_s);
+            let allowed_s = row.allowed_settling_s;
+            let settles = response.settling_s.is_some_and(|s| s <= allowed_s);
             assert!(response.overshoot_percent < 10.0 && settles, "{row:?}");
             let error = row.estimate_s / row.mechanical_s - 1.0;
             assert!(error.abs() < 0.1, "{row:?}");
@@ -573,10 +572,7 @@ mod tests {
         // The load observer knows the load, the others see only the speed that it takes.
         let dip = |kind| row(kind, Case::Load).dip_rad_s.unwrap();
         let others = [Kind::Pi, Kind::Addc, Kind::MracDisconnected, Kind::PaperB];
-        assert!(
-            others
-                .into_iter()
-                .all(|kind| dip(kind) > dip(Kind::LoadObserver))
-        );
+        let least = dip(Kind::LoadObserver);
+        assert!(others.into_iter().all(|kind| dip(kind) > least));
     }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use super::machine::{COMPLETE, ZeroOrderHold, figures, forward, motor, value};
-use super::signal::{RatioOf, SignalToNoise, Spread, random, random_binary, white, with_noise};
+use super::machine::{RatioOf, SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
 use crate::identification::scheme_1::{
     Form, Scheme1, Scheme1Values, Series, instrumental_variables,

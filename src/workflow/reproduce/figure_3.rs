@@ -5,8 +5,8 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::machine::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::machine::{Turning, forward, motor, value};
-use super::signal::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
 use crate::plant::{Motor, MotorKey};

@@ -21,7 +21,6 @@ mod machine;
 mod pages;
 pub mod paper_b;
 mod schemes;
-mod signal;
 pub mod study;
 mod transient;
 
@@ -31,9 +30,9 @@ pub use adaptive::AdaptiveLoop;
 pub use figure_2::{ByParameter, Figure2, Method};
 pub use figure_3::Figure3;
 pub use loops::{Case, CaseRow, Comparison, Kind, LoadChange, Named, Step};
+pub use machine::{RatioOf, SignalToNoise, Spread};
 pub use paper_b::{PaperB, paper_b};
 pub use schemes::{AtTa, Curve, Errors, NAMES, NoiseSweep, Sampling, Sweep};
-pub use signal::{RatioOf, SignalToNoise, Spread};
 pub use transient::{Figure4, Table1};
 
 /// Motor of Figures 2 and 3, s: the text gives none. It asks for Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the

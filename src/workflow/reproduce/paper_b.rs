@@ -16,7 +16,7 @@ use super::loops::{
     effort_v, error, lasting_rad_s, load_change, mean_and_std, rms, steps, within,
 };
 use super::machine::made_of;
-use super::signal::{random, white};
+use super::machine::{random, white};
 use crate::control::{
     self, HallSensor, LoadObservingSettings, LoopTiming, PaperBError, PaperBSettings, TrialPoint,
 };

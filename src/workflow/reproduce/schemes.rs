@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use super::machine::{COMPLETE, driven, figures, forward, motor, simulated, stamps, value};
-use super::signal::{SignalToNoise, random, random_binary, white, with_noise};
+use super::machine::{SignalToNoise, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, PERIOD_S, TA_S, TM_S};
 use crate::identification::scheme::{CATALOGUE, Data, Scheme};
 use crate::identification::scheme_1::{Form, Scheme1};

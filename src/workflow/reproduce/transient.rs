@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::machine::{driven, simulated, stamps, value};
-use super::signal::{random, white, with_noise};
+use super::machine::{random, white, with_noise};
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
 use crate::numerics::statistics::{mean, variance};
 use crate::plant::{Motor, MotorKey, State, Trajectory};

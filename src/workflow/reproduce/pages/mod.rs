@@ -2,11 +2,9 @@
 //!
 //! ```text
 //! PaperA -> paper_a, PaperB -> paper_b (both: comparison, every regulator on the same cases) --\
-//! Study -> study (with mysteries), calibration              LineStudy -> lines ------------------+-> Section -> Reproduction
+//! Study -> study (with mysteries and calibration)            LineStudy -> section ----------------+-> Section -> Reproduction
 //! ```
 
-mod calibration;
-mod lines;
 mod paper_a;
 mod paper_b;
 mod study;
@@ -105,15 +103,12 @@ fn trials<'a>(
 ) -> Figure {
     let mut trials = trials.into_iter().peekable();
     let first = trials.peek().map_or(&[][..], |(_, trace)| trace);
-    trials.fold(
-        Figure::over_time(of(first, TIME)),
-        |figure, (name, trace)| {
-            let figure = figure.panel(speed_panel(format!("{name}: speed"), height));
-            lines
-                .iter()
-                .fold(figure, |figure, (label, style, quantity)| {
-                    figure.line(label, *style, &of(trace, *quantity))
-                })
-        },
-    )
+    let mut figure = Figure::over_time(of(first, TIME));
+    for (name, trace) in trials {
+        figure = figure.panel(speed_panel(format!("{name}: speed"), height));
+        for (label, style, quantity) in lines {
+            figure = figure.line(label, *style, &of(trace, *quantity));
+        }
+    }
+    figure
 }

@@ -79,11 +79,10 @@ impl PaperA {
 
     fn adaptation(&self) -> String {
         let (figure_6, figure_7) = (&self.adaptive.figure_6, &self.adaptive.figure_7);
-        let [least, most] = span(
-            figure_6
-                .adapted(1)
-                .map(|row| row.fixed.response.overshoot_percent),
-        );
+        let overshoots = figure_6
+            .adapted(1)
+            .map(|row| row.fixed.response.overshoot_percent);
+        let [least, most] = span(overshoots);
         let adapted = figure_6.adapted(1).chain(figure_6.adapted(2));
         let [_, adapted] = span(adapted.map(|row| row.adaptive.response.overshoot_percent));
         let error = |kind| {
@@ -314,15 +313,12 @@ fn figure_3_series(figure: &Figure3) -> Figure {
             }
         }
     }
-    figure
-        .cases
-        .iter()
-        .enumerate()
-        .fold(drawn, |drawn, (n, case)| {
-            drawn
-                .column(format!("inertia_kg_m2/{n}"), &case.inertia_trace.0)
-                .column(format!("load_torque_n_m/{n}"), &case.load_torque_trace.0)
-        })
+    for (n, case) in figure.cases.iter().enumerate() {
+        drawn = drawn
+            .column(format!("inertia_kg_m2/{n}"), &case.inertia_trace.0)
+            .column(format!("load_torque_n_m/{n}"), &case.load_torque_trace.0);
+    }
+    drawn
 }
 
 fn figure_4(figure: &Figure4) -> Section {
@@ -542,18 +538,14 @@ fn errors_tables(
 
 fn figure_5(figure: &Figure5) -> Section {
     let (reference, speed) = (of(&figure.trace, REFERENCE), of(&figure.trace, SPEED));
+    let gain = &figure.proportional;
     let series = Figure::over_time(of(&figure.trace, TIME))
         .panel(speed_panel("speed", 150.0).within(FRAME_RAD_S))
         .series("reference_rad_s", "reference", Style::Command, &reference)
         .series("speed_rad_s", "speed", Style::After, &speed)
         .column("estimated_tm_s", &figure.estimate_s)
         .panel(Panel::new("proportional gain", "V per rad/s").with_height(90.0))
-        .series(
-            "proportional_v_s_per_rad",
-            "Kp",
-            Style::After,
-            &figure.proportional,
-        );
+        .series("proportional_v_s_per_rad", "Kp", Style::After, gain);
     let before = figure.before.iter().map(|step| ("no", step));
     let after = figure.after.iter().map(|step| ("yes", step));
     Section::new("Figure 5: the adaptation joins")
@@ -583,11 +575,10 @@ fn figure_5(figure: &Figure5) -> Section {
 }
 
 fn figure_6(figure: &Figure6) -> Section {
-    let [least, most] = span(
-        figure
-            .adapted(1)
-            .map(|row| row.fixed.overshoot_of_reference_percent),
-    );
+    let overshoots = figure
+        .adapted(1)
+        .map(|row| row.fixed.overshoot_of_reference_percent);
+    let [least, most] = span(overshoots);
     let overshoot = |step: &Step| fixed(step.response.overshoot_percent, 1);
     let settling = |step: &Step| seconds(step.response.settling_s);
     let iae = |step: &Step| significant(step.response.absolute_error_rad, 3);
@@ -629,40 +620,25 @@ fn figure_6(figure: &Figure6) -> Section {
 }
 
 fn figure_6_series(figure: &Figure6) -> Figure {
-    let (fixed, adaptive) = (&figure.fixed, &figure.adaptive);
+    use Style::{After, Command};
+    let both = [&figure.fixed, &figure.adaptive];
+    let [reference, held] = both.map(|trace| of(trace, REFERENCE));
+    let [fixed, adaptive] = both.map(|trace| of(trace, SPEED));
+    let [output_fixed, output_adaptive] = both.map(|trace| of(trace, OUTPUT));
+    let estimate = &figure.estimate_s;
     let speed = |name: &str| speed_panel(format!("{name}: speed"), 150.0).within(FRAME_RAD_S);
-    Figure::over_time(of(fixed, TIME))
+    Figure::over_time(of(both[0], TIME))
         .panel(speed("without adaptation"))
-        .series(
-            "reference_rad_s",
-            "reference",
-            Style::Command,
-            &of(fixed, REFERENCE),
-        )
-        .series(
-            "speed_fixed_rad_s",
-            "speed",
-            Style::After,
-            &of(fixed, SPEED),
-        )
+        .series("reference_rad_s", "reference", Command, &reference)
+        .series("speed_fixed_rad_s", "speed", After, &fixed)
         .panel(speed("with adaptation"))
-        .line("reference", Style::Command, &of(adaptive, REFERENCE))
-        .series(
-            "speed_adaptive_rad_s",
-            "speed",
-            Style::After,
-            &of(adaptive, SPEED),
-        )
-        .column("output_fixed_v", &of(fixed, OUTPUT))
-        .column("output_adaptive_v", &of(adaptive, OUTPUT))
+        .line("reference", Command, &held)
+        .series("speed_adaptive_rad_s", "speed", After, &adaptive)
+        .column("output_fixed_v", &output_fixed)
+        .column("output_adaptive_v", &output_adaptive)
         .panel(Panel::new("TM", "s").with_height(110.0))
-        .series("tm_s", "shaft", Style::Command, &figure.mechanical_s)
-        .series(
-            "tm_estimated_s",
-            "estimated",
-            Style::After,
-            &figure.estimate_s,
-        )
+        .series("tm_s", "shaft", Command, &figure.mechanical_s)
+        .series("tm_estimated_s", "estimated", After, estimate)
         .column("proportional_fixed_v_s_per_rad", &figure.proportional[0])
         .column("proportional_adaptive_v_s_per_rad", &figure.proportional[1])
 }

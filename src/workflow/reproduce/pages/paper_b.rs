@@ -68,14 +68,11 @@ impl PaperB {
 type Traces<'a> = [&'a [TrialPoint]; 2];
 
 /// The same quantity without compensation and with it, in a panel of their own or behind what is in the latest one.
-fn both(figure: Figure, [without, with]: Traces<'_>, quantity: Quantity) -> Figure {
+fn both(figure: Figure, traces: Traces<'_>, quantity: Quantity) -> Figure {
+    let [without, with] = traces.map(|trace| of(trace, quantity));
     figure
-        .line(
-            "without compensation",
-            Style::Before,
-            &of(without, quantity),
-        )
-        .line("with", Style::After, &of(with, quantity))
+        .line("without compensation", Style::Before, &without)
+        .line("with", Style::After, &with)
 }
 
 fn columns(figure: Figure, [without, with]: Traces<'_>) -> Figure {

@@ -1,11 +1,17 @@
-//! Calibration of probabilities, bounds and sizes: counts over every effect of every answer.
+//! Calibration of probabilities, bounds and sizes: counts over every effect of every answer; coverage of the motor's
+//! parameters: how many 95 % intervals of settled values hold what the machine was made of.
 
 use serde::Serialize;
+use statrs::distribution::{Beta, ContinuousCDF};
 
-use super::judge::known;
-use super::{Answer, Bounded, Finding, Group};
-use crate::diagnosis::{DiagnosisVerdict, Status};
+use super::cases::known;
+use super::{Answer, Finding, Group, GroupCount, Outcome};
+use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
+use crate::emulator::truth::MotorTruth;
 use crate::numerics::statistics::median;
+use crate::plant::MotorKey;
+use crate::sample::Verdict;
+use crate::workflow::reproduce::lines::KEYS;
 
 /// Edges of the bins of probabilities: fine where something is claimed.
 const EDGES: [f64; 7] = [0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0];
@@ -152,7 +158,8 @@ pub struct Sizes {
 
 /// Sizes by effect, in the order of the study; effects that were never named rightly are left out.
 pub fn sizes(answers: &[Answer]) -> Vec<Sizes> {
-    known()
+    let known = known().into_iter();
+    known
         .filter_map(|effect| {
             let of_effect = || {
                 let all = answers.iter().flat_map(|answer| &answer.findings);
@@ -291,10 +298,247 @@ pub(in crate::workflow::reproduce) mod by_hand {
     }
 }
 
+/// One parameter of one machine, with every named effect in the model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ParameterFinding {
+    #[serde(serialize_with = "key")]
+    pub parameter: MotorKey,
+    pub truth: f64,
+    pub value: f64,
+    pub std: f64,
+    pub verdict: Verdict,
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "the signature that serde asks for"
+)]
+fn key<S: serde::Serializer>(parameter: &MotorKey, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(parameter.key())
+}
+
+/// Standard deviations on either side of a value: its 95 % interval.
+pub(super) const INTERVAL_SIGMAS: f64 = 1.96;
+
+impl ParameterFinding {
+    /// By how many of its standard deviations the value is off.
+    fn sigmas(&self) -> f64 {
+        (self.value - self.truth) / self.std
+    }
+}
+
+/// What a motor was made of.
+pub(super) const fn truths(motor: &MotorTruth) -> [(MotorKey, f64); 5] {
+    [
+        (MotorKey::Resistance, motor.resistance_ohm),
+        (MotorKey::Inductance, motor.inductance_h),
+        (MotorKey::BackEmf, motor.back_emf_v_s_per_rad),
+        (MotorKey::Inertia, motor.inertia_kg_m2),
+        (MotorKey::LoadTorque, motor.load_torque_n_m),
+    ]
+}
+
+/// What a diagnosis says of the motor; nothing of a parameter that the runs leave undetermined.
+pub(super) fn parameters_of(motor: &MotorTruth, diagnosis: &Diagnosis) -> Vec<ParameterFinding> {
+    let found = truths(motor).into_iter().filter_map(|(parameter, truth)| {
+        let estimates = &diagnosis.model.parameters;
+        let own = estimates.iter().find(|own| own.key == parameter.key())?;
+        Some(ParameterFinding {
+            parameter,
+            truth,
+            value: own.value?,
+            std: own.std?,
+            verdict: own.verdict,
+        })
+    });
+    found.collect()
+}
+
+/// What the settled values of one parameter are worth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Coverage {
+    #[serde(serialize_with = "key")]
+    pub parameter: MotorKey,
+    /// Intervals that hold the truth, of those of settled values.
+    pub hold: Bounded,
+    /// Machines on which it was not settled.
+    pub not_settled: usize,
+    /// Root mean square of the errors in their standard deviations: one where the intervals are right.
+    pub spread: Option<f64>,
+    /// Medians of the error and of its standard deviation, %.
+    pub error_percent: Option<f64>,
+    pub std_percent: Option<f64>,
+}
+
+/// Coverage of each parameter over these answers.
+pub fn coverage(answers: &[&Answer]) -> Vec<Coverage> {
+    let all = answers.iter().flat_map(|answer| &answer.parameters);
+    coverage_of(&all.collect::<Vec<_>>())
+}
+
+/// The same over what was found, of whatever machines.
+pub fn coverage_of(found: &[&ParameterFinding]) -> Vec<Coverage> {
+    let of_parameter = |parameter: MotorKey| {
+        let (settled, open): (Vec<&ParameterFinding>, Vec<&ParameterFinding>) = found
+            .iter()
+            .copied()
+            .filter(|own| own.parameter == parameter)
+            .partition(|own| own.verdict == Verdict::Settled && own.std > 0.0);
+        let holds = |own: &&&ParameterFinding| own.sigmas().abs() <= INTERVAL_SIGMAS;
+        let squares: f64 = settled.iter().map(|own| own.sigmas().powi(2)).sum();
+        let is_some = !settled.is_empty();
+        let share = |of: fn(&ParameterFinding) -> f64| {
+            let shares = settled.iter().map(|own| 100.0 * of(own) / own.truth);
+            is_some.then(|| median(&shares.collect::<Vec<_>>()))
+        };
+        Coverage {
+            parameter,
+            hold: Bounded::new(settled.iter().filter(holds).count(), settled.len()),
+            not_settled: open.len(),
+            spread: is_some.then(|| (squares / settled.len() as f64).sqrt()),
+            error_percent: share(|own| (own.value - own.truth).abs()),
+            std_percent: share(|own| own.std),
+        }
+    };
+    KEYS.into_iter().map(of_parameter).collect()
+}
+
+/// Counts of outcomes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Tally {
+    pub sets: usize,
+    pub right: usize,
+    pub twin: usize,
+    pub ambiguous: usize,
+    pub partial: usize,
+    pub not_excited: usize,
+    pub abstained: usize,
+    pub wrong: usize,
+    pub failed: usize,
+}
+
+impl Tally {
+    pub fn of<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Self {
+        Self::of_outcomes(answers.into_iter().map(|answer| answer.outcome))
+    }
+
+    pub fn of_outcomes(outcomes: impl IntoIterator<Item = Outcome>) -> Self {
+        let mut tally = Self::default();
+        for outcome in outcomes {
+            tally.sets += 1;
+            *match outcome {
+                Outcome::Right => &mut tally.right,
+                Outcome::Twin => &mut tally.twin,
+                Outcome::Ambiguous => &mut tally.ambiguous,
+                Outcome::Partial => &mut tally.partial,
+                Outcome::NotExcited => &mut tally.not_excited,
+                Outcome::Abstained => &mut tally.abstained,
+                Outcome::Wrong => &mut tally.wrong,
+                Outcome::Failed => &mut tally.failed,
+            } += 1;
+        }
+        tally
+    }
+
+    pub fn wrong_share(self) -> Bounded {
+        Bounded::new(self.wrong, self.sets)
+    }
+}
+
+/// A share with the bound that the count allows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bounded {
+    pub count: usize,
+    pub of: usize,
+    /// One-sided 95 % bounds of Clopper and Pearson, %. None of n still allows about 3/n.
+    pub lower_percent: f64,
+    pub upper_percent: f64,
+}
+
+impl Bounded {
+    pub fn new(count: usize, of: usize) -> Self {
+        let beta = |a: usize, b: usize, p: f64| {
+            Beta::new(a as f64, b as f64).map_or(f64::NAN, |beta| 100.0 * beta.inverse_cdf(p))
+        };
+        let lower = |count: usize| beta(count, of + 1 - count, 0.05);
+        let upper = |count: usize| beta(count + 1, of - count, 0.95);
+        Self {
+            count,
+            of,
+            lower_percent: if count == 0 { 0.0 } else { lower(count) },
+            upper_percent: if count >= of { 100.0 } else { upper(count) },
+        }
+    }
+}
+
+/// What there is, once each, in the order in which it comes.
+pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for one in all {
+        if !seen.contains(&one) {
+            seen.push(one);
+        }
+    }
+    seen
+}
+
+/// Counts of every group and excitation, in the order in which they come.
+pub(super) fn counts(answers: &[Answer]) -> Vec<GroupCount> {
+    let cells = distinct(answers.iter().map(|a| (a.group, a.excitation))).into_iter();
+    let count = |(group, excitation): (Group, &'static str)| {
+        let of_cell = |a: &&Answer| a.group == group && a.excitation == excitation;
+        GroupCount {
+            group,
+            excitation,
+            tally: Tally::of(answers.iter().filter(of_cell)),
+        }
+    };
+    cells.map(count).collect()
+}
+
+/// Medians of the held-out error before and after, in units of the noise floor; none without answers.
+pub fn median_errors(errors: impl IntoIterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+    let (before, after): (Vec<f64>, Vec<f64>) = errors.into_iter().unzip();
+    (!before.is_empty()).then(|| (median(&before), median(&after)))
+}
+
+/// Rows: what was hidden. Columns: what was answered.
+#[derive(Clone, Debug, Serialize)]
+pub struct Matrix {
+    pub rows: Vec<String>,
+    pub columns: Vec<&'static str>,
+    pub counts: Vec<Vec<usize>>,
+}
+
+/// Of the single effects, of nothing, and of what is in no catalogue.
+pub fn matrix(answers: &[Answer]) -> Matrix {
+    let counts = |a: &&Answer| matches!(a.group, Group::Single | Group::Null | Group::Unknown);
+    let counted: Vec<&Answer> = answers.iter().filter(counts).collect();
+    let rows = distinct(counted.iter().map(|answer| answer.class.clone()));
+    let columns = distinct(
+        known()
+            .into_iter()
+            .chain(counted.iter().map(|answer| answer.column())),
+    );
+    let count = |row: &String, column: &str| {
+        let is = |answer: &&&Answer| answer.class == *row && answer.column() == column;
+        counted.iter().filter(is).count()
+    };
+    let of_row = |row| columns.iter().map(|column| count(row, column)).collect();
+    let counts = rows.iter().map(of_row).collect();
+    Matrix {
+        rows,
+        columns,
+        counts,
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::Group;
     use super::by_hand::{absent, answer, missed, named};
     use super::*;
+    use crate::diagnosis::DiagnosisVerdict;
 
     fn of(findings: Vec<Finding>) -> Calibration {
         Calibration::of(&[answer(Group::Single, DiagnosisVerdict::Effect, findings)])
@@ -439,5 +683,55 @@ mod tests {
         assert_eq!(counts(all.false_none), (2, 5));
         assert_eq!(counts(all.false_unexplained), (1, 4));
         assert_eq!(all.sets, 7);
+    }
+
+    #[test]
+    fn only_settled_values_count_and_each_by_its_own_interval() {
+        let found = |value: f64, verdict: Verdict| ParameterFinding {
+            parameter: MotorKey::Inertia,
+            truth: 2.0,
+            value,
+            std: 0.1,
+            verdict,
+        };
+        // 1 and 3 standard deviations off, and 50 that nobody relies on.
+        let answer = Answer {
+            parameters: vec![
+                found(2.1, Verdict::Settled),
+                found(1.7, Verdict::Settled),
+                found(7.0, Verdict::Searching),
+            ],
+            ..answer(Group::Single, DiagnosisVerdict::Effect, vec![])
+        };
+        let all = coverage(&[&answer]);
+        let own = all.iter().find(|own| own.parameter == MotorKey::Inertia);
+        let own = own.unwrap();
+        assert_eq!((own.hold.count, own.hold.of, own.not_settled), (1, 2, 1));
+        assert!((own.spread.unwrap() - 5_f64.sqrt()).abs() < 1e-9);
+        assert!((own.std_percent.unwrap() - 5.0).abs() < 1e-9);
+        assert!(all[0].spread.is_none() && all[0].hold.of == 0);
+    }
+
+    #[test]
+    fn none_of_many_bounds_as_the_rule_of_three() {
+        let none = Bounded::new(0, 240);
+        // 1 - 0.05^(1/240)
+        assert!((none.upper_percent - 1.240).abs() < 2e-3, "{none:?}");
+        assert!(none.lower_percent.abs() < 1e-12);
+        let all = Bounded::new(240, 240);
+        assert!((all.lower_percent - (100.0 - none.upper_percent)).abs() < 1e-6);
+        assert!((all.upper_percent - 100.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn bounds_agree_with_the_binomial_sum() {
+        // The upper bound is the share at which 3 or fewer of 20 come in 5 % of cases.
+        let share = Bounded::new(3, 20).upper_percent / 100.0;
+        let choose = [1.0, 20.0, 190.0, 1140.0];
+        let ways = (0..).zip(choose);
+        let sum: f64 = ways
+            .map(|(k, ways)| ways * share.powi(k) * (1.0 - share).powi(20 - k))
+            .sum();
+        assert!((sum - 0.05).abs() < 1e-6, "{sum}");
     }
 }

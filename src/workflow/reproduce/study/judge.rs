@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameters::{self, INTERVAL_SIGMAS, ParameterFinding};
-use super::sizes::{self, BACKGROUND};
-use super::truth::Truth;
+use super::calibration::{INTERVAL_SIGMAS, ParameterFinding, parameters_of};
+use super::cases::BACKGROUND;
+use super::record::Truth;
 use super::{Case, Group};
 use crate::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use crate::emulator::truth::MotorTruth;
@@ -91,7 +91,7 @@ impl Answer {
             holdout_before: Some(diagnosis.holdout_before),
             holdout_after: Some(diagnosis.holdout_after),
             findings: findings(truths, &said.orders, diagnosis),
-            parameters: parameters::findings(motor, diagnosis),
+            parameters: parameters_of(motor, diagnosis),
             ..Self::failed(case, diagnosis.sentence.clone())
         }
     }
@@ -245,11 +245,6 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
         (false, _) if strangers.iter().all(is_twin) => Outcome::Twin,
         (false, _) => Outcome::Wrong,
     }
-}
-
-/// Classes in the order of the tables.
-pub(super) fn known() -> impl Iterator<Item = &'static str> {
-    sizes::known().into_iter()
 }
 
 /// One effect of the catalogue in one set.

@@ -1,10 +1,10 @@
 //! Study of the diagnosis on machines whose truth is known: how often it names the hidden effect.
 //!
 //! ```text
-//! catalogue of sizes (sizes) -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
+//! what is hidden, how large -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
 //!                       what is in it, and how large (truth) <---'    of each effect, what was said <---'
-//!     all outcomes -> counts with bounds, matrix (tally)     all findings -> what probabilities and bounds are worth (calibration)
-//!     motor's parameters -> what their intervals hold (parameters)
+//!     all outcomes -> counts with bounds, matrix (calibration)     all findings -> what probabilities and bounds are worth (calibration)
+//!     motor's parameters -> what their intervals hold (calibration)
 //! ```
 //!
 //! Virtual time and stated seeds: the same program gives the same page. The emulator's effects have other mathematical
@@ -14,28 +14,23 @@ pub(super) mod calibration;
 mod cases;
 mod judge;
 mod mysteries;
-mod parameters;
 mod record;
-mod records;
-mod sizes;
-mod tally;
 #[cfg(test)]
 mod tests;
-mod truth;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 use serde::Serialize;
 
-pub use calibration::{Bin, Calibration, Sizes, sizes};
+pub use calibration::{
+    Bin, Bounded, Calibration, Coverage, Matrix, ParameterFinding, Sizes, Tally, coverage,
+    coverage_of, distinct, matrix, median_errors, sizes,
+};
 pub use cases::{Case, Group};
 pub use judge::{Answer, Finding, Outcome};
-pub use mysteries::MysteryAnswer;
-pub use parameters::{Coverage, ParameterFinding, coverage, coverage_of};
+pub use mysteries::{MysteryAnswer, RecordAnswer, files, records};
 pub use record::Excitation;
-pub use records::{RecordAnswer, files, records};
-pub use tally::{Bounded, Matrix, Tally, distinct, matrix, median_errors};
 
 use super::lines::LineStudy;
 use crate::bench::BenchFile;
@@ -116,8 +111,8 @@ pub fn run(
         study: "discovery",
         seed: size.seed,
         sets_in_each_cell: size.sets,
-        counts: tally::counts(&answers),
-        matrix: tally::matrix(&answers),
+        counts: calibration::counts(&answers),
+        matrix: calibration::matrix(&answers),
         calibration: Calibration::of(&answers),
         coverage: coverage(&answers.iter().collect::<Vec<_>>()),
         answers,

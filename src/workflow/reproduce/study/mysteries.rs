@@ -2,13 +2,19 @@
 //!
 //! Recorded by whoever starts the program (`cli`): this is the sheet that is filled in, and its marking.
 
+use std::path::Path;
+
 use serde::Serialize;
 use serde_json::Value;
 
 use super::Outcome;
+use super::calibration::{ParameterFinding, truths};
 use super::judge::are_twins;
-use super::parameters::{ParameterFinding, truths};
+use crate::diagnosis::{Diagnosis, Evidence, diagnose};
 use crate::emulator::mystery::{Truth, draw};
+use crate::identification::speed_from_angle;
+use crate::plant::{Model, Motor, MotorKey, Scenario};
+use crate::recording::{ColumnMap, open_run};
 use crate::sample::Verdict;
 use crate::workflow::reveal::{self, Answer as Said, reveal};
 
@@ -141,10 +147,100 @@ fn outcome(truth: &Truth, said: &Said) -> Outcome {
     }
 }
 
+/// A record: its file, which column is what, and the model that its publishers start from.
+struct Record {
+    machine: &'static str,
+    source: &'static str,
+    file: &'static str,
+    map: &'static str,
+    inertia: f64,
+    friction: f64,
+    effects: &'static [&'static str],
+}
+
+const RECORDS: [Record; 2] = [
+    Record {
+        machine: "linear axis: direct-current motor, ball screw and carriage of 95 kg (force and position; N, m and kg stand for N.m, rad and kg.m2)",
+        source: "EMPS benchmark of Janot, Gautier and Brunot, 2019; its model: mass, Coulomb and viscous friction, offset",
+        file: "emps/DATA_EMPS.csv",
+        map: "time_s=t_s,torque_n_m=force_N,angle_rad=qm_m",
+        inertia: 95.0,
+        friction: 20.0,
+        effects: &["viscous_friction", "constant_load"],
+    },
+    Record {
+        machine: "propeller on a thrust stand (torque and optical speed)",
+        source: "github.com/bhabas/sar_simulation, random throttle steps of 2023-12-16; a linear model to begin with",
+        file: "sar_bldc/time_constant_2023-12-16.csv",
+        map: "time_s=Time (s),torque_n_m=Torque (N·m),speed_rad_s=Motor Optical Speed (rad/s)",
+        inertia: 1e-5,
+        friction: 1e-3,
+        effects: &["viscous_friction"],
+    },
+];
+
+/// What the diagnosis says of one record.
+#[derive(Clone, Debug, Serialize)]
+pub struct RecordAnswer {
+    pub machine: &'static str,
+    pub source: &'static str,
+    pub file: &'static str,
+    /// The diagnosis' own sentence, or why there is none.
+    pub sentence: String,
+    pub effects: Vec<&'static str>,
+    pub holdout_before: Option<f64>,
+    pub holdout_after: Option<f64>,
+}
+
+/// Every record whose file is in `folder`.
+pub fn records(folder: &Path) -> Vec<RecordAnswer> {
+    let at_hand = |record: &&Record| folder.join(record.file).is_file();
+    let records = RECORDS.iter().filter(at_hand);
+    records.map(|record| answer(record, folder)).collect()
+}
+
+/// The files that are looked for.
+pub fn files() -> impl Iterator<Item = &'static str> {
+    RECORDS.iter().map(|record| record.file)
+}
+
+fn answer(record: &Record, folder: &Path) -> RecordAnswer {
+    let found = diagnosis(record, folder);
+    let error = |of: fn(&Diagnosis) -> f64| found.as_ref().ok().map(of);
+    let effects = found.as_ref().map(|found| found.effects.clone());
+    RecordAnswer {
+        machine: record.machine,
+        source: record.source,
+        file: record.file,
+        holdout_before: error(|found| found.holdout_before),
+        holdout_after: error(|found| found.holdout_after),
+        effects: effects.unwrap_or_default(),
+        sentence: found.map_or_else(|reason| reason, |found| found.sentence),
+    }
+}
+
+fn diagnosis(record: &Record, folder: &Path) -> Result<Diagnosis, String> {
+    let map: ColumnMap = record.map.parse().map_err(|error| format!("{error}"))?;
+    let loaded =
+        open_run(&folder.join(record.file), Some(&map)).map_err(|error| error.to_string())?;
+    let run = speed_from_angle::complete(&loaded.run).map_err(|error| error.to_string())?;
+    let run = Scenario::from_run(&run).map_err(|error| error.to_string())?;
+    let motor = Motor::new("machine")
+        .with(MotorKey::Inertia, record.inertia)
+        .with(MotorKey::LoadTorque, record.friction);
+    let mut model = Model::baseline(motor);
+    for id in record.effects {
+        model = model.with_effect(id).map_err(|error| error.to_string())?;
+    }
+    diagnose(&model, Evidence::new(run, None, None)).map_err(|error| error.to_string())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use serde_json::json;
+
+    use super::*;
+    use crate::plant::effect;
 
     fn seed_of(id: &str) -> u64 {
         let hides = |seed: &u64| hidden(&draw(*seed).truth) == id;
@@ -230,5 +326,27 @@ mod tests {
         assert_eq!(own.verdict, Verdict::Settled);
         assert!((own.value / own.truth - 1.01).abs() < 1e-12);
         assert_eq!(answer.holdout_after, Some(1.02));
+    }
+
+    #[test]
+    fn every_record_can_be_mapped_and_its_model_is_of_the_catalogue() {
+        for record in &RECORDS {
+            assert!(record.map.parse::<ColumnMap>().is_ok(), "{}", record.map);
+            assert!(record.effects.iter().all(|id| effect::find(id).is_some()));
+        }
+    }
+
+    #[test]
+    fn a_record_that_is_broken_is_said_to_be_and_one_that_is_away_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(records(folder.path()).is_empty());
+        let file = folder.path().join(RECORDS[0].file);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(&file, "t_s,qm_m\n0,0\n").unwrap();
+        let [found] = &records(folder.path())[..] else {
+            panic!("one record is at hand");
+        };
+        assert!(found.effects.is_empty() && found.holdout_after.is_none());
+        assert!(found.sentence.contains("force_N"), "{}", found.sentence);
     }
 }
