@@ -17,7 +17,7 @@ use crate::bench::{MonotonicClock, Port, Told};
 use crate::drive::register_map::Quantity;
 use crate::drive::{
     DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict, Protocol, RawClient,
-    RawSettings, Target, open_stream, probe, probe_stream,
+    RawSettings, ReadRequest, Target, open_stream, probe, probe_stream,
 };
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle};
 
@@ -231,7 +231,7 @@ pub(crate) fn scan(
         let mut client = RawClient::open(target, &here, tap.file())?;
         for unit in first..=last {
             client.set_unit(unit);
-            match client.ask(&[3, 0, 0, 0, 1], "one register") {
+            match client.read(ReadRequest::holding(0, 1)) {
                 Ok(_) | Err(LinkError::Exception { .. }) => scan.units.push(unit),
                 Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
                 Err(_) => {}
