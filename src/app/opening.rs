@@ -21,8 +21,8 @@ use crate::bench::{
 use crate::drive::register_map::Quantity;
 use crate::drive::{
     self, Anchor, DriveLink, DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport,
-    ProbeVerdict, ProfiledLink, RawClient, RawSettings, TapFile, Target, offer, open_stream,
-    open_tapped, probe, probe_stream,
+    ProbeVerdict, ProfiledLink, RawClient, RawSettings, ReadRequest, TapFile, Target, offer,
+    open_stream, open_tapped, probe, probe_stream,
 };
 use crate::emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, LinkKind, MemoryLink,
@@ -567,7 +567,7 @@ pub(crate) fn scan(
         let mut client = RawClient::open(target, &here, tap.file())?;
         for unit in first..=last {
             client.set_unit(unit);
-            match client.ask(&[3, 0, 0, 0, 1], "one register") {
+            match client.read(ReadRequest::holding(0, 1)) {
                 Ok(_) | Err(LinkError::Exception { .. }) => scan.units.push(unit),
                 Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
                 Err(_) => {}

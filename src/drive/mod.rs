@@ -42,7 +42,6 @@ mod probe;
 mod profile;
 mod profiled;
 mod proof;
-mod raw;
 mod register_bus;
 pub mod register_map;
 mod reopen;
@@ -63,7 +62,10 @@ pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-pub use modbus::{ModbusBus, ModbusLink};
+pub use modbus::{
+    Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
+    read_batch,
+};
 pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use probe::{
     ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
@@ -71,7 +73,6 @@ pub use probe::{
 };
 pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
 pub use profiled::ProfiledLink;
-pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
 pub use register_bus::{
     MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
     exception_name, registers,

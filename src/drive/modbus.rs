@@ -10,9 +10,10 @@
 //! window can be taken for another.
 //!
 //! This file owns the clock of the exchanges.
-//! bus.rs shows the link as registers, for drives with a map of their own.
+//! bus.rs shows the link as registers, for drives with a map of their own; raw.rs as registers of any unit.
 
 mod bus;
+mod raw;
 
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
@@ -45,6 +46,7 @@ use super::transaction::{CutIn, LineCounts, out_of_step, restless};
 use crate::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
+pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
 
 /// Probes of one bounded exchange, which has other things to do.
 const MOST_PROBES: usize = 3;
@@ -78,8 +80,15 @@ pub struct ModbusLink {
     retries: u64,
     /// Time spent in silences and probes.
     resync: Duration,
+    /// Questions that only proved that the line is in step, and how often something had been wrong before them.
+    probes: u64,
+    resynchronisations: u64,
+    /// Duration of the last exchange that got a reply.
+    last_round_trip: Duration,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
+    /// What a question without a reply says of its unit: the settings of the line. `None`: it says nothing.
+    at: Option<String>,
 }
 
 /// What goes out, as tokio-modbus and as the proof want it.
@@ -148,7 +157,11 @@ impl ModbusLink {
             unit,
             retries: 0,
             resync: Duration::ZERO,
+            probes: 0,
+            resynchronisations: 0,
+            last_round_trip: Duration::ZERO,
             failed_in_a_row: 0,
+            at: None,
         }
     }
 
@@ -186,8 +199,7 @@ impl ModbusLink {
         let bytes = WRITE_BYTES + 2 * values.len();
         let allowed = self.core.timing.allowed(bytes, WRITTEN_BYTES);
         let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
-        self.in_step(&question.pdu)?;
-        self.call(question, acknowledged).map(|answer| answer.value)
+        self.ask(question, acknowledged).map(|answer| answer.value)
     }
 
     /// One command on the wire. Only a reply that carries its number is its sample.
@@ -256,10 +268,17 @@ impl ModbusLink {
         question: &Question<'_>,
         check: impl Fn(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
-        self.with_retries(|link| {
-            link.in_step(&question.pdu)?;
-            link.call(question.clone(), &check)
-        })
+        self.with_retries(|link| link.ask(question.clone(), &check))
+    }
+
+    /// One question on a line that is in step.
+    fn ask<T>(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>, LinkError> {
+        self.in_step(&question.pdu)?;
+        self.call(question, check)
     }
 
     /// Within the time of the exchange, and of nobody who wants a stop.
@@ -288,10 +307,8 @@ impl ModbusLink {
     /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
     fn listen(&mut self) -> Result<(), LinkError> {
         self.core.live()?;
-        if self.kind == FrameKind::Rtu {
-            let last = self.guard.inner().reception.last_activity;
-            wait_until(last + self.core.timing.gap());
-        }
+        let last = self.guard.inner().reception.last_activity;
+        wait_until(last + self.core.timing.gap());
         let strays = self.runtime.block_on(self.guard.begin());
         self.judge(strays).map(drop)
     }
@@ -335,7 +352,7 @@ impl ModbusLink {
 
     fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
         self.listen()?;
-        let mut probes = 0;
+        let (mut probes, mut begun) = (0, false);
         loop {
             let is_late = |bound: &super::transaction::Bound| {
                 bound.is_set() && (probes == MOST_PROBES || bound.is_over(now()))
@@ -345,6 +362,9 @@ impl ModbusLink {
                 Step::Silence(until) => drop(self.keep_silent(until)?),
                 Step::Probe(_) if is_late(&self.core.bound) => return Err(self.unproven()),
                 Step::Probe(pdu) => {
+                    let is_new = self.proof.dirty && !std::mem::replace(&mut begun, true);
+                    self.resynchronisations += u64::from(is_new);
+                    self.probes += 1;
                     probes += 1;
                     self.listen()?;
                     match self.probe(pdu) {
@@ -430,10 +450,15 @@ impl ModbusLink {
             // No reply in time: what came instead tells the class.
             Err(_) => {
                 let left = self.guard.inner().reception.leftover();
-                Err(left.error(&self.core.name, what, waited))
+                let of = |at| format!("{what} of unit {}{at}", self.unit);
+                let what = self.at.as_ref().map_or_else(|| what.to_owned(), of);
+                Err(left.error(&self.core.name, what, waited.min(deadline - sent)))
             }
         };
         let end = End::of(&result);
+        if end != End::Missing {
+            self.last_round_trip = waited;
+        }
         let (asked, answered) = {
             let reception = &mut self.guard.inner().reception;
             if end == End::Missing {
@@ -446,7 +471,7 @@ impl ModbusLink {
         if result.is_err() && self.kind == FrameKind::Rtu {
             // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
             // transaction number, and the guard drops replies to older ones.
-            self.context = attach(&self.guard, self.kind, self.unit);
+            self.attach();
         }
         let core = &mut self.core;
         core.tally.settle(&result, waited.as_secs_f64());
@@ -455,6 +480,10 @@ impl ModbusLink {
             span: core.span(asked.unwrap_or(sent), answered.unwrap_or(received)),
             complete_s: core.host_s(received),
         })
+    }
+
+    fn attach(&mut self) {
+        self.context = attach(&self.guard, self.kind, self.unit);
     }
 
     fn lost(&mut self, error: &std::io::Error) -> LinkError {
@@ -509,8 +538,7 @@ impl DriveLink for ModbusLink {
         let mut identity = identity(&block);
         // Names are a comfort that a drive need not offer.
         let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
-        let request = Request::ReadDeviceIdentification(ReadCode::Regular, 0);
-        let question = Question::plain(request, [43, 14, 2, 0, 0], NAMES, allowed);
+        let question = identification(ReadCode::Regular, 0, NAMES, allowed);
         match self.read_with_retries(&question, objects) {
             Ok(names) => {
                 let text = |id| object_text(&names.value, id);
@@ -662,6 +690,12 @@ fn acknowledged(response: Response) -> Result<(), String> {
         Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
         other => Err(format!("{other:?}")),
     }
+}
+
+/// The question for objects of the device identification.
+fn identification(code: ReadCode, object: u8, what: &str, allowed: Duration) -> Question<'_> {
+    let request = Request::ReadDeviceIdentification(code, object);
+    Question::plain(request, [43, 14, code.value(), object, 0], what, allowed)
 }
 
 /// Number and text of each object of the device identification.

@@ -16,7 +16,7 @@ use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
-use super::settings::Protocol;
+use super::settings::{LinkSettings, Protocol};
 use super::stream::StreamLink;
 use super::tap::{TapFile, TappedPort};
 use super::timing::LineTiming;
@@ -144,9 +144,18 @@ pub fn open_modbus(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<ModbusLink, LinkError> {
+    open_line(target, &profile.link, epoch, tap)
+}
+
+/// The same with the settings of the line alone.
+pub(super) fn open_line(
+    target: &Target,
+    settings: &LinkSettings,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<ModbusLink, LinkError> {
     let name = target.to_string();
     let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
-    let settings = &profile.link;
     let runtime = Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(cannot)?;
     let (port, kind, unit, timing, tap): (Box<dyn Port>, _, _, _, _) = {

@@ -69,6 +69,11 @@ impl LineTiming {
         }
     }
 
+    /// The same with another silence before a request.
+    pub(super) const fn with_gap(self, gap_s: f64) -> Self {
+        Self { gap_s, ..self }
+    }
+
     /// Replies have come so long after their wire time at the most: what they are waited for, and how long silence has to
     /// last, follows that instead of the slowest adapter there is.
     pub(super) fn measured(&mut self, longest_lag: Duration) {

@@ -16,8 +16,8 @@ use tokio_modbus::Request;
 use tokio_modbus::prelude::ReadCode;
 
 use super::{
-    LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, now, object_text, objects,
-    words,
+    LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, identification, now,
+    object_text, objects, words,
 };
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::proof::Method;
@@ -238,12 +238,9 @@ impl RegisterBus for ModbusBus {
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
-        let pdu = [43, 14, 4, object, 0];
-        self.link.in_step(&pdu)?;
-        let request = Request::ReadDeviceIdentification(ReadCode::Specific, object);
         let allowed = self.link.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
-        let question = Question::plain(request, pdu, NAMES, allowed);
-        match self.link.call(question, objects) {
+        let question = identification(ReadCode::Specific, object, NAMES, allowed);
+        match self.link.ask(question, objects) {
             Ok(objects) => Ok(object_text(&objects.value, object)),
             Err(LinkError::Exception { .. }) => Ok(None),
             Err(error) => Err(error),

@@ -6,8 +6,8 @@ use std::sync::atomic::AtomicBool;
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::drive::link::LinkError;
+use crate::drive::modbus::{RawClient, read_batch};
 use crate::drive::profile::DriveProfile;
-use crate::drive::raw::{RawClient, read_batch};
 use crate::drive::register_bus::{ReadRequest, RegisterTable};
 use crate::drive::register_map::{
     Condition, IdentityCheck, IdentityTest, Picture, PollRate, Quantity, ReadBlock, Reading,

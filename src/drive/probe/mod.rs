@@ -14,8 +14,8 @@ mod report;
 pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
 
 use super::link::LinkError;
+use super::modbus::RawClient;
 use super::profile::DriveProfile;
-use super::raw::RawClient;
 use super::stream::StreamLink;
 
 /// How much is asked.

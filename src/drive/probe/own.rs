@@ -7,8 +7,8 @@ use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::drive::link::{DriveLink, LinkError};
+use crate::drive::modbus::{RawClient, read_batch};
 use crate::drive::profile::DriveProfile;
-use crate::drive::raw::{RawClient, read_batch};
 use crate::drive::register_bus::{MOST_READ, ReadRequest};
 use crate::drive::register_map::Quantity;
 use crate::drive::stream::StreamLink;

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use crate::drive::link::Identity;
+use crate::drive::modbus::RawCounters;
 use crate::drive::profile::DriveProfile;
-use crate::drive::raw::RawCounters;
 use crate::drive::register_map::{Candidate, Hypothesis};
 
 /// What the readings say about the profile.

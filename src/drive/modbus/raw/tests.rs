@@ -1,19 +1,19 @@
-//! The raw client against a device of its own over a pseudo-terminal. Each register holds its own address, so that a
-//! value of another request shows.
+//! The raw client against a unit of its own on a line in memory. Each register holds its own address, so that a value of
+//! another request shows.
 
-use std::io::{Read as _, Write as _};
-use std::sync::atomic::AtomicBool;
-use std::thread::JoinHandle;
-use std::time::Duration;
+use std::sync::{Arc, Mutex};
 
 use firmware_protocol::modbus::{Length, request_len};
-use nix::fcntl::OFlag;
 use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::super::fake::{pty, rtu_frame as frame};
-use super::super::register_bus::RegisterTable;
 use super::*;
+use crate::drive::fake::{raw_pty, rtu_frame as frame};
+use crate::drive::register_bus::RegisterTable;
+use crate::drive::virtual_line::{Device, modbus_link, paused};
+
+/// From a request to its reply, and between the pieces of one.
+const PIECE: Duration = Duration::from_millis(5);
 
 /// What the device does wrong with one request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,60 +50,62 @@ const FAULTS: [Fault; 12] = [
     Fault::Split,
 ];
 
-/// Function codes that a device answers with an exception, or not at all.
+/// Function codes that a unit answers with an exception, or not at all; and its list of names.
 #[derive(Clone, Copy, Default)]
 struct Manners {
     only_reads_of: Option<u16>,
     is_silent_otherwise: bool,
+    names: &'static [u8],
 }
 
-/// A device behind a pseudo-terminal; it ends when the client closes.
-struct Device {
-    path: String,
-    thread: JoinHandle<()>,
+struct Unit<F> {
+    manners: Manners,
+    fault: F,
+    heard: Vec<u8>,
+    /// PDUs of the requests.
+    asked: Vec<Vec<u8>>,
+    pending: Vec<u8>,
 }
 
-impl Device {
-    fn start(manners: Manners, mut fault: impl FnMut(usize) -> Fault + Send + 'static) -> Self {
-        let (mut master, target) = pty(OFlag::O_CLOEXEC);
-        let path = target.to_string();
-        // As long as this is open the master sees no hang-up before the client is there.
-        let held = std::fs::File::options().read(true).write(true).open(&path);
-        let held = held.unwrap();
-        let thread = std::thread::spawn(move || {
-            let (mut held, mut pending, mut received) = (Some(held), Vec::new(), Vec::new());
-            let mut index = 0;
-            let mut bytes = [0; 256];
-            while let Ok(count @ 1..) = master.read(&mut bytes) {
-                held = None;
-                received.extend_from_slice(&bytes[..count]);
-                while let Some(request) = take_request(&mut received) {
-                    for part in answer(&request, fault(index), manners, &mut pending) {
-                        if master.write_all(&part).is_err() {
-                            return;
-                        }
-                        std::thread::sleep(Duration::from_millis(5));
-                    }
-                    index += 1;
-                }
-            }
-            drop(held);
-        });
-        Self { path, thread }
+impl<F: FnMut(usize) -> Fault + Send> Device for Unit<F> {
+    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+        self.heard.extend_from_slice(bytes);
+        let mut parts = Vec::new();
+        while let Some(request) = take_request(&mut self.heard) {
+            let fault = (self.fault)(self.asked.len());
+            let pdu = &request[1..request.len() - 2];
+            self.asked.push(pdu.to_vec());
+            parts.extend(answer(pdu, fault, self.manners, &mut self.pending));
+        }
+        let times = (1..).map(|k| PIECE * k);
+        times.zip(parts).collect()
     }
+}
 
-    /// Works with a client of the device; both are gone afterwards.
-    fn with_client<R>(self, timeout_ms: u64, work: impl FnOnce(&mut RawClient) -> R) -> R {
-        let target = self.path.parse().unwrap();
+/// Works with a client of such a unit; returns the PDUs that it was asked.
+fn with_client(
+    manners: Manners,
+    timeout_ms: u64,
+    fault: impl FnMut(usize) -> Fault + Send + 'static,
+    work: impl FnOnce(&mut RawClient),
+) -> Vec<Vec<u8>> {
+    paused(|runtime| {
+        let (heard, asked, pending) = (Vec::new(), Vec::new(), Vec::new());
+        let unit = Arc::new(Mutex::new(Unit {
+            manners,
+            fault,
+            heard,
+            asked,
+            pending,
+        }));
         let timeout = Duration::from_millis(timeout_ms);
-        let mut client = RawClient::open(&target, &settings(timeout), None).unwrap();
-        let result = work(&mut client);
+        let link = modbus_link(runtime, &settings(timeout).link(), &unit);
+        let mut client = RawClient::over(link, timeout, String::new());
+        work(&mut client);
         let counters = client.counters();
         assert!(counters.requests.balances(), "{counters:?}");
-        drop(client);
-        self.thread.join().unwrap();
-        result
-    }
+        std::mem::take(&mut unit.lock().unwrap().asked)
+    })
 }
 
 fn settings(timeout: Duration) -> RawSettings {
@@ -123,9 +125,8 @@ fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
     (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
 }
 
-/// The pieces that the device sends for one request.
-fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
-    let pdu = &request[1..request.len() - 2];
+/// The pieces that the unit sends for one request.
+fn answer(pdu: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
     let word = |at: usize| u16::from_be_bytes([pdu[at], pdu[at + 1]]);
     let reads = |function: u8, count: u16| {
         let values = (0..count).flat_map(|k| (word(1) + k).to_be_bytes());
@@ -138,6 +139,7 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
     let refused = match (pdu[0], manners.only_reads_of) {
         (3, Some(count)) => word(3) != count,
         (3 | 4 | 6 | 16, None) => false,
+        (43, _) => manners.names.is_empty(),
         _ => true,
     };
     let mut out = std::mem::take(pending);
@@ -147,6 +149,7 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
     let reply = match pdu[0] {
         function if refused => vec![function | 0x80, 1],
         function @ (3 | 4) => reads(function, word(3)),
+        43 => manners.names.to_vec(),
         _ => pdu[..5].to_vec(),
     };
     let right = frame(1, &reply);
@@ -212,35 +215,26 @@ fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch
 
 #[test]
 fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
-    let run = |fault: Fault, at: usize| {
-        let device = Device::start(Manners::default(), move |index| {
-            if index == at { fault } else { Fault::None }
-        });
+    for (fault, at) in FAULTS.iter().flat_map(|f| [0, 1, 4].map(|at| (*f, at))) {
         let context = format!("{fault:?} of request {at}");
-        device.with_client(300, |client| {
+        let script = move |index| if index == at { fault } else { Fault::None };
+        with_client(Manners::default(), 300, script, |client| {
             let first = batch(client, &reads(&[10, 20, 30, 40, 50], 1), 1);
             assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
             let second = batch(client, &reads(&[10, 20, 30], 2), 1);
             assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
         });
-    };
-    std::thread::scope(|scope| {
-        for fault in FAULTS {
-            for at in [0, 1, 4] {
-                scope.spawn(move || run(fault, at));
-            }
-        }
-    });
+    }
 }
 
 #[test]
 fn mixed_faults_never_deliver_a_wrong_value() {
     let mut random = ChaCha8Rng::seed_from_u64(6);
-    let device = Device::start(Manners::default(), move |_| {
+    let script = move |_| {
         let draw = random.next_u32() as usize % 64;
         FAULTS.get(draw).copied().unwrap_or(Fault::None)
-    });
-    device.with_client(40, |client| {
+    };
+    with_client(Manners::default(), 40, script, |client| {
         let mut delivered = 0;
         for round in 0..40_u16 {
             let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
@@ -255,28 +249,27 @@ fn mixed_faults_never_deliver_a_wrong_value() {
 /// A line that does the same to every reply still yields what came clean: 0 of 5 before every reply was told by its code.
 #[test]
 fn a_line_that_does_the_same_to_every_reply_yields_values_and_none_of_them_is_wrong() {
-    let run = |fault: Fault| {
-        let device = Device::start(Manners::default(), move |_| fault);
-        device.with_client(60, |client| {
-            for count in [1, 3] {
-                let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
-                let context = format!("{fault:?}, {count} at a time");
-                let values = answered(&all, &context);
-                assert!(values >= 3, "{context}: {values} of 5, {all:?}");
-            }
-        });
-    };
-    std::thread::scope(|scope| {
-        for fault in [
-            Fault::Duplicate,
-            Fault::LateDuplicate,
-            Fault::GarbageBefore,
-            Fault::GarbageAfter,
-            Fault::Late,
-        ] {
-            scope.spawn(move || run(fault));
-        }
-    });
+    for fault in [
+        Fault::Duplicate,
+        Fault::LateDuplicate,
+        Fault::GarbageBefore,
+        Fault::GarbageAfter,
+        Fault::Late,
+    ] {
+        with_client(
+            Manners::default(),
+            60,
+            move |_| fault,
+            |client| {
+                for count in [1, 3] {
+                    let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
+                    let context = format!("{fault:?}, {count} at a time");
+                    let values = answered(&all, &context);
+                    assert!(values >= 3, "{context}: {values} of 5, {all:?}");
+                }
+            },
+        );
+    }
 }
 
 #[test]
@@ -285,14 +278,20 @@ fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
         let manners = Manners {
             only_reads_of: Some(4),
             is_silent_otherwise,
+            ..Manners::default()
         };
-        Device::start(manners, |_| Fault::None).with_client(100, |client| {
-            for _ in 0..2 {
-                let all = batch(client, &reads(&[10, 20], 4), 3);
-                assert_eq!(answered(&all, "one length"), 2, "{all:?}");
-                assert!(all.is_all_answered());
-            }
-        });
+        with_client(
+            manners,
+            100,
+            |_| Fault::None,
+            |client| {
+                for _ in 0..2 {
+                    let all = batch(client, &reads(&[10, 20], 4), 3);
+                    assert_eq!(answered(&all, "one length"), 2, "{all:?}");
+                    assert!(all.is_all_answered());
+                }
+            },
+        );
     }
 }
 
@@ -300,25 +299,33 @@ fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
 fn a_refusal_is_an_answer_with_its_name() {
     let manners = Manners {
         only_reads_of: Some(1),
-        is_silent_otherwise: false,
+        ..Manners::default()
     };
-    Device::start(manners, |_| Fault::None).with_client(2000, |client| {
-        let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
-        assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
-        let refused = both.reads[1].values.as_ref().unwrap_err();
-        let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
-        assert!(is_refused, "{refused}");
-        assert_eq!((both.asked, both.answered), (2, 1));
-    });
+    with_client(
+        manners,
+        2000,
+        |_| Fault::None,
+        |client| {
+            let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
+            assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
+            let refused = both.reads[1].values.as_ref().unwrap_err();
+            let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
+            assert!(is_refused, "{refused}");
+            assert_eq!((both.asked, both.answered), (2, 1));
+        },
+    );
 }
 
 #[test]
 fn a_write_goes_out_once_even_when_nobody_answers() {
-    let device = Device::start(Manners::default(), |index| match index {
-        1 => Fault::Silent,
-        _ => Fault::None,
-    });
-    device.with_client(200, |client| {
+    let script = |index| {
+        if index == 1 {
+            Fault::Silent
+        } else {
+            Fault::None
+        }
+    };
+    with_client(Manners::default(), 200, script, |client| {
         assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
         let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
         assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
@@ -328,20 +335,24 @@ fn a_write_goes_out_once_even_when_nobody_answers() {
 
 #[test]
 fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
-    let device = Device::start(Manners::default(), |_| Fault::Silent);
-    let path = device.path.clone();
-    device.with_client(30, |client| {
-        let none = batch(client, &reads(&[1, 2, 3], 1), 2);
-        assert_eq!((none.asked, none.answered), (6, 0));
-        let requests = client.counters().requests;
-        assert_eq!((requests.sent, requests.timeout), (6, 6));
-        assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
-        // Who else has the port is refused by name.
-        let second = Wire::serial(&path, 9600, Framing::EightNoneOne).map(drop);
-        let refused = second.unwrap_err().to_string();
-        let is_told = refused.contains("holds it") || refused.contains("held by");
-        assert!(is_told, "{refused}");
-    });
+    with_client(
+        Manners::default(),
+        30,
+        |_| Fault::Silent,
+        |client| {
+            let none = batch(client, &reads(&[1, 2, 3], 1), 2);
+            assert_eq!((none.asked, none.answered), (6, 0));
+            let requests = client.counters().requests;
+            assert_eq!((requests.sent, requests.timeout), (6, 6));
+            assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
+        },
+    );
+    // Who else has the port is refused.
+    let (_far, target) = raw_pty();
+    let open = || RawClient::open(&target, &settings(PIECE), None);
+    let _held = open().unwrap();
+    let refused = open().map(drop).unwrap_err().to_string();
+    assert!(refused.contains("holds it"), "{refused}");
 }
 
 #[test]
@@ -368,25 +379,49 @@ fn a_peer_that_closes_ends_the_batch() {
 
 #[test]
 fn requests_are_the_bytes_of_the_standard() {
-    let read = ReadRequest {
-        table: RegisterTable::Input,
-        address: 0x0108,
-        count: 3,
-    };
-    assert_eq!(read.pdu(), [4, 1, 8, 0, 3]);
-    let one = write_pdu(WriteFunction::Single, 1, &[0x0203]);
-    assert_eq!(one, [6, 0, 1, 2, 3]);
-    let two = write_pdu(WriteFunction::Multiple, 1, &[0x000A, 0x0102]);
-    assert_eq!(two, [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
-    assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
-    assert_eq!(values(&[]), [0_u16; 0]);
+    let asked = with_client(
+        Manners::default(),
+        100,
+        |_| Fault::None,
+        |client| {
+            let read = ReadRequest {
+                table: RegisterTable::Input,
+                address: 0x0108,
+                count: 3,
+            };
+            assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
+            let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
+            client.write(single, 1, &[0x0203]).unwrap();
+            client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
+        },
+    );
+    assert_eq!(asked[0], [4, 1, 8, 0, 3]);
+    assert_eq!(asked[1], [6, 0, 1, 2, 3]);
+    assert_eq!(asked[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
     assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
 }
 
 #[test]
 fn names_are_taken_as_far_as_they_fit() {
-    let pdu = [&[43, 14, 1, 1, 0, 0, 2, 0, 2][..], b"Ab", &[1, 1], b"C"].concat();
-    assert_eq!(object_texts(&pdu), ["Ab", "C"]);
-    assert_eq!(object_texts(&pdu[..10]), [""; 0]);
-    assert_eq!(object_texts(&[]), [""; 0]);
+    const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
+    for (names, taken) in [
+        (NAMES, &["Ab", "\u{FFFD}"][..]),
+        (&NAMES[..10], &[]),
+        (&[], &[]),
+    ] {
+        let manners = Manners {
+            names,
+            ..Manners::default()
+        };
+        with_client(
+            manners,
+            100,
+            |_| Fault::None,
+            |client| {
+                assert_eq!(client.names().unwrap(), [""; 0], "nobody has answered yet");
+                client.read(reads(&[5], 1)[0]).unwrap();
+                assert_eq!(client.names().unwrap(), taken);
+            },
+        );
+    }
 }
