@@ -7,23 +7,17 @@
 //!       < emulator < bench < report < workflow < tui < app < cli < main
 //! ```
 
+pub use drivebench_core::{
+    config_text, control, diagnosis, excitation, identification, numerics, plant, sample, signal,
+    text, units,
+};
+
 pub mod app;
 pub mod bench;
 pub mod cli;
-pub mod config_text;
-pub mod control;
-pub mod diagnosis;
 pub mod drive;
 pub mod emulator;
-pub mod excitation;
-pub mod identification;
-pub mod numerics;
-pub mod plant;
 pub mod recording;
 pub mod report;
-pub mod sample;
-pub mod signal;
-pub mod text;
 pub mod tui;
-pub mod units;
 pub mod workflow;

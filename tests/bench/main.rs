@@ -7,4 +7,5 @@
 
 mod coverage;
 mod diagnosis_on_emulator;
+mod mechanical;
 mod rule6;

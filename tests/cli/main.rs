@@ -10,6 +10,7 @@
 mod kit;
 
 mod bad_input;
+mod examples;
 mod first_move;
 mod holdout;
 mod identify;

@@ -73,7 +73,7 @@ fn no_file_cites_a_page_that_is_not_there() {
 
 #[test]
 fn the_check_of_citations_can_fail() {
-    let here = Path::new("src/plant/mod.rs");
+    let here = Path::new("src/core/plant/mod.rs");
     assert!(is_there(here, "docs/physics.md") && is_there(here, "physics.md"));
     assert!(!is_there(here, &["nowhere", "md"].join(".")));
     let text = "see (docs/method.md), `README.md`; .md is none";

@@ -36,7 +36,9 @@ mod score;
 
 pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
-pub use compare::{Comparison, ProcessingError, SignalComparison, TorqueComparison, compare};
+pub use compare::{
+    Comparison, ProcessingError, SignalComparison, Signals, TorqueComparison, compare,
+};
 pub use diagnose::{Confirmation, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
@@ -57,7 +59,5 @@ pub use score::{Fitted, Score, SignalScore};
 mod event_tests;
 #[cfg(test)]
 mod kit;
-#[cfg(test)]
-mod mechanical_tests;
 #[cfg(test)]
 mod tests;

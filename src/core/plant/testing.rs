@@ -9,11 +9,11 @@ use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
 /// Standard deviations of the sensors: 30 mA and 0.15 rad/s.
-pub(crate) const CURRENT_NOISE_A: f64 = 0.03;
-pub(crate) const SPEED_NOISE_RAD_S: f64 = 0.15;
+pub const CURRENT_NOISE_A: f64 = 0.03;
+pub const SPEED_NOISE_RAD_S: f64 = 0.15;
 
 /// `model` under `events` (time and voltage, held), sampled every `period_s` for `duration_s`.
-pub(crate) fn record(
+pub fn record(
     model: &Model,
     events: Vec<(f64, f64)>,
     period_s: f64,
@@ -46,7 +46,7 @@ pub(crate) fn record(
 }
 
 /// A record with its voltage in every row, without the rows that were lost.
-pub(crate) fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
+pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
     let rows: Vec<usize> = (0..scenario.samples()).filter(|row| !lost(*row)).collect();
     let pick =
         |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
@@ -76,7 +76,7 @@ pub(crate) fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) 
 }
 
 /// Steps both ways of the motor of paper A with a fan on its shaft, from rest; `shift` makes another run of it.
-pub(crate) fn with_a_fan(shift: usize) -> Scenario {
+pub fn with_a_fan(shift: usize) -> Scenario {
     let mut truth = Model::baseline(Motor::zk_22fc());
     truth.effects.push(ActiveEffect {
         effect: effect::find("quadratic_load").expect("it is in the catalogue"),

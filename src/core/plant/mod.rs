@@ -19,8 +19,7 @@ mod motor_range;
 mod scenario;
 mod shaft_angle;
 mod simulate;
-#[cfg(test)]
-pub(crate) mod testing;
+pub mod testing;
 mod typical_size;
 mod unknown_input;
 

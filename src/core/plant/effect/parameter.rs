@@ -39,7 +39,7 @@ pub struct ParameterSpec {
 
 impl ParameterSpec {
     /// A coefficient of either sign: the effect is proportional to it.
-    pub(super) const fn coefficient(key: &'static str, unit: &'static str, scale: f64) -> Self {
+    pub const fn coefficient(key: &'static str, unit: &'static str, scale: f64) -> Self {
         Self {
             key,
             unit,
@@ -53,7 +53,7 @@ impl ParameterSpec {
     }
 
     /// A coefficient that physics keeps at zero or above, such as a delay.
-    pub(super) const fn positive(key: &'static str, unit: &'static str, scale: f64) -> Self {
+    pub const fn positive(key: &'static str, unit: &'static str, scale: f64) -> Self {
         Self {
             min: 0.0,
             ..Self::coefficient(key, unit, scale)
@@ -65,7 +65,7 @@ impl ParameterSpec {
     }
 
     /// A positive shape parameter within bounds, fitted as a logarithm.
-    pub(super) const fn shape(
+    pub const fn shape(
         key: &'static str,
         unit: &'static str,
         range: (f64, f64),
@@ -99,7 +99,7 @@ impl ParameterSpec {
     }
 
     /// One value out of a grid.
-    pub(super) const fn choice(
+    pub const fn choice(
         key: &'static str,
         unit: &'static str,
         range: (f64, f64),

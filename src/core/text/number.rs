@@ -124,12 +124,12 @@ pub fn probability(probability: f64) -> String {
 }
 
 /// Decimals to write; none where the last digit stands left of the point.
-pub(crate) fn places(decimals: i32) -> usize {
+pub fn places(decimals: i32) -> usize {
     usize::try_from(decimals).unwrap_or(0)
 }
 
 /// Power of ten of the first digit after rounding to `digits`; 0 for zero.
-pub(crate) fn exponent_of(value: f64, digits: usize) -> i32 {
+pub fn exponent_of(value: f64, digits: usize) -> i32 {
     format!("{value:.*e}", digits - 1)
         .rsplit_once('e')
         .and_then(|(_, exponent)| exponent.parse().ok())

@@ -169,34 +169,3 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
             .all(|map| map.axis != "current_a" && map.axis != "voltage_v")
     );
 }
-
-#[test]
-#[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
-fn on_the_data_at_hand_the_axis_of_the_hidden_effect_comes_first() {
-    let folder = std::env::var("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
-    for (set, equation, axis, least) in [
-        (3, "torque", "speed_rad_s", 0.84),
-        (4, "voltage", "current_a", 0.96),
-        (5, "voltage", "time_s", 0.4),
-        (12, "torque", "speed_rad_s", 0.9),
-    ] {
-        for part in ["train", "holdout"] {
-            let path = format!("{folder}/hidden-effects/set{set:02}_{part}.csv");
-            let run = crate::recording::open_run(path.as_ref(), None).unwrap().run;
-            let found = maps(&Scenario::from_run(&run).unwrap());
-            let first = &found[0];
-            assert_eq!(
-                (first.equation, first.axis),
-                (equation, axis),
-                "{set}: {first:?}"
-            );
-            assert!(first.r2 > least, "{set} {part}: {first:?}");
-            if set == 12 {
-                let peak = (0..first.values.len())
-                    .max_by(|a, b| first.values[*a].abs().total_cmp(&first.values[*b].abs()))
-                    .unwrap();
-                assert!((first.knots[peak].abs() - 118.1).abs() < 5.0, "{first:?}");
-            }
-        }
-    }
-}

@@ -9,26 +9,51 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::kit::{candidate, names, with};
-use super::{AddResult, Comparison, Diagnosis, DiagnosisVerdict, Evidence, Status};
-use crate::identification::output_error::FitError;
-use crate::identification::speed_from_angle;
-use crate::identification::torque_rows::Method;
-use crate::numerics::count::whole;
-use crate::plant::effect::{Card, Enters, Terms};
-use crate::plant::{
-    Effect, Input, Instant, Model, Motor, MotorKey, ParameterRole, ParameterSpec, Plant, Scenario,
-    ShaftAngle, State, effect,
+use drivebench::diagnosis::{
+    AddResult, AxisMap, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Evidence, Signals,
+    Status, axis_map,
 };
-use crate::recording::{ColumnMap, open_run};
-use crate::sample::{Channel, Origin, Run};
+use drivebench::identification::noise::NoiseFloor;
+use drivebench::identification::output_error::FitError;
+use drivebench::identification::speed_from_angle;
+use drivebench::identification::torque_rows::Method;
+use drivebench::numerics::count::whole;
+use drivebench::plant::effect::{Card, Enters, Terms};
+use drivebench::plant::{
+    ActiveEffect, Effect, Input, Instant, Model, Motor, MotorKey, ParameterRole, ParameterSpec,
+    Plant, Scenario, ShaftAngle, State, effect,
+};
+use drivebench::recording::{ColumnMap, open_run};
+use drivebench::sample::{Channel, Origin, Run};
 
 fn diagnose(model: &Model, evidence: &Evidence) -> Result<Diagnosis, FitError> {
-    super::diagnose(model, evidence.clone())
+    drivebench::diagnosis::diagnose(model, evidence.clone())
 }
 
 fn add(effect: &'static dyn Effect, model: &Model, evidence: &Evidence) -> AddResult {
-    super::add(effect, model, evidence.clone()).unwrap()
+    drivebench::diagnosis::add(effect, model, evidence.clone()).unwrap()
+}
+
+/// What a diagnosis says of an effect.
+fn candidate<'a>(diagnosis: &'a Diagnosis, id: &str) -> &'a Candidate {
+    let mut candidates = diagnosis.candidates.iter();
+    candidates.find(|candidate| candidate.effect == id).unwrap()
+}
+
+/// The names of an answer in the order of the alphabet.
+fn names(diagnosis: &Diagnosis) -> Vec<&'static str> {
+    let mut names = diagnosis.effects.clone();
+    names.sort_unstable();
+    names
+}
+
+/// The model with more effects.
+fn with(mut model: Model, effects: &[(&str, &[f64])]) -> Model {
+    let more = effects
+        .iter()
+        .map(|(id, values)| ActiveEffect::with(find(id), values));
+    model.effects.extend(more);
+    model
 }
 
 fn find(id: &str) -> &'static dyn Effect {
@@ -302,7 +327,7 @@ mod simulated {
         let is_told = reason.contains("constant_load is superfluous");
         assert!(is_told, "{reason} {:?}", fit.parameters);
         let [before, after] = [&added.before.signals, &added.after.signals];
-        let errors = |side: &super::super::compare::Signals| -> Vec<f64> {
+        let errors = |side: &Signals| -> Vec<f64> {
             let processing = &side.torque_n_m.as_ref().unwrap().processing;
             processing
                 .iter()
@@ -317,7 +342,8 @@ mod simulated {
         );
         assert!(after.speed_rad_s.unwrap().rmse < before.speed_rad_s.unwrap().rmse);
         for (id, accepted) in [(id, false), ("constant_load", true)] {
-            let removed = super::super::remove(find(id), &fit.model, data.clone()).unwrap();
+            let removed =
+                drivebench::diagnosis::remove(find(id), &fit.model, data.clone()).unwrap();
             assert_eq!(removed.accepted, accepted, "{id}: {}", removed.reason);
         }
         let nothing = add(find("constant_load"), &nameplate(), &evidence(&axis(), 7));
@@ -440,7 +466,7 @@ mod placebo {
                 // Less its mean: that is a constant load, which a record may well miss.
                 _ => {
                     let sizes = shifted(f64::abs);
-                    let mean = crate::numerics::statistics::mean(&sizes);
+                    let mean = drivebench::numerics::statistics::mean(&sizes);
                     let rest = sizes.iter().map(|size| size - mean).collect();
                     ("placebo: shifted |w| less its mean", rest)
                 }
@@ -792,6 +818,41 @@ mod real {
             let base = without.as_ref().unwrap_or(&explained);
             for (id, unit, base) in [(name, unit, &model), (other, other_unit, base)] {
                 doses_are_found(base, &data, id, &[unit]);
+            }
+        }
+    }
+
+    #[test]
+    #[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
+    fn on_the_data_at_hand_the_axis_of_the_hidden_effect_comes_first() {
+        let folder = std::env::var("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
+        let maps = |run: &Scenario| -> Vec<AxisMap> {
+            let noise = NoiseFloor::from_standstill(run).unwrap();
+            axis_map(&Model::baseline(Motor::zk_22fc()), run, &noise).unwrap()
+        };
+        for (set, equation, axis, least) in [
+            (3, "torque", "speed_rad_s", 0.84),
+            (4, "voltage", "current_a", 0.96),
+            (5, "voltage", "time_s", 0.4),
+            (12, "torque", "speed_rad_s", 0.9),
+        ] {
+            for part in ["train", "holdout"] {
+                let path = format!("{folder}/hidden-effects/set{set:02}_{part}.csv");
+                let run = open_run(path.as_ref(), None).unwrap().run;
+                let found = maps(&Scenario::from_run(&run).unwrap());
+                let first = &found[0];
+                assert_eq!(
+                    (first.equation, first.axis),
+                    (equation, axis),
+                    "{set}: {first:?}"
+                );
+                assert!(first.r2 > least, "{set} {part}: {first:?}");
+                if set == 12 {
+                    let peak = (0..first.values.len())
+                        .max_by(|a, b| first.values[*a].abs().total_cmp(&first.values[*b].abs()))
+                        .unwrap();
+                    assert!((first.knots[peak].abs() - 118.1).abs() < 5.0, "{first:?}");
+                }
             }
         }
     }

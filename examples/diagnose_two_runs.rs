@@ -1,0 +1,26 @@
+//! Names what the model misses: one run to fit, another that the fit never sees. Here both are simulated, with a fan on the shaft.
+//!
+//! ```sh
+//! cargo run --release --example diagnose_two_runs
+//! ```
+
+use std::error::Error;
+
+use drivebench::diagnosis::{Diagnosis, Evidence, diagnose};
+use drivebench::identification::output_error::FitError;
+use drivebench::plant::{Model, Motor, Scenario, testing};
+
+/// What the runs say together about a motor of which the baseline is known.
+pub fn missing(fit: Scenario, holdout: Scenario) -> Result<Diagnosis, FitError> {
+    let nameplate = Model::baseline(Motor::zk_22fc());
+    diagnose(&nameplate, Evidence::new(fit, Some(holdout), None))
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let found = missing(testing::with_a_fan(0), testing::with_a_fan(3))?;
+    println!("{}", found.sentence);
+    for one in found.candidates.iter().take(5) {
+        println!("{:>24}  {:.3}", one.effect, one.probability);
+    }
+    Ok(())
+}
