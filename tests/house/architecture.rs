@@ -315,6 +315,11 @@ fn no_file_is_too_long() {
     }
 }
 
+/// Folders above a file, those of the core counted as beside the rest.
+fn depth(path: &str) -> usize {
+    path.replacen(CORE, "src/", 1).matches('/').count()
+}
+
 #[test]
 fn every_part_opens_with_its_picture() {
     let sources = rust_files(&["src", "firmware-protocol/src"]);
@@ -322,8 +327,7 @@ fn every_part_opens_with_its_picture() {
         let name = path.rsplit('/').next().unwrap_or(path);
         let beside = path.strip_suffix(".rs").unwrap_or(path);
         ["mod.rs", "lib.rs", "main.rs"].contains(&name)
-            || path.trim_start_matches(CORE).matches('/').count() == 0
-            || path.matches('/').count() == 1
+            || depth(path) == 1
             || root().join(beside).is_dir()
     };
     let parts: Vec<_> = sources.iter().filter(|(path, _)| is_part(path)).collect();
@@ -332,8 +336,7 @@ fn every_part_opens_with_its_picture() {
         assert!(text.starts_with("//! "), "{path} does not open with //!");
         let head = text.lines().take_while(|line| line.starts_with("//!"));
         let has_picture = head.into_iter().any(|line| line == "//! ```text");
-        let depth = path.replacen(CORE, "src/", 1).matches('/').count();
-        let is_room = depth == 2 && path.ends_with("mod.rs");
+        let is_room = depth(&path) == 2 && path.ends_with("mod.rs");
         assert!(has_picture || !is_room, "{path} has no picture of its part");
     }
 }
