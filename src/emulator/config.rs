@@ -149,11 +149,10 @@ impl FaultsConfig {
             ("faults.encoder_frozen_from_s", self.encoder_frozen_from_s),
             ("faults.field_lost_from_s", self.field_lost_from_s),
         ];
-        let wrong = |(key, from_s): (&'static str, Option<f64>)| {
+        times.into_iter().find_map(|(key, from_s)| {
             let bad = from_s.filter(|from_s| !(0.0..=86_400.0).contains(from_s))?;
             Some((key, bad, "0 to 86400 s"))
-        };
-        times.into_iter().find_map(wrong)
+        })
     }
 }
 
@@ -252,12 +251,11 @@ impl EmulatorConfig {
 
     /// An embedded configuration by name.
     pub fn embedded(name: &str) -> Result<Self, EmulatorConfigError> {
-        let (_, text) = EMBEDDED
-            .iter()
-            .find(|(embedded, _)| *embedded == name)
-            .ok_or_else(|| EmulatorConfigError::Unknown {
-                name: name.to_owned(),
-            })?;
+        let mut known = EMBEDDED.iter();
+        let Some((_, text)) = known.find(|(embedded, _)| *embedded == name) else {
+            let name = name.to_owned();
+            return Err(EmulatorConfigError::Unknown { name });
+        };
         Self::parse(name, text)
     }
 
@@ -344,15 +342,13 @@ impl EmulatorConfig {
         }
         let current_limit_a = self.limits.current_limit_a;
         let most = flux_saturation::largest_stable(&self.motor, current_limit_a, self.tolerance);
-        let mut saturating = self.hidden.iter().filter(|e| e.id() == "flux_saturation");
-        if let Some(value) =
-            saturating.find_map(|e| e.value("saturation_per_a2").filter(|v| *v > most))
-        {
-            let file = file.to_owned();
+        let file = file.to_owned();
+        let saturating = self.hidden.iter().filter(|e| e.id() == "flux_saturation");
+        let mut sizes = saturating.filter_map(|e| e.value("saturation_per_a2"));
+        if let Some(value) = sizes.find(|value| *value > most) {
             return Err(EmulatorConfigError::RunsAway { file, value, most });
         }
         if self.hidden.iter().filter(|e| e.is_shaft()).count() > 1 {
-            let file = file.to_owned();
             return Err(EmulatorConfigError::TwoShafts { file });
         }
         Ok(())

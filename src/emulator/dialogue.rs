@@ -200,18 +200,28 @@ mod tests {
 
     fn say(kind: LinkKind, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
-        let mut dialogue = Dialogue::new(kind, UNIT);
         let mut answers = Vec::new();
-        for byte in bytes {
-            if dialogue
-                .push(*byte, &mut drive, &mut || true, &mut answers)
-                .is_err()
-            {
-                break;
-            }
-        }
-        dialogue.idle(&mut drive, &mut answers);
+        // Who speaks something else is not listened to any further.
+        let _ = listen(
+            &mut Dialogue::new(kind, UNIT),
+            bytes,
+            &mut drive,
+            &mut answers,
+        );
         answers
+    }
+
+    /// Takes these bytes, and then the silence after them.
+    fn listen(
+        dialogue: &mut Dialogue,
+        bytes: &[u8],
+        drive: &mut SoftDrive,
+        answers: &mut Vec<Vec<u8>>,
+    ) -> Result<(), Unframeable> {
+        let mut bytes = bytes.iter();
+        let heard = bytes.try_for_each(|byte| dialogue.push(*byte, drive, &mut || true, answers));
+        dialogue.idle(drive, answers);
+        heard
     }
 
     fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
@@ -274,11 +284,8 @@ mod tests {
         let length = stream::encode(&Frame::command(command), &mut bytes);
         let answers = say(LinkKind::Stream, &bytes[..length]);
         let mut decoder = stream::Decoder::new();
-        let answer = answers[0]
-            .iter()
-            .find_map(|byte| decoder.push(*byte))
-            .unwrap()
-            .unwrap();
+        let mut frames = answers[0].iter().filter_map(|byte| decoder.push(*byte));
+        let answer = frames.next().unwrap().unwrap();
         assert_eq!(answer.seq, 700);
         let Message::Telemetry(Telemetry {
             seq, voltage_cmd_v, ..
@@ -308,23 +315,14 @@ mod tests {
             ] {
                 let mut dialogue = Dialogue::new(kind, UNIT);
                 let mut answers = Vec::new();
-                for byte in &noise {
-                    prop_assert!(dialogue.push(*byte, &mut drive, &mut || true, &mut answers).is_ok());
-                }
-                dialogue.idle(&mut drive, &mut answers);
+                prop_assert!(listen(&mut dialogue, &noise, &mut drive, &mut answers).is_ok());
                 answers.clear();
-                for byte in &request {
-                    prop_assert!(dialogue.push(*byte, &mut drive, &mut || true, &mut answers).is_ok());
-                }
+                prop_assert!(listen(&mut dialogue, &request, &mut drive, &mut answers).is_ok());
                 prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
             }
+            // A wrong header ends the connection; anything else is served.
             let mut dialogue = Dialogue::new(LinkKind::ModbusTcp, UNIT);
-            for byte in &noise {
-                // A wrong header ends the connection; anything else is served.
-                if dialogue.push(*byte, &mut drive, &mut || true, &mut Vec::new()).is_err() {
-                    break;
-                }
-            }
+            let _ = listen(&mut dialogue, &noise, &mut drive, &mut Vec::new());
         }
     }
 }

@@ -141,29 +141,24 @@ impl MemoryLink {
         request: &str,
     ) -> Result<[u16; N], LinkError> {
         self.statistics.sent += 1;
-        self.drive
-            .advance_to(self.clock.time_s() + self.latency.request_s);
+        let arrived_s = self.clock.time_s() + self.latency.request_s;
+        self.drive.advance_to(arrived_s);
         let mut block = [0; N];
-        let answer = write
-            .map_or(Ok(()), |(address, values)| {
-                self.drive.write(address, values)
-            })
-            .and_then(|()| self.drive.read(address, &mut block));
-        match answer {
-            Ok(()) => {
-                self.statistics.ok += 1;
-                Ok(block)
-            }
-            Err(exception) => {
-                self.statistics.exception += 1;
-                Err(LinkError::Exception {
-                    link: self.name().0,
-                    request: request.to_owned(),
-                    code: exception.code(),
-                    name: exception_name(exception.code()),
-                })
-            }
+        let mut written = Ok(());
+        if let Some((address, values)) = write {
+            written = self.drive.write(address, values);
         }
+        if let Err(exception) = written.and_then(|()| self.drive.read(address, &mut block)) {
+            self.statistics.exception += 1;
+            return Err(LinkError::Exception {
+                link: self.name().0,
+                request: request.to_owned(),
+                code: exception.code(),
+                name: exception_name(exception.code()),
+            });
+        }
+        self.statistics.ok += 1;
+        Ok(block)
     }
 }
 
@@ -290,10 +285,8 @@ mod tests {
     fn link(seed: u64) -> (MemoryLink, VirtualClock) {
         let clock = VirtualClock::new();
         let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
-        (
-            MemoryLink::new(drive, clock.clone(), Latency::default()),
-            clock,
-        )
+        let link = MemoryLink::new(drive, clock.clone(), Latency::default());
+        (link, clock)
     }
 
     fn volts(seq: u64, volts: f64) -> Command {

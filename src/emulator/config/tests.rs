@@ -27,6 +27,10 @@ fn every_embedded_configuration_is_valid_and_hides_what_its_name_says() {
     assert_eq!(EmulatorConfig::embedded_default().hidden.len(), 1);
 }
 
+fn refusal(text: &str) -> EmulatorConfigError {
+    EmulatorConfig::parse("e.toml", text).unwrap_err()
+}
+
 const EXAMPLE: &str = include_str!("../../../bench-configs/emulators/example.toml");
 
 /// Every effect of the example, those behind a `#` too, in catalogue order.
@@ -58,11 +62,9 @@ fn a_second_inertia_behind_a_second_inertia_is_refused() {
         .filter(HiddenEffect::is_shaft)
         .collect();
     let text = toml::to_string(&config).unwrap();
-    let error = EmulatorConfig::parse("e.toml", &text).unwrap_err();
-    assert!(
-        matches!(error, EmulatorConfigError::TwoShafts { .. }),
-        "{error}"
-    );
+    let error = refusal(&text);
+    let is_named = matches!(error, EmulatorConfigError::TwoShafts { .. });
+    assert!(is_named, "{error}");
     config.hidden.truncate(1);
     EmulatorConfig::parse("e.toml", &toml::to_string(&config).unwrap()).unwrap();
 }
@@ -82,14 +84,11 @@ fn the_example_documents_every_key() {
         load_n_m: 0.5,
     }];
     let text = toml::to_string(&full).unwrap();
-    for key in text.lines().filter_map(|line| line.split_once(" = ")) {
-        assert!(
-            EXAMPLE.contains(&format!("\n{} = ", key.0))
-                || EXAMPLE.contains(&format!("\n#{} = ", key.0))
-                || EXAMPLE.contains(&format!("\n# {} = ", key.0)),
-            "{}",
-            key.0
-        );
+    for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {
+        let mut places = ["", "#", "# "]
+            .map(|mark| format!("\n{mark}{key} = "))
+            .into_iter();
+        assert!(places.any(|place| EXAMPLE.contains(&place)), "{key}");
     }
 }
 
@@ -122,60 +121,47 @@ fn a_change_that_no_bench_can_make_is_refused() {
     let with =
         |changes: &str| EmulatorConfig::parse("e.toml", &format!("{EXAMPLE}\n{changes}")).map(drop);
     assert!(with("[[change]]\ntime_s = 1.0\n[[change]]\ntime_s = 2.0\nload_n_m = -1").is_ok());
-    for (changes, expected) in [
-        ("[[change]]\ntime_s = -1.0", "change.time_s = -1"),
-        ("[[change]]\ntime_s = nan", "change.time_s = NaN"),
+    let twice = "time_s = 2.0\n[[change]]\ntime_s = 2.0";
+    for (change, expected) in [
+        ("time_s = -1.0", "change.time_s = -1"),
+        ("time_s = nan", "change.time_s = NaN"),
+        (twice, "later than the change before"),
         (
-            "[[change]]\ntime_s = 2.0\n[[change]]\ntime_s = 2.0",
-            "later than the change before",
-        ),
-        (
-            "[[change]]\ntime_s = 1\ninertia_ratio = 0.0",
+            "time_s = 1\ninertia_ratio = 0.0",
             "change.inertia_ratio = 0",
         ),
-        (
-            "[[change]]\ntime_s = 1\nload_n_m = 2e9",
-            "change.load_n_m = 2000000000",
-        ),
-        ("[[change]]\ninertia_ratio = 2.0", "missing field `time_s`"),
-        (
-            "[[change]]\ntime_s = 1\ninertia = 2.0",
-            "unknown field `inertia`",
-        ),
+        ("time_s = 1\nload_n_m = 2e9", "change.load_n_m = 2000000000"),
+        ("inertia_ratio = 2.0", "missing field `time_s`"),
+        ("time_s = 1\ninertia = 2.0", "unknown field `inertia`"),
     ] {
-        let error = with(changes).unwrap_err().to_string();
+        let error = with(&format!("[[change]]\n{change}"))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(expected), "{error}");
     }
-    let frozen = EXAMPLE.replace(
-        "# encoder_frozen_from_s = 2.0",
-        "encoder_frozen_from_s = -2.0",
-    );
-    let error = EmulatorConfig::parse("e.toml", &frozen).unwrap_err();
-    assert!(
-        error.to_string().contains("encoder_frozen_from_s = -2"),
-        "{error}"
-    );
+    let key = "encoder_frozen_from_s = ";
+    let frozen = EXAMPLE.replace(&format!("# {key}2.0"), &format!("{key}-2.0"));
+    let error = refusal(&frozen).to_string();
+    assert!(error.contains("encoder_frozen_from_s = -2"), "{error}");
 }
 
 #[test]
 fn a_typing_mistake_is_named_with_line_and_nearest_key() {
     let text = EXAMPLE.replace("current_limit_a", "curent_limit_a");
-    let error = EmulatorConfig::parse("e.toml", &text).unwrap_err();
+    let error = refusal(&text);
     let EmulatorConfigError::Text(place) = &error else {
         panic!("{error}");
     };
-    let line = text
-        .lines()
-        .position(|line| line.starts_with("curent_limit_a"))
-        .unwrap();
-    assert_eq!(place.line, line + 1);
+    let mut lines = text.lines();
+    let line = lines.position(|line| line.starts_with("curent_limit_a"));
+    assert_eq!(place.line, line.unwrap() + 1);
     assert_eq!(error.help(), "did you mean `current_limit_a`?");
 }
 
 #[test]
 fn an_unknown_key_of_an_effect_and_an_unknown_effect_are_refused() {
     for (from, to) in [("drop_v", "drop_volts"), ("voltage_drop", "voltage_dorp")] {
-        let error = EmulatorConfig::parse("e.toml", &EXAMPLE.replace(from, to)).unwrap_err();
+        let error = refusal(&EXAMPLE.replace(from, to));
         assert!(error.to_string().contains(to), "{error}");
         assert_eq!(error.help(), format!("did you mean `{from}`?"));
     }
@@ -204,7 +190,7 @@ fn values_that_no_drive_can_have_are_refused() {
         ("current_limit_a = 11.4", "current_limit_a = nan"),
     ] {
         assert!(EXAMPLE.contains(from), "{from}");
-        let error = EmulatorConfig::parse("e.toml", &EXAMPLE.replace(from, to)).unwrap_err();
+        let error = refusal(&EXAMPLE.replace(from, to));
         let key = from.split(' ').next().unwrap();
         assert!(error.to_string().contains(key), "{error}");
     }

@@ -25,6 +25,13 @@ fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
     }
 }
 
+/// The motor of paper A with these effects, after this voltage.
+fn after(hidden: &[HiddenEffect], volts: f64, time_s: f64) -> Plant {
+    let mut plant = Plant::new(zk_22fc(), hidden);
+    run(&mut plant, Terminals::Voltage(volts), time_s, H);
+    plant
+}
+
 #[test]
 fn a_locked_current_rises_exponentially_to_u_over_r() {
     let mut motor = zk_22fc();
@@ -41,8 +48,7 @@ fn a_locked_current_rises_exponentially_to_u_over_r() {
 fn stiction_holds_below_coulomb_and_breaks_above() {
     // Mc/Kt = 1.286 A, so 1.4146 V breaks away.
     for (volts, moves) in [(1.41, false), (-1.41, false), (1.42, true), (-1.42, true)] {
-        let mut plant = Plant::new(zk_22fc(), &[]);
-        run(&mut plant, Terminals::Voltage(volts), 1.0, H);
+        let plant = after(&[], volts, 1.0);
         assert_eq!(plant.speed_rad_s().abs() > 0.0, moves, "{volts} V");
         assert!(plant.speed_rad_s() * volts >= 0.0);
     }
@@ -53,8 +59,7 @@ fn static_friction_beyond_coulomb_holds_longer() {
     let stribeck = [stribeck()];
     // (Mc + Ms) R/Kt = 1.912 V
     for (volts, moves) in [(1.90, false), (1.93, true)] {
-        let mut plant = Plant::new(zk_22fc(), &stribeck);
-        run(&mut plant, Terminals::Voltage(volts), 1.0, H);
+        let plant = after(&stribeck, volts, 1.0);
         assert_eq!(plant.angle_rad().abs() > 0.0, moves, "{volts} V");
     }
 }
@@ -75,8 +80,7 @@ fn a_shaft_that_passes_zero_keeps_its_bristle_and_one_that_rested_does_not() {
     let stribeck = [stribeck()];
     // After each leg: the torque of the bristle a quarter of a millisecond into the reversed motion, far less than its stretch.
     let after = |rest_s: f64| {
-        let mut plant = Plant::new(zk_22fc(), &stribeck);
-        run(&mut plant, Terminals::Voltage(20.0), 0.5, H);
+        let mut plant = after(&stribeck, 20.0, 0.5);
         if rest_s > 0.0 {
             run(&mut plant, Terminals::Voltage(0.0), rest_s, H);
             assert_eq!(plant.motion(), Motion::Stuck);
@@ -95,8 +99,7 @@ fn a_shaft_that_passes_zero_keeps_its_bristle_and_one_that_rested_does_not() {
 
 #[test]
 fn no_load_speed_is_where_the_voltage_balances() {
-    let mut plant = Plant::new(zk_22fc(), &[]);
-    run(&mut plant, Terminals::Voltage(110.0), 2.0, H);
+    let plant = after(&[], 110.0, 2.0);
     let current = 0.455 / 0.3538;
     assert!((plant.current_a() - current).abs() < 1e-9);
     assert!((plant.speed_rad_s() - (110.0 - 1.1 * current) / 0.3538).abs() < 1e-7);
@@ -104,8 +107,7 @@ fn no_load_speed_is_where_the_voltage_balances() {
 
 #[test]
 fn an_open_circuit_coasts_down_on_a_straight_line_and_stays_at_rest() {
-    let mut plant = Plant::new(zk_22fc(), &[]);
-    run(&mut plant, Terminals::Voltage(60.0), 2.0, H);
+    let mut plant = after(&[], 60.0, 2.0);
     let open = Terminals::Open { bus_v: 120.0 };
     run(&mut plant, open, 0.01, H);
     assert!(plant.current_a() == 0.0);
@@ -114,10 +116,8 @@ fn an_open_circuit_coasts_down_on_a_straight_line_and_stays_at_rest() {
     // dw/dt = -Mc/J = -101.1 rad/s2
     let expected = start - 0.455 / 0.0045;
     assert!((plant.speed_rad_s() - expected).abs() < 1e-9);
-    assert!(
-        (plant.terminal_v() - 0.3538 * expected).abs() < 1e-9,
-        "back-EMF at the terminals"
-    );
+    let off_v = plant.terminal_v() - 0.3538 * expected;
+    assert!(off_v.abs() < 1e-9, "back-EMF at the terminals");
     run(&mut plant, open, 1.0, H);
     assert_eq!(plant.motion(), Motion::Stuck);
     assert!(plant.speed_rad_s() == 0.0);
@@ -138,8 +138,8 @@ fn energy_in_is_heat_and_friction_and_what_is_stored() {
             friction += 0.455 * 0.5 * (w0.abs() + w1.abs()) * h;
         }
     }
-    let stored =
-        0.5 * 0.0099 * plant.current_a().powi(2) + 0.5 * 0.0045 * plant.speed_rad_s().powi(2);
+    let (i, w) = (plant.current_a(), plant.speed_rad_s());
+    let stored = 0.5 * 0.0099 * i.powi(2) + 0.5 * 0.0045 * w.powi(2);
     let balance = supplied - heat - friction - stored;
     assert!(balance.abs() < 1e-7 * heat, "{balance} J of {supplied} J");
 }
@@ -174,12 +174,9 @@ fn with_a_bristle_the_step_still_converges() {
 
 #[test]
 fn drag_lowers_the_speed_by_its_torque() {
-    let viscous = [hidden(
-        "viscous_friction",
-        &[("viscous_n_m_s_per_rad", 4e-4)],
-    )];
-    let mut plant = Plant::new(zk_22fc(), &viscous);
-    run(&mut plant, Terminals::Voltage(110.0), 3.0, H);
+    let value = ("viscous_n_m_s_per_rad", 4e-4);
+    let viscous = [hidden("viscous_friction", &[value])];
+    let plant = after(&viscous, 110.0, 3.0);
     let w: f64 = plant.speed_rad_s();
     let drag = 4e-4 * 586.4 * (w / 586.4).asinh();
     assert!((0.3538 * plant.current_a() - 0.455 - drag).abs() < 1e-9);
@@ -199,20 +196,15 @@ fn the_voltage_for_a_current_brings_that_current() {
 fn a_locked_shaft_takes_the_stall_current_and_an_open_circuit_none() {
     let mut locked = Plant::new(zk_22fc(), &[]).broken(true, false);
     run(&mut locked, Terminals::Voltage(22.0), 0.5, H);
-    assert!(
-        (locked.current_a() - 20.0).abs() < 1e-6,
-        "{}",
-        locked.current_a()
-    );
+    let off_a = locked.current_a() - 20.0;
+    assert!(off_a.abs() < 1e-6, "{off_a}");
     assert!(locked.speed_rad_s() == 0.0 && locked.angle_rad() == 0.0);
 
     let mut open = Plant::new(zk_22fc(), &[]).broken(false, true);
     run(&mut open, Terminals::Voltage(110.0), 0.5, H);
     assert!(open.current_a() == 0.0 && open.speed_rad_s() == 0.0);
-    assert!(
-        (open.terminal_v() - 110.0).abs() < 1e-12,
-        "the drive still puts it out"
-    );
+    let off_v = open.terminal_v() - 110.0;
+    assert!(off_v.abs() < 1e-12, "the drive still puts it out");
 }
 
 proptest! {
@@ -221,8 +213,7 @@ proptest! {
     /// Whatever the voltage, the speed never chatters: once stuck below the breakaway voltage it stays stuck.
     #[test]
     fn rest_is_rest(start in -100.0..100.0_f64, hold in -1.4..1.4_f64) {
-        let mut plant = Plant::new(zk_22fc(), &[]);
-        run(&mut plant, Terminals::Voltage(start), 0.2, H);
+        let mut plant = after(&[], start, 0.2);
         run(&mut plant, Terminals::Voltage(hold), 3.0, H);
         prop_assert_eq!(plant.motion(), Motion::Stuck);
         let angle = plant.angle_rad();

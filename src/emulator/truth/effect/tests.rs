@@ -1,5 +1,5 @@
 use super::super::motor::zk_22fc;
-use super::super::{Plant, Sensors, Terminals};
+use super::super::{NoiseConfig, Plant, QuantisationConfig, Reading, Sensors, Terminals};
 use super::*;
 
 fn hidden(id: &str, values: &[(&str, f64)]) -> HiddenEffect {
@@ -101,10 +101,8 @@ fn every_mechanism_changes_the_motion_and_every_path_does_not() {
         let differs = plant.angle_rad().to_bits() != plain.angle_rad().to_bits();
         let inside = !effect.mechanisms(&site).is_empty() || effect.is_shaft();
         assert_eq!(differs, inside, "{id}");
-        assert!(
-            inside || effect.path(&site) != Path::default(),
-            "{id} does nothing"
-        );
+        let is_between = effect.path(&site) != Path::default();
+        assert!(inside || is_between, "{id} does nothing");
         assert!(plant.speed_rad_s().is_finite(), "{id}");
     }
 }
@@ -184,11 +182,10 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "supply_sag" => (110.0 * (1.0 - m.supply_factor()), 0.4 * amps, 1e-6),
             "winding_heating" => (m.resistance_factor() - 1.0, 2e-3 * amps * amps * 0.1, 0.01),
             "flux_saturation" => (m.flux_factor(&at), 1.0 / (1.0 + 4e-4 * amps * amps), 1e-9),
-            "inductance_saturation" => (
-                m.inductance_factor(amps),
-                1.0 / (1.0 + 5e-3 * amps * amps),
-                1e-9,
-            ),
+            "inductance_saturation" => {
+                let stated = 1.0 / (1.0 + 5e-3 * amps * amps);
+                (m.inductance_factor(amps), stated, 1e-9)
+            }
             "field_change" => (m.flux_factor(&at) - 1.0, -5e-3 * 10.0, 0.085),
             "discontinuous_conduction" => (m.voltage_loss_v(0.5), 0.5, 0.01),
             "shaker" => (torque(m), 0.1 * (std::f64::consts::TAU * 46.0).sin(), 1e-9),
@@ -208,11 +205,8 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             other => (f64::NAN, 0.0, other.len() as f64),
         };
         let error = (found - stated).abs();
-        assert!(
-            error <= within * stated.abs().max(1e-12),
-            "{}: {found} instead of {stated}",
-            effect.id()
-        );
+        let (id, most) = (effect.id(), within * stated.abs().max(1e-12));
+        assert!(error <= most, "{id}: {found} instead of {stated}");
     }
 }
 
@@ -231,15 +225,13 @@ fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_th
     let mut motor = zk_22fc();
     (motor.load_torque_n_m, motor.back_emf_v_s_per_rad) = (0.0, 1e-6);
     motor.torque_n_m_per_a = Some(0.3538);
-    let effect = hidden(
-        "elastic_coupling",
-        &[
-            ("frequency_hz", 22.0),
-            ("inertia_ratio", 0.4),
-            ("damping_ratio", 0.0),
-            ("friction_split", 0.5),
-        ],
-    );
+    let values = [
+        ("frequency_hz", 22.0),
+        ("inertia_ratio", 0.4),
+        ("damping_ratio", 0.0),
+        ("friction_split", 0.5),
+    ];
+    let effect = hidden("elastic_coupling", &values);
     let mut plant = Plant::new(motor, &[effect]);
     let mut acceleration = Vec::new();
     for _ in 0..40_000 {
@@ -262,18 +254,14 @@ fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_th
 fn sensors_show_delay_filter_and_offset() {
     let tick_s = 50e-6;
     let sensors = |path: Path| {
-        let mut sensors = Sensors::new(
-            super::super::NoiseConfig::default(),
-            super::super::QuantisationConfig::default(),
-            0,
-        )
-        .behind(path, tick_s);
+        let (noise, quantisation) = (NoiseConfig::default(), QuantisationConfig::default());
+        let mut sensors = Sensors::new(noise, quantisation, 0).behind(path, tick_s);
         for tick in 0..=4000_u32 {
             // A ramp of 100 rad/s and 10 A in a second.
             let time_s = f64::from(tick) * tick_s;
             sensors.follow(10.0 * time_s, 100.0 * time_s);
         }
-        sensors.read(4000, super::super::Reading::default())
+        sensors.read(4000, Reading::default())
     };
     let site = Site::of(&zk_22fc());
     let mut seen = 0;
@@ -290,16 +278,9 @@ fn sensors_show_delay_filter_and_offset() {
             _ => (2.0, 20.0),
         };
         seen += usize::from(path != Path::default());
-        assert!(
-            (read.current_a - amps).abs() < 1e-5,
-            "{}: {read:?}",
-            effect.id()
-        );
-        assert!(
-            (read.speed_rad_s - speed).abs() < 1e-5,
-            "{}: {read:?}",
-            effect.id()
-        );
+        let (off_a, off_rad_s) = (read.current_a - amps, read.speed_rad_s - speed);
+        let is_near = off_a.abs() < 1e-5 && off_rad_s.abs() < 1e-5;
+        assert!(is_near, "{}: {read:?}", effect.id());
     }
     assert_eq!(seen, 10, "five in the sensors, four in the drive, messy");
 }
