@@ -7,7 +7,7 @@ use nalgebra::{Complex, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::{LinearPlant, LoopTiming};
-use crate::numerics::{count, linear_map};
+use crate::numerics::{count, linear_map, root};
 
 /// Longest delay that is looked at, periods.
 const LONGEST_DELAY_PERIODS: f64 = 64.0;
@@ -248,16 +248,8 @@ fn wrapped(degrees: f64) -> f64 {
 }
 
 /// Where a quantity that is positive at `low` and not at `high` goes through zero.
-fn crossing(mut low: f64, mut high: f64, quantity: impl Fn(f64) -> f64) -> f64 {
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (low + high);
-        if quantity(middle) > 0.0 {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    0.5 * (low + high)
+fn crossing(low: f64, high: f64, quantity: impl Fn(f64) -> f64) -> f64 {
+    root::halved(low, high, HALVINGS, |middle| quantity(middle) > 0.0)
 }
 
 #[cfg(test)]

@@ -36,9 +36,7 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
         MotorKey::LoadTorque,
     ];
     let none = |reason: &str| -> Vec<ParameterEstimate> {
-        keys.iter()
-            .map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason))
-            .collect()
+        keys.map(|key| verdict::unknown(key, reason)).to_vec()
     };
     let (Some((a1, s1)), Some((a2, s2))) = (
         without.over_torque_constant(MotorKey::Inertia),
@@ -62,8 +60,7 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
     let load = if let Some((load, load_std)) = without.over_torque_constant(key) {
         judged(key, kt * load, (kt * load_std).hypot(load * kt_std))
     } else {
-        let reason = "the run without the added inertia does not carry it";
-        ParameterEstimate::not_observable(key.key(), key.unit(), reason)
+        verdict::unknown(key, "the run without the added inertia does not carry it")
     };
     vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),

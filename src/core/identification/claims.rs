@@ -315,9 +315,8 @@ mod tests {
     /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
     fn run(origin: Origin) -> Run {
         let square = |size: f64| -> Vec<f64> {
-            (0..ROWS)
-                .map(|k| if k / 25 % 2 == 0 { size } else { -size })
-                .collect()
+            let level = |k: usize| if k / 25 % 2 == 0 { size } else { -size };
+            (0..ROWS).map(level).collect()
         };
         let columns = [
             (Channel::Voltage, square(24.0)),
@@ -404,20 +403,16 @@ mod tests {
         let mut observed = run(Origin::Measured);
         observed.set_origin(Channel::Speed, Origin::Estimated);
         let (parameters, notes) = limited(&observed);
-        assert_eq!(
-            verdicts(&parameters),
-            [Settled, Settled, Searching, Searching, Searching]
-        );
+        let expected = [Settled, Settled, Searching, Searching, Searching];
+        assert_eq!(verdicts(&parameters), expected);
         assert!(notes[0].contains("not independent"), "{notes:?}");
 
         let columns = [Channel::Torque, Channel::Speed].map(|channel| (channel, vec![1.0; ROWS]));
         let mut torque = run_of(every(0.01, 1.0), columns);
         torque.set_origin(Channel::Torque, Origin::Estimated);
         let (parameters, _) = limited(&torque);
-        assert_eq!(
-            verdicts(&parameters),
-            [Settled, Settled, Settled, Searching, Searching]
-        );
+        let expected = [Settled, Settled, Settled, Searching, Searching];
+        assert_eq!(verdicts(&parameters), expected);
     }
 
     #[test]

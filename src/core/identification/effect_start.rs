@@ -33,25 +33,17 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
         models: vec![model.clone()],
         chosen: Vec::new(),
     };
-    let searched: Vec<&ActiveEffect> = model
-        .effects
-        .iter()
-        .filter(|active| {
-            let specs = active.effect.parameters();
-            (0..specs.len()).any(|index| is_sought(model, active, index))
-        })
-        .collect();
+    let has_grid = |active: &&ActiveEffect| {
+        (0..active.values.len()).any(|index| is_sought(model, active, index))
+    };
+    let searched: Vec<&ActiveEffect> = model.effects.iter().filter(has_grid).collect();
     if searched.is_empty() {
         return Ok(starts);
     }
     let mut known = model.clone();
-    known
-        .effects
-        .retain(|active| searched.iter().all(|other| other.id() != active.id()));
+    (known.effects).retain(|active| searched.iter().all(|other| other.id() != active.id()));
     let prefixes: Vec<String> = searched.iter().map(|e| format!("{}.", e.id())).collect();
-    known
-        .fixed
-        .retain(|key| !prefixes.iter().any(|prefix| key.starts_with(prefix)));
+    (known.fixed).retain(|key| !prefixes.iter().any(|prefix| key.starts_with(prefix)));
     for active in searched {
         let tried = Trial::new(&known, scenario, noise)?.all(model, active)?;
         let Some(best) = tried.first() else {
@@ -64,14 +56,11 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
         }
         // The other values serve as starts for the effect that was tried last: starts must not multiply.
         starts.models.truncate(1);
-        let first = starts.models[0].clone();
-        starts
-            .models
-            .extend(tried.iter().skip(1).take(STARTS - 1).map(|other| {
-                let mut start = first.clone();
-                put(&mut start, &other.active);
-                start
-            }));
+        for other in tried.iter().skip(1).take(STARTS - 1) {
+            let mut start = starts.models[0].clone();
+            put(&mut start, &other.active);
+            starts.models.push(start);
+        }
     }
     Ok(starts)
 }
@@ -180,11 +169,8 @@ impl<'a> Trial<'a> {
         for (index, spec) in active.effect.parameters().iter().enumerate() {
             let value = active.values[index];
             let mut values = if is_sought(given, active, index) {
-                let unit = if spec.role == ParameterRole::EventTime {
-                    length_s
-                } else {
-                    1.0
-                };
+                let is_moment = spec.role == ParameterRole::EventTime;
+                let unit = if is_moment { length_s } else { 1.0 };
                 spec.shapes.iter().map(|shape| shape * unit).collect()
             } else if is_free_coefficient(given, active, index) {
                 vec![0.0]
@@ -231,10 +217,7 @@ impl<'a> Trial<'a> {
         };
         let before = DVector::from_vec(before);
         let own = self.jacobian.ncols();
-        let mut columns = self
-            .jacobian
-            .clone()
-            .resize_horizontally(own + free.len(), 0.0);
+        let mut columns = (self.jacobian.clone()).resize_horizontally(own + free.len(), 0.0);
         for (place, index) in free.iter().enumerate() {
             let size = typical_size(active.effect, *index, &self.model, self.scenario);
             let mut probe = values.to_vec();

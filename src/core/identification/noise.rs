@@ -143,14 +143,12 @@ impl NoiseFloor {
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {
             let deviation = variance(&finite(values)).sqrt();
-            if deviation > 0.0 {
-                SCALE_OF_SPREAD * deviation
-            } else {
-                f64::INFINITY
-            }
+            let scale = (deviation > 0.0).then_some(SCALE_OF_SPREAD * deviation);
+            scale.unwrap_or(f64::INFINITY)
         };
+        let is_output = current_is_an_output(scenario);
         Self {
-            current_a: if current_is_an_output(scenario) {
+            current_a: if is_output {
                 spread(&scenario.current_a)
             } else {
                 f64::INFINITY
@@ -208,13 +206,9 @@ fn drifts(values: &[f64], quantum: f64) -> bool {
         &present[third..2 * third],
         &present[present.len() - third..],
     );
-    let steps: f64 = present
-        .windows(2)
-        .map(|pair| (pair[1] - pair[0]).powi(2))
-        .sum();
-    let noise = (0.5 * steps / (present.len() - 1) as f64)
-        .sqrt()
-        .max(quantum_noise(quantum));
+    let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
+    let rough = (0.5 * steps.sum::<f64>() / (present.len() - 1) as f64).sqrt();
+    let noise = rough.max(quantum_noise(quantum));
     (mean(last) - mean(middle)).abs() > DRIFT * noise
 }
 
@@ -266,10 +260,8 @@ fn quantum(values: &[f64]) -> Option<f64> {
         .collect();
     let smallest = steps.iter().copied().min_by(f64::total_cmp)?;
     let multiples = steps.iter().filter(|step| {
-        (**step / smallest)
-            .fract()
-            .min(1.0 - (**step / smallest).fract())
-            < NEAR_A_MULTIPLE
+        let rest = (**step / smallest).fract();
+        rest.min(1.0 - rest) < NEAR_A_MULTIPLE
     });
     (multiples.count() as f64 >= NEARLY_EVERY * steps.len() as f64).then_some(smallest)
 }
@@ -329,10 +321,8 @@ mod tests {
         let edge = |k: usize| 0.1 * (moves(k) + f64::from(u8::from((70..100).contains(&k))));
         let floor = NoiseFloor::from_standstill(&scenario(100, edge)).unwrap();
         assert!(floor.samples > 90, "the whole rest counts: {floor:?}");
-        assert!(
-            (0.1 / 12f64.sqrt()..0.1).contains(&floor.speed_rad_s),
-            "{floor:?}"
-        );
+        let between = (0.1 / 12f64.sqrt()..0.1).contains(&floor.speed_rad_s);
+        assert!(between, "{floor:?}");
         // A run-out of many counts is one.
         let coasts = |k: usize| 0.1 * (moves(k) + if k < 100 { (100 - k) as f64 } else { 0.0 });
         assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
@@ -342,9 +332,7 @@ mod tests {
     fn a_noiseless_encoder_is_bounded_by_its_quantum() {
         let counts = |k: usize| (k.saturating_sub(50) / 3) as f64 * 0.5;
         let floor = NoiseFloor::from_standstill(&scenario(50, counts)).unwrap();
-        assert!(
-            (floor.speed_rad_s - 0.5 / 12f64.sqrt()).abs() < 1e-9,
-            "{floor:?}"
-        );
+        let off = floor.speed_rad_s - 0.5 / 12f64.sqrt();
+        assert!(off.abs() < 1e-9, "{floor:?}");
     }
 }

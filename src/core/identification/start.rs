@@ -23,20 +23,18 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         return mechanical(model, scenario);
     }
     let sums = integrals(scenario);
-    let electrical: Vec<[f64; 4]> = sums
+    let electrical = sums
         .iter()
-        .map(|s| [s.current, s.current_step, s.angle, s.voltage])
-        .collect();
+        .map(|s| [s.current, s.current_step, s.angle, s.voltage]);
+    let electrical: Vec<[f64; 4]> = electrical.collect();
     let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), [1.0, 1e-3, 0.1]);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
     set(&mut model, MotorKey::BackEmf, back_emf);
     let kt = model.motor.torque_constant().unwrap_or(back_emf);
-    let mechanical: Vec<[f64; 3]> = sums
-        .iter()
-        .filter(|s| s.direction != 0.0)
-        .map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current])
-        .collect();
+    let moving = sums.iter().filter(|s| s.direction != 0.0);
+    let mechanical = moving.map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current]);
+    let mechanical: Vec<[f64; 3]> = mechanical.collect();
     let [inertia, load] = positive(solve_rows(&mechanical), [1e-3, 1e-2]);
     set(&mut model, MotorKey::Inertia, inertia);
     set(&mut model, MotorKey::LoadTorque, load);
@@ -69,13 +67,8 @@ fn set(model: &mut Model, key: MotorKey, value: f64) {
 /// Values that physics allows: where noise or poor excitation gives none, a modest default.
 fn positive<const N: usize>(found: Option<[f64; N]>, otherwise: [f64; N]) -> [f64; N] {
     let found = found.unwrap_or(otherwise);
-    std::array::from_fn(|index| {
-        if found[index] > 0.0 {
-            found[index]
-        } else {
-            otherwise[index]
-        }
-    })
+    let sound = |value: &f64| *value > 0.0;
+    std::array::from_fn(|index| Some(found[index]).filter(sound).unwrap_or(otherwise[index]))
 }
 
 fn integrals(scenario: &Scenario) -> Vec<Sums> {

@@ -61,11 +61,7 @@ pub fn at_20_c(
         );
         return (no(reason), None);
     }
-    let (least_c, most_c) = readings
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), t| {
-            (least.min(*t), most.max(*t))
-        });
+    let (least_c, most_c) = statistics::extent(&readings);
     // A temperature that moves during the run leaves it open which one the resistance belongs to.
     let moved_k = (most_c - least_c) / 12f64.sqrt();
     let factor = resistance_at_20_c(1.0, mean_c);

@@ -158,7 +158,7 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     // The same windows in time with half of the samples.
     let (thin, thin_half) = (thinned(scenario), (half / 2).max(2));
     let coarse = System::new(model, &thin, equation, thin_half, &noise).solve(begin_s);
-    let period_s = mean_period_s(scenario);
+    let period_s = statistics::mean_step(&scenario.sample_time_s);
     let doubts = (solution.as_ref()).map(|it| (it, system.doubts(it, coarse.as_ref(), &noise)));
     let mut places = 0..;
     let estimate = |unknown: &Unknown| {
@@ -282,7 +282,7 @@ impl System {
         let free: Vec<usize> = (0..unknowns.len()).filter(is_free).collect();
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
         let (mut gain, mut rate_gain) = (0.0, 0.0);
-        let longest_s = half as f64 * mean_period_s(scenario);
+        let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
         for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
             let end = begin + 2 * half;
             // Half of the window in one step: it would be made of two ends.
@@ -418,17 +418,12 @@ fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
 }
 
 fn half_window(scenario: &Scenario, equation: Balance) -> usize {
-    let period_s = mean_period_s(scenario);
+    let period_s = statistics::mean_step(&scenario.sample_time_s);
     let half_s = match equation {
         Balance::Voltage => VOLTAGE_HALF_S,
         Balance::Torque => TORQUE_HALF_S,
     };
     whole((half_s / period_s).round()).max(FEWEST_HALF)
-}
-
-fn mean_period_s(scenario: &Scenario) -> f64 {
-    let times = &scenario.sample_time_s;
-    (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
 }
 
 /// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a

@@ -117,10 +117,7 @@ impl Sawtooth {
 }
 
 fn span(points: &[(f64, f64)]) -> f64 {
-    let (least, most) = points.iter().fold(
-        (f64::INFINITY, f64::NEG_INFINITY),
-        |(least, most), point| (least.min(point.1), most.max(point.1)),
-    );
+    let (least, most) = statistics::extent(points.iter().map(|point| point.1));
     most - least
 }
 

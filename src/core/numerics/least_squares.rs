@@ -34,15 +34,19 @@ pub fn solve(matrix: &DMatrix<f64>, right: &DVector<f64>, block_of: &[usize]) ->
     })
 }
 
+/// Scales every column to a norm of one, and gives the norms.
+fn scaled_to_one(columns: &mut DMatrix<f64>) -> Vec<f64> {
+    let norm = |mut column: nalgebra::DVectorViewMut<'_, f64>| {
+        let norm = column.norm().max(f64::MIN_POSITIVE);
+        column /= norm;
+        norm
+    };
+    columns.column_iter_mut().map(norm).collect()
+}
+
 /// Coefficients `x` of the columns nearest to `right`, and how much of its square they explain.
 pub fn ridge(mut columns: DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, f64) {
-    let scales: Vec<f64> = columns
-        .column_iter()
-        .map(|column| column.norm().max(f64::MIN_POSITIVE))
-        .collect();
-    for (mut column, scale) in columns.column_iter_mut().zip(&scales) {
-        column /= *scale;
-    }
+    let scales = scaled_to_one(&mut columns);
     let projected = columns.tr_mul(right);
     // A hair of damping: a column that does nothing, or what another does, stays at zero.
     let normal = columns.tr_mul(&columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
@@ -64,13 +68,7 @@ pub fn solve_rows<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[
     }
     let mut matrix = DMatrix::from_fn(rows.len(), N, |row, column| rows[row][column]);
     let right = DVector::from_iterator(rows.len(), rows.iter().map(|row| row[N]));
-    let norms: Vec<f64> = matrix
-        .column_iter()
-        .map(|column| column.norm().max(f64::MIN_POSITIVE))
-        .collect();
-    for (mut column, norm) in matrix.column_iter_mut().zip(&norms) {
-        column /= *norm;
-    }
+    let norms = scaled_to_one(&mut matrix);
     let solution = matrix.svd(true, true).solve(&right, 1e-9).ok()?;
     Some(std::array::from_fn(|index| solution[index] / norms[index]))
 }
@@ -194,25 +192,18 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
         .map(|square| square.sqrt())
         .collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
-    let mut determined: Vec<bool> = norms
-        .iter()
-        .map(|norm| *norm > 1e-12 * largest && *norm > 0.0)
-        .collect();
-    let scales: Vec<f64> = norms
-        .iter()
-        .zip(&determined)
-        .map(|(norm, known)| if *known { 1.0 / norm } else { 0.0 })
-        .collect();
-    let scaled = DMatrix::from_fn(unknowns, unknowns, |r, c| {
-        normal[(r, c)] * scales[r] * scales[c]
-    });
-    let eigen = scaled.symmetric_eigen();
+    let is_known = |norm: &f64| *norm > 1e-12 * largest && *norm > 0.0;
+    let mut determined: Vec<bool> = norms.iter().map(is_known).collect();
+    let scale = |norm: &f64| if is_known(norm) { 1.0 / norm } else { 0.0 };
+    let scales: Vec<f64> = norms.iter().map(scale).collect();
+    let rescaled = |matrix: &DMatrix<f64>| {
+        let cell = |r, c| matrix[(r, c)] * scales[r] * scales[c];
+        DMatrix::from_fn(unknowns, unknowns, cell)
+    };
+    let eigen = rescaled(normal).symmetric_eigen();
     let mut inverse = DMatrix::zeros(unknowns, unknowns);
-    for (value, vector) in eigen
-        .eigenvalues
-        .iter()
-        .zip(eigen.eigenvectors.column_iter())
-    {
+    let directions = eigen.eigenvectors.column_iter();
+    for (value, vector) in eigen.eigenvalues.iter().zip(directions) {
         if *value > UNDETERMINED {
             inverse += vector * vector.transpose() / *value;
         } else {
@@ -223,12 +214,7 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
             }
         }
     }
-    (
-        DMatrix::from_fn(unknowns, unknowns, |r, c| {
-            inverse[(r, c)] * scales[r] * scales[c]
-        }),
-        determined,
-    )
+    (rescaled(&inverse), determined)
 }
 
 #[cfg(test)]

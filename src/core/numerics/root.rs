@@ -41,6 +41,19 @@ pub fn falling_through_zero(
     high
 }
 
+/// Where something that holds at `low` ceases to hold towards `high`, after so many halvings.
+pub fn halved(mut low: f64, mut high: f64, times: usize, holds: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..times {
+        let middle = 0.5 * (low + high);
+        if holds(middle) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    0.5 * (low + high)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -17,6 +17,19 @@ pub fn largest<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
     finite.fold(0.0, f64::max)
 }
 
+/// Least and most; infinite the wrong way round for no values.
+pub fn extent<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> (f64, f64) {
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    values.into_iter().fold(none, |(least, most), value| {
+        (least.min(*value.borrow()), most.max(*value.borrow()))
+    })
+}
+
+/// Mean distance between instants.
+pub fn mean_step(times: &[f64]) -> f64 {
+    (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
+}
+
 /// Variance with `n - 1`; NaN for fewer than two values.
 pub fn variance(values: &[f64]) -> f64 {
     if values.len() < 2 {

@@ -169,11 +169,16 @@ pub fn tune(
             filter_s: timing.filter_s,
         });
     }
-    let found = match request.bandwidth_rad_s {
-        Some(asked) => for_bandwidth(plant, timing, request.rule, asked)?,
-        None => with_margins(plant, timing, request.rule)?,
+    let task = Task {
+        plant,
+        timing,
+        rule: request.rule,
     };
-    let shape = LoopShape::new(plant, timing, &found.gains);
+    let found = match request.bandwidth_rad_s {
+        Some(asked) => task.for_bandwidth(asked)?,
+        None => task.with_margins()?,
+    };
+    let shape = task.shape(&found);
     let margins = shape.margins();
     if !is_safe(&margins) {
         return Err(TuningError::Margins {
@@ -208,184 +213,193 @@ pub fn tune(
     })
 }
 
-/// `slower` stretches the small time constant: the same rule for a loop of less bandwidth.
-fn by_rule(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    rule: Rule,
-    slower: f64,
-) -> Result<Found, TuningError> {
-    match rule {
-        Rule::ModulusOptimum => modulus_optimum(plant, timing, slower),
-        Rule::SymmetricalOptimum => symmetrical_optimum(plant, timing, slower),
-        Rule::PolePlacement => Ok(pole_placement(plant, timing, slower)),
-    }
-}
-
-/// The rule as it is or, where its approximations leave too little margin, slowed down until there is enough.
-fn with_margins(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    rule: Rule,
-) -> Result<Found, TuningError> {
-    let mut slower = 1.0;
-    loop {
-        let mut found = by_rule(plant, timing, rule, slower)?;
-        if is_safe(&LoopShape::new(plant, timing, &found.gains).margins()) || slower > SLOWEST {
-            if slower > 1.0 {
-                found.reasons.push(format!(
-                    "the rule alone left less than {LEAST_PHASE_MARGIN_DEG} degrees or a gain margin below {LEAST_GAIN_MARGIN}: its small time constant is taken {slower:.2} times as large"
-                ));
-            }
-            return Ok(found);
-        }
-        slower *= SLOWER_BY;
-    }
-}
-
-/// The rule, slowed down until the closed loop has the bandwidth that is asked.
-fn for_bandwidth(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    rule: Rule,
-    asked: f64,
-) -> Result<Found, TuningError> {
-    if !(asked.is_finite() && asked > 0.0) {
-        return Err(TuningError::NoBandwidth(asked));
-    }
-    let margins = |slower: f64| -> Result<Margins, TuningError> {
-        let found = by_rule(plant, timing, rule, slower)?;
-        Ok(LoopShape::new(plant, timing, &found.gains).margins())
-    };
-    // The quickest that still has its margins.
-    let (mut quick, mut slow) = (1.0, 1.0);
-    while !is_safe(&margins(slow)?) && slow < 1e6 {
-        (quick, slow) = (slow, 2.0 * slow);
-    }
-    while is_safe(&margins(quick)?) && quick > 1e-3 {
-        (quick, slow) = (0.5 * quick, quick);
-    }
-    for _ in 0..HALVINGS {
-        let middle = (quick * slow).sqrt();
-        if is_safe(&margins(middle)?) {
-            slow = middle;
-        } else {
-            quick = middle;
-        }
-    }
-    let reachable = margins(slow)?.bandwidth_rad_s;
-    if asked > reachable {
-        return Err(TuningError::Bandwidth {
-            asked,
-            reachable,
-            period_ms: 1e3 * timing.period_s,
-            cycles: timing.delay_cycles(),
-        });
-    }
-    let (mut quick, mut slow) = (slow, 2.0 * slow);
-    while margins(slow)?.bandwidth_rad_s > asked && slow < 1e9 {
-        (quick, slow) = (slow, 2.0 * slow);
-    }
-    for _ in 0..HALVINGS {
-        let middle = (quick * slow).sqrt();
-        if margins(middle)?.bandwidth_rad_s > asked {
-            quick = middle;
-        } else {
-            slow = middle;
-        }
-    }
-    by_rule(plant, timing, rule, quick)
-}
-
-fn is_safe(margins: &Margins) -> bool {
-    margins.radius < 1.0
-        && margins.phase_margin_deg >= LEAST_PHASE_MARGIN_DEG
-        && margins.gain_margin >= LEAST_GAIN_MARGIN
-}
-
 /// Least Tn of a motor that swings, in dead times.
 const LEAST_PROPORTIONAL: f64 = 0.5;
 
-/// Modulus optimum (Kessler 1955): the large time constant is cancelled, the gain set by the sum of the small ones.
-fn modulus_optimum(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    slower: f64,
-) -> Result<Found, TuningError> {
-    let rule = "modulus optimum";
-    let integrates = TuningError::Integrates { rule };
-    let Some(dominant) = plant.dominant() else {
-        return swinging(plant, timing, slower).ok_or(integrates);
-    };
-    let large_s = dominant.large_s.ok_or(integrates)?;
-    let small_time_s = slower * (dominant.small_s + timing.small_time_s());
-    let proportional = 1.0 / (2.0 * dominant.rate * small_time_s);
-    let reason = format!(
-        "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
-        1e3 * small_time_s
-    );
-    Ok(Found::new(
-        [proportional, large_s, 0.0],
-        small_time_s,
-        reason,
-    ))
-}
-
-/// The plant's own poles swing: nothing can be cancelled by a real zero. The same condition, gain one up to the fourth
-/// power of the frequency, solved for the series of the whole plant with its dead time.
-fn swinging(plant: &LinearPlant, timing: &LoopTiming, slower: f64) -> Option<Found> {
-    let (sum, product) = plant.denominator()?;
-    let gain = plant.gain()?;
-    let late = timing.small_time_s();
-    // (1 + sum s + product s^2) exp(late s) / gain = c0 + c1 s + c2 s^2 + c3 s^3 + ..
-    let c0 = 1.0 / gain;
-    let c1 = (sum + late) / gain;
-    let c2 = (product + sum * late + late * late / 2.0) / gain;
-    let c3 = (product * late + sum * late * late / 2.0 + late.powi(3) / 6.0) / gain;
-    let integral = (c1 * c1 - c0 * c2) / (2.0 * (c1 * c2 / c0 - c3)) / slower;
-    let best = integral * c1 / c0 - 0.5 * c0;
-    // A plant that swings hard wants an integrator alone; a little proportional part keeps the form of the regulator.
-    let proportional = best.max(LEAST_PROPORTIONAL * integral * late);
-    let integral_time_s = proportional / integral;
-    let reason = format!(
-        "modulus optimum for a motor that swings by itself (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
-    );
-    let small_time_s = slower * (late + product / sum);
-    let gains = [proportional, integral_time_s, 0.0];
-    (integral > 0.0).then(|| Found::new(gains, small_time_s, reason))
-}
-
 const DAMPING: f64 = 0.9;
+
 /// Natural frequency times small time constant: what the neglected small time constant leaves of the damping.
 const FREQUENCY_TIMES_SMALL: f64 = 0.35;
 
-/// Pole placement: the two slow poles of the loop by natural frequency and damping; the reference's filter takes the zero.
-fn pole_placement(plant: &LinearPlant, timing: &LoopTiming, slower: f64) -> Found {
-    // The slow part as one time constant (none: an integrator), whatever is quicker as the small one.
-    let (rate, decay, small_s) = if let Some(dominant) = plant.dominant() {
-        (
-            dominant.rate,
-            dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s),
-            dominant.small_s,
-        )
-    } else {
-        let (sum, product) = plant.denominator().unwrap_or((1.0, 1.0));
-        (plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
-    };
-    let small_time_s = slower * (small_s + timing.small_time_s());
-    let natural = FREQUENCY_TIMES_SMALL / small_time_s;
-    if decay > DAMPING * natural {
-        return quick_motor(rate, decay, natural, small_time_s);
+/// Kessler's choice: Tn over the small time constant is its square; a phase margin of 37 degrees at `a` = 2 on a pure
+/// integrator. The overshoot of the reference comes from the zero, and the filter takes it.
+const A: f64 = 2.4;
+
+/// Where a loop is to be closed, and by which rule.
+struct Task<'a> {
+    plant: &'a LinearPlant,
+    timing: &'a LoopTiming,
+    rule: Rule,
+}
+
+impl Task<'_> {
+    /// `slower` stretches the small time constant: the same rule for a loop of less bandwidth.
+    fn by_rule(&self, slower: f64) -> Result<Found, TuningError> {
+        match self.rule {
+            Rule::ModulusOptimum => self.modulus_optimum(slower),
+            Rule::SymmetricalOptimum => self.symmetrical_optimum(slower),
+            Rule::PolePlacement => Ok(self.pole_placement(slower)),
+        }
     }
-    let integral = natural * natural / rate;
-    let proportional = (2.0 * DAMPING * natural - decay) / rate;
-    let integral_time_s = proportional / integral;
-    let reason = format!(
-        "pole placement: natural frequency {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms), damping {DAMPING}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
-        1e3 * small_time_s
-    );
-    let gains = [proportional, integral_time_s, integral_time_s];
-    Found::new(gains, small_time_s, reason)
+
+    fn shape(&self, found: &Found) -> LoopShape {
+        LoopShape::new(self.plant, self.timing, &found.gains)
+    }
+
+    /// The rule as it is or, where its approximations leave too little margin, slowed down until there is enough.
+    fn with_margins(&self) -> Result<Found, TuningError> {
+        let mut slower = 1.0;
+        loop {
+            let mut found = self.by_rule(slower)?;
+            if is_safe(&self.shape(&found).margins()) || slower > SLOWEST {
+                if slower > 1.0 {
+                    found.reasons.push(format!(
+                        "the rule alone left less than {LEAST_PHASE_MARGIN_DEG} degrees or a gain margin below {LEAST_GAIN_MARGIN}: its small time constant is taken {slower:.2} times as large"
+                    ));
+                }
+                return Ok(found);
+            }
+            slower *= SLOWER_BY;
+        }
+    }
+
+    /// The rule, slowed down until the closed loop has the bandwidth that is asked.
+    fn for_bandwidth(&self, asked: f64) -> Result<Found, TuningError> {
+        if !(asked.is_finite() && asked > 0.0) {
+            return Err(TuningError::NoBandwidth(asked));
+        }
+        let margins = |slower: f64| Ok(self.shape(&self.by_rule(slower)?).margins());
+        let safe = |slower: f64| margins(slower).map(|margins| is_safe(&margins));
+        let faster = |slower: f64| margins(slower).map(|margins| margins.bandwidth_rad_s > asked);
+        // The quickest that still has its margins.
+        let (mut quick, mut slow) = (1.0, 1.0);
+        while !safe(slow)? && slow < 1e6 {
+            (quick, slow) = (slow, 2.0 * slow);
+        }
+        while safe(quick)? && quick > 1e-3 {
+            (quick, slow) = (0.5 * quick, quick);
+        }
+        let slow = narrowed(quick, slow, |slower| safe(slower).map(|safe| !safe))?.1;
+        let reachable = margins(slow)?.bandwidth_rad_s;
+        if asked > reachable {
+            return Err(TuningError::Bandwidth {
+                asked,
+                reachable,
+                period_ms: 1e3 * self.timing.period_s,
+                cycles: self.timing.delay_cycles(),
+            });
+        }
+        let (mut quick, mut slow) = (slow, 2.0 * slow);
+        while faster(slow)? && slow < 1e9 {
+            (quick, slow) = (slow, 2.0 * slow);
+        }
+        self.by_rule(narrowed(quick, slow, faster)?.0)
+    }
+
+    /// Modulus optimum (Kessler 1955): the large time constant is cancelled, the gain set by the sum of the small ones.
+    fn modulus_optimum(&self, slower: f64) -> Result<Found, TuningError> {
+        let rule = "modulus optimum";
+        let integrates = TuningError::Integrates { rule };
+        let Some(dominant) = self.plant.dominant() else {
+            return self.swinging(slower).ok_or(integrates);
+        };
+        let large_s = dominant.large_s.ok_or(integrates)?;
+        let small_time_s = slower * (dominant.small_s + self.timing.small_time_s());
+        let proportional = 1.0 / (2.0 * dominant.rate * small_time_s);
+        let reason = format!(
+            "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
+            1e3 * small_time_s
+        );
+        Ok(Found::new(
+            [proportional, large_s, 0.0],
+            small_time_s,
+            reason,
+        ))
+    }
+
+    /// The plant's own poles swing: nothing can be cancelled by a real zero. The same condition, gain one up to the fourth
+    /// power of the frequency, solved for the series of the whole plant with its dead time.
+    fn swinging(&self, slower: f64) -> Option<Found> {
+        let (sum, product) = self.plant.denominator()?;
+        let gain = self.plant.gain()?;
+        let late = self.timing.small_time_s();
+        // (1 + sum s + product s^2) exp(late s) / gain = c0 + c1 s + c2 s^2 + c3 s^3 + ..
+        let c0 = 1.0 / gain;
+        let c1 = (sum + late) / gain;
+        let c2 = (product + sum * late + late * late / 2.0) / gain;
+        let c3 = (product * late + sum * late * late / 2.0 + late.powi(3) / 6.0) / gain;
+        let integral = (c1 * c1 - c0 * c2) / (2.0 * (c1 * c2 / c0 - c3)) / slower;
+        let best = integral * c1 / c0 - 0.5 * c0;
+        // A plant that swings hard wants an integrator alone; a little proportional part keeps the form of the regulator.
+        let proportional = best.max(LEAST_PROPORTIONAL * integral * late);
+        let integral_time_s = proportional / integral;
+        let reason = format!(
+            "modulus optimum for a motor that swings by itself (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
+        );
+        let small_time_s = slower * (late + product / sum);
+        let gains = [proportional, integral_time_s, 0.0];
+        (integral > 0.0).then(|| Found::new(gains, small_time_s, reason))
+    }
+
+    /// Pole placement: the two slow poles of the loop by natural frequency and damping; the reference's filter takes the zero.
+    fn pole_placement(&self, slower: f64) -> Found {
+        // The slow part as one time constant (none: an integrator), whatever is quicker as the small one.
+        let (rate, decay, small_s) = if let Some(dominant) = self.plant.dominant() {
+            (
+                dominant.rate,
+                dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s),
+                dominant.small_s,
+            )
+        } else {
+            let (sum, product) = self.plant.denominator().unwrap_or((1.0, 1.0));
+            (
+                self.plant.gain().unwrap_or(1.0) / sum,
+                1.0 / sum,
+                product / sum,
+            )
+        };
+        let small_time_s = slower * (small_s + self.timing.small_time_s());
+        let natural = FREQUENCY_TIMES_SMALL / small_time_s;
+        if decay > DAMPING * natural {
+            return quick_motor(rate, decay, natural, small_time_s);
+        }
+        let integral = natural * natural / rate;
+        let proportional = (2.0 * DAMPING * natural - decay) / rate;
+        let integral_time_s = proportional / integral;
+        let reason = format!(
+            "pole placement: natural frequency {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms), damping {DAMPING}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
+            1e3 * small_time_s
+        );
+        let gains = [proportional, integral_time_s, integral_time_s];
+        Found::new(gains, small_time_s, reason)
+    }
+
+    /// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
+    fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
+        let integrating = self.plant.dominant().filter(|dominant| {
+            let integral_time_s = A * A * (dominant.small_s + self.timing.small_time_s());
+            dominant
+                .large_s
+                .is_none_or(|large_s| large_s > integral_time_s)
+        });
+        let Some(dominant) = integrating else {
+            let mut found = self.modulus_optimum(slower)?;
+            found.reasons.insert(
+            0,
+            "the motor is quicker than the Tn of the symmetrical optimum: to the loop it is no integrator, and the modulus optimum serves".to_owned(),
+        );
+            return Ok(found);
+        };
+        let small_time_s = slower * (dominant.small_s + self.timing.small_time_s());
+        let proportional = 1.0 / (A * dominant.rate * small_time_s);
+        let integral_time_s = A * A * small_time_s;
+        let reason = format!(
+            "symmetrical optimum with a = {A}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
+            1e3 * small_time_s
+        );
+        let gains = [proportional, integral_time_s, integral_time_s];
+        Ok(Found::new(gains, small_time_s, reason))
+    }
 }
 
 /// A motor that is quicker than the loop would have to be slowed down by a negative gain: its own pole is left to it, and
@@ -399,39 +413,27 @@ fn quick_motor(rate: f64, decay: f64, natural: f64, small_time_s: f64) -> Found 
     Found::new([proportional, integral_time_s, 0.0], small_time_s, reason)
 }
 
-/// Kessler's choice: Tn over the small time constant is its square; a phase margin of 37 degrees at `a` = 2 on a pure
-/// integrator. The overshoot of the reference comes from the zero, and the filter takes it.
-const A: f64 = 2.4;
+/// Nearer limits of a slowing: `low` as long as it is still below, by halves of the ratio.
+fn narrowed(
+    mut low: f64,
+    mut high: f64,
+    is_below: impl Fn(f64) -> Result<bool, TuningError>,
+) -> Result<(f64, f64), TuningError> {
+    for _ in 0..HALVINGS {
+        let middle = (low * high).sqrt();
+        if is_below(middle)? {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    Ok((low, high))
+}
 
-/// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
-fn symmetrical_optimum(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    slower: f64,
-) -> Result<Found, TuningError> {
-    let integrating = plant.dominant().filter(|dominant| {
-        let integral_time_s = A * A * (dominant.small_s + timing.small_time_s());
-        dominant
-            .large_s
-            .is_none_or(|large_s| large_s > integral_time_s)
-    });
-    let Some(dominant) = integrating else {
-        let mut found = modulus_optimum(plant, timing, slower)?;
-        found.reasons.insert(
-            0,
-            "the motor is quicker than the Tn of the symmetrical optimum: to the loop it is no integrator, and the modulus optimum serves".to_owned(),
-        );
-        return Ok(found);
-    };
-    let small_time_s = slower * (dominant.small_s + timing.small_time_s());
-    let proportional = 1.0 / (A * dominant.rate * small_time_s);
-    let integral_time_s = A * A * small_time_s;
-    let reason = format!(
-        "symmetrical optimum with a = {A}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
-        1e3 * small_time_s
-    );
-    let gains = [proportional, integral_time_s, integral_time_s];
-    Ok(Found::new(gains, small_time_s, reason))
+fn is_safe(margins: &Margins) -> bool {
+    margins.radius < 1.0
+        && margins.phase_margin_deg >= LEAST_PHASE_MARGIN_DEG
+        && margins.gain_margin >= LEAST_GAIN_MARGIN
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::{Bounds, KNOWN, relative};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::{output_error, start};
-use crate::numerics::statistics::{finite, largest, mean, variance};
+use crate::numerics::statistics::{finite, largest, mean, mean_step, variance};
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
 use crate::signal::{held, pieces};
@@ -325,11 +325,10 @@ pub(super) fn turned(scenario: &Scenario, rest: Option<RestWinding>) -> Result<T
         starts.extend(start::complete(&partial, scenario));
     }
     let fit = output_error::fit(&starts, scenario, &noise).map_err(|error| error.to_string())?;
-    let times = &scenario.sample_time_s;
     Ok(Turned {
         motor: fit.model.motor,
         parameters: fit.parameters,
-        period_s: (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64,
+        period_s: mean_step(&scenario.sample_time_s),
     })
 }
 

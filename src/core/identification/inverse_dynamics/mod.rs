@@ -30,6 +30,7 @@ use super::verdict::judge;
 use crate::numerics::count::whole;
 use crate::numerics::filter::{Butterworth, decimated};
 use crate::numerics::least_squares;
+use crate::numerics::statistics::extent;
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 use crate::signal;
@@ -60,33 +61,26 @@ pub struct Balanced {
 /// Fits both balances (the torque balance alone where there is no voltage). Angle or speed come from `run`, because the
 /// angle is filtered before it is differentiated.
 pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
-    let mut equations = vec![Balance::Torque];
-    if scenario.input == Input::Voltage {
-        equations.insert(0, Balance::Voltage);
-    }
+    let equations: &[Balance] = match scenario.input {
+        Input::Voltage => &[Balance::Voltage, Balance::Torque],
+        Input::Current | Input::Torque => &[Balance::Torque],
+    };
     let gridded = gridded(run, scenario);
     let mut model = model.clone();
     let mut balances = Vec::new();
-    for equation in equations {
-        let unknowns = balance::unknowns(&model, scenario, equation, |_| true);
+    for &equation in equations {
+        let case = Case {
+            model: &model,
+            scenario,
+            equation,
+            unknowns: balance::unknowns(&model, scenario, equation, |_| true),
+        };
         let balance = match &gridded {
-            None => refused(
-                equation,
-                &unknowns,
+            None => case.refused(
                 None,
                 "no stretch of 60 samples without a gap tells speed or angle and what drives the shaft",
             ),
-            Some(gridded) => {
-                let processing = Processing::choose(gridded);
-                solved(
-                    &model,
-                    scenario,
-                    equation,
-                    &unknowns,
-                    &gridded.parts,
-                    processing,
-                )
-            }
+            Some(gridded) => case.solved(&gridded.parts, Processing::choose(gridded)),
         };
         for estimate in &balance.parameters {
             if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
@@ -124,135 +118,178 @@ fn unresolved(parameter: &mut ParameterEstimate, period_s: f64, ta_s: f64) {
     ));
 }
 
-fn refused(
+/// One balance of one run.
+struct Case<'a> {
+    model: &'a Model,
+    scenario: &'a Scenario,
     equation: Balance,
-    unknowns: &[Unknown],
-    processing: Option<Processing>,
-    reason: &str,
-) -> Balanced {
-    let parameters = unknowns
-        .iter()
-        .map(|unknown| unknown.unsolved(reason))
-        .collect();
-    Balanced {
-        equation,
-        parameters,
-        relative_error_percent: f64::NAN,
-        rows: 0,
-        rows_left_out: 0,
-        offset_spread_percent: f64::NAN,
-        processing,
-    }
+    unknowns: Vec<Unknown>,
 }
 
-fn solved(
-    model: &Model,
-    scenario: &Scenario,
-    equation: Balance,
-    unknowns: &[Unknown],
-    parts: &[Part],
-    processing: Processing,
-) -> Balanced {
-    let rows = |parts: &[Part], processing: &Processing| -> Vec<Rows> {
-        let of_part = |part| rows(model, scenario, equation, unknowns, part, processing);
-        parts.iter().filter_map(of_part).collect()
-    };
-    let full = rows(parts, &processing);
-    if let Some(reason) = why_not(&full, scenario, equation, unknowns) {
-        return refused(equation, unknowns, Some(processing), &reason);
-    }
-    let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
-        let usable = full.iter().flat_map(|rows| &rows.valid).filter(|v| **v);
-        let reason = format!(
-            "{} usable rows: the shaft hardly moves in this run",
-            usable.count()
-        );
-        return refused(equation, unknowns, Some(processing), &reason);
-    };
-    // The same filter on every second sample: what the samples miss between them moves the values. Where motion and
-    // current are well resolved a third of the move would be the error at the full rate, where they are not all of it.
-    let thinned: Vec<Part> = parts.iter().map(Part::thinned).collect();
-    let thin = rows(&thinned, &processing);
-    // Half the cut-off: signs and other terms that the filter blunts err the more the lower it is.
-    let blunter = processing.at_half_cut_off();
-    let blunt = rows(parts, &blunter);
-    let others = [
-        Solved::new(&thin, unknowns, (processing.decimation / 2).max(1)),
-        Solved::new(&blunt, unknowns, blunter.decimation),
-    ];
-    let free: Vec<&Slot> = unknowns
-        .iter()
-        .filter(|unknown| unknown.fixed.is_none())
-        .map(|unknown| &unknown.slot)
-        .collect();
-    let relative = equation == Balance::Torque
-        && scenario.input != Input::Torque
-        && model.motor.torque_constant().is_none();
-    let estimates = free.iter().enumerate().map(|(place, slot)| {
-        let found = solved.judged(place, slot, &free, &others, &processing);
-        if relative {
-            as_ratio(found)
-        } else {
-            gated(found, slot)
+impl Case<'_> {
+    fn refused(&self, processing: Option<Processing>, reason: &str) -> Balanced {
+        let parameters = self.unknowns.iter().map(|unknown| unknown.unsolved(reason));
+        let parameters = parameters.collect();
+        Balanced {
+            equation: self.equation,
+            parameters,
+            relative_error_percent: f64::NAN,
+            rows: 0,
+            rows_left_out: 0,
+            offset_spread_percent: f64::NAN,
+            processing,
         }
-    });
-    let mut estimates = estimates.collect::<Vec<_>>().into_iter();
-    let parameters = unknowns
-        .iter()
-        .map(|unknown| match unknown.fixed {
-            Some(_) => unknown.unsolved(""),
-            None => estimates
-                .next()
-                .expect("one estimate was made for every unknown that is not fixed"),
-        })
-        .collect();
-    let total: usize = full.iter().map(|rows| rows.valid.len()).sum();
-    Balanced {
-        equation,
-        parameters,
-        relative_error_percent: solved.relative_error_percent,
-        rows: total,
-        rows_left_out: total - solved.rows,
-        offset_spread_percent: solved.spread_percent,
-        processing: Some(processing),
     }
-}
 
-/// Why these rows cannot be solved, if they cannot.
-fn why_not(
-    rows: &[Rows],
-    scenario: &Scenario,
-    equation: Balance,
-    unknowns: &[Unknown],
-) -> Option<String> {
-    let lefts = || rows.iter().flat_map(|rows| rows.left.iter().copied());
-    if lefts().all(|left| !left.is_finite()) {
-        let missing = match (equation, scenario.input) {
-            (Balance::Voltage, _) => "voltage",
-            (Balance::Torque, Input::Torque) => "torque",
-            (Balance::Torque, _) => "current",
+    fn solved(&self, parts: &[Part], processing: Processing) -> Balanced {
+        let unknowns = &self.unknowns;
+        let rows = |parts: &[Part], processing: &Processing| -> Vec<Rows> {
+            let of_part = |part| self.rows(part, processing);
+            parts.iter().filter_map(of_part).collect()
         };
-        return Some(format!("the run has no {missing}"));
-    }
-    let unknown = |column: usize| {
-        let mut cells = rows.iter().flat_map(|rows| &rows.columns[column]);
-        cells.all(|cell| !cell.is_finite())
-    };
-    if let Some(column) = (0..unknowns.len()).find(|column| unknown(*column)) {
-        return Some(match &unknowns[column].slot {
-            Slot::Motor(_) => "the run has no current".to_owned(),
-            Slot::Effect { id, .. } => {
-                format!("effect {id} needs a signal that the run does not have (angle or current)")
+        let full = rows(parts, &processing);
+        if let Some(reason) = self.why_not(&full) {
+            return self.refused(Some(processing), &reason);
+        }
+        let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
+            let usable = full.iter().flat_map(|rows| &rows.valid).filter(|v| **v);
+            let reason = format!(
+                "{} usable rows: the shaft hardly moves in this run",
+                usable.count()
+            );
+            return self.refused(Some(processing), &reason);
+        };
+        // The same filter on every second sample: what the samples miss between them moves the values. Where motion and
+        // current are well resolved a third of the move would be the error at the full rate, where they are not all of it.
+        let thinned: Vec<Part> = parts.iter().map(Part::thinned).collect();
+        let thin = rows(&thinned, &processing);
+        // Half the cut-off: signs and other terms that the filter blunts err the more the lower it is.
+        let blunter = processing.at_half_cut_off();
+        let blunt = rows(parts, &blunter);
+        let others = [
+            Solved::new(&thin, unknowns, (processing.decimation / 2).max(1)),
+            Solved::new(&blunt, unknowns, blunter.decimation),
+        ];
+        let free = unknowns.iter().filter(|unknown| unknown.fixed.is_none());
+        let free: Vec<&Slot> = free.map(|unknown| &unknown.slot).collect();
+        let relative = self.equation == Balance::Torque
+            && self.scenario.input != Input::Torque
+            && self.model.motor.torque_constant().is_none();
+        let estimates = free.iter().enumerate().map(|(place, slot)| {
+            let found = solved.judged(place, slot, &free, &others, &processing);
+            if relative {
+                as_ratio(found)
+            } else {
+                gated(found, slot)
             }
         });
+        let mut estimates = estimates.collect::<Vec<_>>().into_iter();
+        let parameters = unknowns
+            .iter()
+            .map(|unknown| match unknown.fixed {
+                Some(_) => unknown.unsolved(""),
+                None => estimates
+                    .next()
+                    .expect("one estimate was made for every unknown that is not fixed"),
+            })
+            .collect();
+        let total: usize = full.iter().map(|rows| rows.valid.len()).sum();
+        Balanced {
+            equation: self.equation,
+            parameters,
+            relative_error_percent: solved.relative_error_percent,
+            rows: total,
+            rows_left_out: total - solved.rows,
+            offset_spread_percent: solved.spread_percent,
+            processing: Some(processing),
+        }
     }
-    let (least, most) = lefts().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), left| {
-        (least.min(left), most.max(left))
-    });
-    let stuck = most - least <= STUCK * most.abs().max(least.abs());
-    stuck.then(|| {
+
+    /// Why these rows cannot be solved, if they cannot.
+    fn why_not(&self, rows: &[Rows]) -> Option<String> {
+        let unknowns = &self.unknowns;
+        let lefts = || rows.iter().flat_map(|rows| rows.left.iter().copied());
+        if lefts().all(|left| !left.is_finite()) {
+            let missing = match (self.equation, self.scenario.input) {
+                (Balance::Voltage, _) => "voltage",
+                (Balance::Torque, Input::Torque) => "torque",
+                (Balance::Torque, _) => "current",
+            };
+            return Some(format!("the run has no {missing}"));
+        }
+        let unknown = |column: usize| {
+            let mut cells = rows.iter().flat_map(|rows| &rows.columns[column]);
+            cells.all(|cell| !cell.is_finite())
+        };
+        if let Some(column) = (0..unknowns.len()).find(|column| unknown(*column)) {
+            return Some(match &unknowns[column].slot {
+                Slot::Motor(_) => "the run has no current".to_owned(),
+                Slot::Effect { id, .. } => {
+                    format!(
+                        "effect {id} needs a signal that the run does not have (angle or current)"
+                    )
+                }
+            });
+        }
+        let (least, most) = extent(lefts());
+        let stuck = most - least <= STUCK * most.abs().max(least.abs());
+        stuck.then(|| {
         format!("what drives the shaft is {most} throughout, to the last digit: no excitation, or a stuck column")
     })
+    }
+
+    fn rows(&self, part: &Part, processing: &Processing) -> Option<Rows> {
+        let (model, scenario, equation) = (self.model, self.scenario, self.equation);
+        let filtered = Filtered::of(part, processing)?;
+        let low_pass = |values: &[f64]| filtered.filter.zero_phase(values);
+        let speed = &filtered.speed;
+        let current = filtered.beside(&part.current_a);
+        let left = match (equation, scenario.input) {
+            (Balance::Voltage, _) => filtered.beside(&held_means(scenario, part)),
+            (Balance::Torque, Input::Torque) => spanned(&filtered.beside(&part.torque_n_m)),
+            (Balance::Torque, Input::Voltage | Input::Current) => {
+                // Without a torque constant in units of it: the caller says so.
+                let kt = model.motor.torque_constant().unwrap_or(1.0);
+                spanned(&current).iter().map(|i| kt * i).collect()
+            }
+        };
+        let at = |k: usize| Instant {
+            time_s: part.time_s(k) - scenario.begin_s(),
+            voltage_v: if equation == Balance::Voltage {
+                left[k]
+            } else {
+                0.0
+            },
+            supply_v: scenario.supply_v(),
+            current_a: current[k],
+            speed_rad_s: speed[k],
+            angle: ShaftAngle::at(part.angle_rad[k]),
+            ..Instant::of(&model.motor)
+        };
+        let signals = Signals {
+            model,
+            equation,
+            current_a: &current,
+            speed_rad_s: speed,
+            at: &at,
+        };
+        let column = |unknown: &Unknown| match signals.column(&unknown.slot) {
+            Column::Values(values) => low_pass(&spanned(&values)),
+            Column::Rate(values) => low_pass(&rate(&values, part.period_s)),
+        };
+        let columns = self.unknowns.iter().map(column).collect();
+        let reach = processing.reach(part.period_s);
+        let valid = match equation {
+            Balance::Voltage => vec![true; speed.len()],
+            Balance::Torque => moving(speed, processing.dead_zone_rad_s, reach),
+        };
+        Some(Rows {
+            time_s: (0..part.samples()).map(|k| part.time_s(k)).collect(),
+            left: low_pass(&left),
+            columns,
+            valid: inside(valid, reach),
+        })
+    }
 }
 
 /// The mean of the fits over all offsets of the decimation.
@@ -276,47 +313,36 @@ impl Solved {
         let first = fits.first()?;
         let size = first.solution.x.len();
         let zero = DMatrix::zeros(size, size);
-        let mean = fits
+        let sum = fits
             .iter()
-            .fold(DVector::zeros(size), |sum, fit| sum + &fit.solution.x)
-            / count;
+            .fold(DVector::zeros(size), |sum, fit| sum + &fit.solution.x);
+        let mean = sum / count;
         // A value that is lost in its noise is no measure for its own spread.
         let size_of = |place: usize| {
-            let variance = first.solution.covariance[(place, place)];
-            let std = if variance.is_finite() {
-                variance.max(0.0).sqrt()
-            } else {
-                0.0
-            };
-            mean[place].abs().max(std).max(f64::MIN_POSITIVE)
+            let std = first.solution.covariance[(place, place)].max(0.0).sqrt();
+            let known = Some(std).filter(|std| std.is_finite()).unwrap_or(0.0);
+            mean[place].abs().max(known).max(f64::MIN_POSITIVE)
         };
-        let spread_percent = (0..size)
-            .map(|place| {
-                let squares: f64 = fits
-                    .iter()
-                    .map(|fit| (fit.solution.x[place] - mean[place]).powi(2))
-                    .sum();
-                100.0 * (squares / count).sqrt() / size_of(place)
-            })
-            .fold(0.0, f64::max);
+        let spread = |place: usize| {
+            let off = fits.iter().map(|fit| fit.solution.x[place] - mean[place]);
+            let squares: f64 = off.map(|off| off.powi(2)).sum();
+            100.0 * (squares / count).sqrt() / size_of(place)
+        };
+        let spread_percent = (0..size).map(spread).fold(0.0, f64::max);
+        let covariance = fits
+            .iter()
+            .fold(zero.clone(), |sum, fit| sum + &fit.solution.covariance);
+        let bread = fits.iter().fold(zero, |sum, fit| sum + &fit.bread);
+        let rows: usize = fits.iter().map(|fit| fit.solution.residual.len()).sum();
+        let errors = fits
+            .iter()
+            .map(|fit| fit.solution.residual.norm() / fit.level);
         Some(Self {
-            covariance: fits
-                .iter()
-                .fold(zero.clone(), |sum, fit| sum + &fit.solution.covariance)
-                / count,
-            bread: fits.iter().fold(zero, |sum, fit| sum + &fit.bread) / count,
-            rows: fits.iter().map(|fit| fit.solution.residual.len()).sum(),
-            rows_per_fit: fits
-                .iter()
-                .map(|fit| fit.solution.residual.len() as f64)
-                .sum::<f64>()
-                / count,
-            relative_error_percent: 100.0
-                * fits
-                    .iter()
-                    .map(|fit| fit.solution.residual.norm() / fit.level)
-                    .sum::<f64>()
-                / count,
+            covariance: covariance / count,
+            bread: bread / count,
+            rows,
+            rows_per_fit: rows as f64 / count,
+            relative_error_percent: 100.0 * errors.sum::<f64>() / count,
             spread_percent,
             x: mean,
         })
@@ -447,14 +473,13 @@ impl Filtered {
         let filter = filter(processing.cut_off_hz, part.period_s)?;
         let angular = processing.motion == Motion::Angle;
         let motion = filter.zero_phase(&part.motion);
-        let speed = if angular {
-            rate(&motion, part.period_s)
-        } else {
-            motion
-        };
         Some(Self {
             filter,
-            speed,
+            speed: if angular {
+                rate(&motion, part.period_s)
+            } else {
+                motion
+            },
             angular,
         })
     }
@@ -468,67 +493,6 @@ impl Filtered {
             filtered
         }
     }
-}
-
-fn rows(
-    model: &Model,
-    scenario: &Scenario,
-    equation: Balance,
-    unknowns: &[Unknown],
-    part: &Part,
-    processing: &Processing,
-) -> Option<Rows> {
-    let filtered = Filtered::of(part, processing)?;
-    let low_pass = |values: &[f64]| filtered.filter.zero_phase(values);
-    let speed = &filtered.speed;
-    let current = filtered.beside(&part.current_a);
-    let left = match (equation, scenario.input) {
-        (Balance::Voltage, _) => filtered.beside(&held_means(scenario, part)),
-        (Balance::Torque, Input::Torque) => spanned(&filtered.beside(&part.torque_n_m)),
-        (Balance::Torque, Input::Voltage | Input::Current) => {
-            // Without a torque constant in units of it: the caller says so.
-            let kt = model.motor.torque_constant().unwrap_or(1.0);
-            spanned(&current).iter().map(|i| kt * i).collect()
-        }
-    };
-    let at = |k: usize| Instant {
-        time_s: part.time_s(k) - scenario.begin_s(),
-        voltage_v: if equation == Balance::Voltage {
-            left[k]
-        } else {
-            0.0
-        },
-        supply_v: scenario.supply_v(),
-        current_a: current[k],
-        speed_rad_s: speed[k],
-        angle: ShaftAngle::at(part.angle_rad[k]),
-        ..Instant::of(&model.motor)
-    };
-    let signals = Signals {
-        model,
-        equation,
-        current_a: &current,
-        speed_rad_s: speed,
-        at: &at,
-    };
-    let columns = unknowns
-        .iter()
-        .map(|unknown| match signals.column(&unknown.slot) {
-            Column::Values(values) => low_pass(&spanned(&values)),
-            Column::Rate(values) => low_pass(&rate(&values, part.period_s)),
-        })
-        .collect();
-    let reach = processing.reach(part.period_s);
-    let valid = match equation {
-        Balance::Voltage => vec![true; speed.len()],
-        Balance::Torque => moving(speed, processing.dead_zone_rad_s, reach),
-    };
-    Some(Rows {
-        time_s: (0..part.samples()).map(|k| part.time_s(k)).collect(),
-        left: low_pass(&left),
-        columns,
-        valid: inside(valid, reach),
-    })
 }
 
 /// Away from the ends of a part, which the filter does not know.
@@ -561,13 +525,8 @@ fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
 
 /// Exact mean of the held voltage over one period either side of each sample: the span of the central differences.
 fn held_means(scenario: &Scenario, part: &Part) -> Vec<f64> {
-    let mean = |time_s: f64| {
-        signal::mean(
-            &scenario.events,
-            time_s - part.period_s,
-            time_s + part.period_s,
-        )
-    };
+    let (events, period_s) = (&scenario.events, part.period_s);
+    let mean = |time_s: f64| signal::mean(events, time_s - period_s, time_s + period_s);
     (0..part.samples()).map(|k| mean(part.time_s(k))).collect()
 }
 
@@ -636,13 +595,12 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         let reach = decimating.reach(part.period_s);
         let valid = inside(moving(speed, processing.dead_zone_rad_s, reach), reach);
         let within = |k: usize| (scored_from_s..=scored_to_s).contains(&part.time_s(k));
+        let valid = (0..speed.len()).filter(|k| valid[*k] && within(*k));
         let one = Stretch {
             filter: both_sides,
             from: at.len(),
             to: at.len() + speed.len(),
-            valid: (0..speed.len())
-                .filter(|k| valid[*k] && within(*k))
-                .collect(),
+            valid: valid.collect(),
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
             let measured = Some(part.angle_rad[k]).filter(|angle| angle.is_finite());
@@ -718,29 +676,23 @@ fn as_run(scenario: &Scenario) -> Option<Run> {
     times.dedup();
     let spread = |points: &[(f64, f64)]| -> Vec<f64> {
         let mut next = points.iter().peekable();
+        let mut at = |time_s: &f64| Some(next.next_if(|point| point.0 <= *time_s)?.1);
         times
             .iter()
-            .map(|time_s| {
-                next.next_if(|point| point.0 <= *time_s)
-                    .map_or(f64::NAN, |point| point.1)
-            })
+            .map(|time_s| at(time_s).unwrap_or(f64::NAN))
             .collect()
     };
     let mut run = Run::new(scenario.name.clone(), times.clone()).ok()?;
-    if !scenario.angle.is_empty() {
-        let angle = spread(&scenario.angle);
-        run.set_column(Channel::Angle, angle, Origin::Measured)
-            .ok()?;
+    let derived = speed_from_angle::span(scenario).map(|_| Origin::Derived);
+    for (channel, points, origin) in [
+        (Channel::Angle, &scenario.angle, Origin::Measured),
+        (drives, &driving, Origin::Measured),
+        (Channel::Speed, &speed, derived.unwrap_or(Origin::Measured)),
+    ] {
+        if channel != Channel::Angle || !points.is_empty() {
+            run.set_column(channel, spread(points), origin).ok()?;
+        }
     }
-    let origin = if speed_from_angle::span(scenario).is_some() {
-        Origin::Derived
-    } else {
-        Origin::Measured
-    };
-    run.set_column(drives, spread(&driving), Origin::Measured)
-        .ok()?;
-    run.set_column(Channel::Speed, spread(&speed), origin)
-        .ok()?;
     Some(run)
 }
 

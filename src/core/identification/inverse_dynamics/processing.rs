@@ -54,11 +54,13 @@ impl Processing {
                 .map(|part| part.period_s * part.samples() as f64)
                 .sum::<f64>();
         let noise = noise(parts);
+        // Differentiations that lead to the speed; one more leads to the acceleration.
+        let of_speed = u16::from(gridded.motion == Motion::Angle);
         let first_hz = SHARE_OF_RATE * rate_hz;
         let mut best = (f64::INFINITY, first_hz);
         let mut cut_off_hz = first_hz;
         while cut_off_hz >= LOWEST * first_hz {
-            let error = acceleration_noise(gridded.motion, noise, cut_off_hz, rate_hz).powi(2);
+            let error = noise_of(1 + of_speed, noise, cut_off_hz, rate_hz).powi(2);
             let power = acceleration_power(gridded, cut_off_hz, rate_hz);
             let share = error / (power - error).max(f64::MIN_POSITIVE);
             if share < best.0 {
@@ -75,7 +77,7 @@ impl Processing {
             .flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz))
             .map(f64::abs)
             .fold(0.0, f64::max);
-        let deviation = speed_noise(gridded.motion, noise, cut_off_hz, rate_hz);
+        let deviation = noise_of(of_speed, noise, cut_off_hz, rate_hz);
         Self {
             motion: gridded.motion,
             order: ORDER,
@@ -86,7 +88,7 @@ impl Processing {
             interpolated: gridded.interpolated,
             lowered: cut_off_hz < 0.999 * first_hz,
             dead_zone_rad_s: (DEAD_ZONE_DEVIATIONS * deviation).max(DEAD_ZONE_SHARE * fastest),
-            acceleration_noise: acceleration_noise(gridded.motion, noise, cut_off_hz, rate_hz),
+            acceleration_noise: noise_of(1 + of_speed, noise, cut_off_hz, rate_hz),
         }
     }
 
@@ -211,27 +213,13 @@ fn noise(parts: &[Part]) -> f64 {
             .fold(finest, f64::min);
     }
     let rough = statistics::robust_deviation(&differences) / 70f64.sqrt();
-    let quantum = if finest.is_finite() {
-        finest / 12f64.sqrt()
-    } else {
-        0.0
-    };
-    rough.max(quantum)
+    let quantum = finest / 12f64.sqrt();
+    rough.max(if quantum.is_finite() { quantum } else { 0.0 })
 }
 
-/// White noise of deviation `sigma` through the low pass and one (two) differentiations: integral of its spectrum up to
-/// the cut-off.
-fn speed_noise(motion: Motion, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 {
-    let derivatives = u16::from(motion == Motion::Angle);
-    spectrum(sigma, derivatives, cut_off_hz, rate_hz)
-}
-
-fn acceleration_noise(motion: Motion, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 {
-    let derivatives = 1 + u16::from(motion == Motion::Angle);
-    spectrum(sigma, derivatives, cut_off_hz, rate_hz)
-}
-
-fn spectrum(sigma: f64, derivatives: u16, cut_off_hz: f64, rate_hz: f64) -> f64 {
+/// White noise of deviation `sigma` through the low pass and so many differentiations: integral of its spectrum up to the
+/// cut-off.
+fn noise_of(derivatives: u16, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 {
     let power = f64::from(2 * derivatives);
     let omega = std::f64::consts::TAU * cut_off_hz;
     sigma * (2.0 * cut_off_hz / rate_hz * omega.powf(power) / (power + 1.0)).sqrt()
@@ -424,11 +412,7 @@ fn on(grid: &[f64], points: &[(f64, f64)], curved: bool) -> (Vec<f64>, bool) {
     } else if curved {
         (spline(points, grid), true)
     } else {
-        (
-            grid.iter()
-                .map(|at| signal::line_with_ends(points, *at))
-                .collect(),
-            true,
-        )
+        let line = grid.iter().map(|at| signal::line_with_ends(points, *at));
+        (line.collect(), true)
     }
 }

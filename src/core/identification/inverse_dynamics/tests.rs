@@ -42,10 +42,8 @@ fn axis(seconds: f64, asymmetry: f64) -> Run {
             x += v * h;
         }
     }
-    let run = run_of(
-        times,
-        [(Channel::Torque, forces), (Channel::Angle, positions)],
-    );
+    let columns = [(Channel::Torque, forces), (Channel::Angle, positions)];
+    let run = run_of(times, columns);
     speed_from_angle::complete(&run).unwrap()
 }
 
@@ -83,9 +81,7 @@ fn a_linear_axis_in_a_closed_loop_gives_all_four_values() {
     assert!((processing.cut_off_hz - 100.0).abs() < 0.1 && processing.decimation == 5);
     for (key, truth) in TRUTH {
         let parameter = found(&balances, key);
-        let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
-        assert!((value / truth - 1.0).abs() < 0.005, "{parameter:?} {truth}");
-        assert!((value - truth).abs() < 3.0 * std, "{parameter:?} {truth}");
+        assert_covers(parameter, truth, 0.005, 3.0);
         assert_eq!(parameter.verdict, Verdict::Settled, "{parameter:?}");
     }
     assert!(balances[0].relative_error_percent < 3.0);
@@ -93,11 +89,7 @@ fn a_linear_axis_in_a_closed_loop_gives_all_four_values() {
 
 #[test]
 fn friction_that_differs_by_direction_shows_in_the_error_and_widens_the_interval() {
-    let (plain, skewed) = (axis(9.6, 0.0), axis(9.6, 37.0));
-    let (plain, skewed) = (
-        fitted(&axis_model(), &plain),
-        fitted(&axis_model(), &skewed),
-    );
+    let [plain, skewed] = [0.0, 37.0].map(|asymmetry| fitted(&axis_model(), &axis(9.6, asymmetry)));
     assert!(skewed[0].relative_error_percent > 1.5 * plain[0].relative_error_percent);
     let key = "viscous_friction.viscous_n_m_s_per_rad";
     assert!(found(&skewed, key).std > found(&plain, key).std);
@@ -120,18 +112,14 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
     let out = testing::simulated(&paper(), Input::Voltage, events, times);
     let times = out.sample_time_s.clone();
     let held = times.iter().map(|t| out.input_at(*t)).collect();
+    let current = noisy(&out.current_a, CURRENT_NOISE_A, &mut rng);
+    let speed = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S, &mut rng);
     run_of(
         times,
         [
             (Channel::Voltage, held),
-            (
-                Channel::Current,
-                noisy(&out.current_a, CURRENT_NOISE_A, &mut rng),
-            ),
-            (
-                Channel::Speed,
-                noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S, &mut rng),
-            ),
+            (Channel::Current, current),
+            (Channel::Speed, speed),
         ],
     )
 }
@@ -311,11 +299,12 @@ fn the_interval_covers_on_even_jittered_slow_and_quantised_data() {
         assert!(share > least, "{name} {share}");
         let settled = all.iter().filter(|p| p.verdict == Verdict::Settled);
         let settled = settled.count() as f64 / all.len() as f64;
-        let few = name == "slow";
-        assert!(
-            if few { settled < 0.01 } else { settled > 0.95 },
-            "{name} {settled}"
-        );
+        let as_it_should = if name == "slow" {
+            settled < 0.01
+        } else {
+            settled > 0.95
+        };
+        assert!(as_it_should, "{name} {settled}");
     }
 }
 

@@ -175,8 +175,7 @@ fn estimates(
 ) -> Vec<ParameterEstimate> {
     let model = &problem.model_at(&minimum.x);
     let covariance = covariance_at(minimum, problem.rows(), scenario);
-    let times = &scenario.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let period_s = statistics::mean_step(&scenario.sample_time_s);
     let slopes = problem.slopes(&minimum.x);
     let still = problem.why_still(&minimum.residual);
     model

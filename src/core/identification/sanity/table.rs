@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use crate::identification::window_sums::{Sums, trapezoid, windows};
 use crate::numerics::least_squares::{NormalFit, fit_normal};
-use crate::numerics::statistics::{finite, largest, median_step};
+use crate::numerics::statistics::{extent, finite, largest, median_step};
 use crate::plant::{Input, Scenario};
 use crate::signal;
 
@@ -84,8 +84,7 @@ impl Activity {
         let count = present.len();
         let n = count.max(1) as f64;
         let mean = present.iter().sum::<f64>() / n;
-        let least = present.iter().copied().fold(f64::INFINITY, f64::min);
-        let most = present.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let (least, most) = extent(&present);
         let deviation: f64 = present.iter().map(|v| (v - mean).powi(2)).sum();
         let difference: f64 = present.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let noise = (0.5 * difference / n).sqrt();

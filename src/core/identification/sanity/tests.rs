@@ -256,21 +256,13 @@ fn a_signal_that_contradicts_itself_is_named() {
     let good = || columns(0.002, 9);
     let mut bad = good();
     bad.current.iter_mut().for_each(|i| *i = i.clamp(-8.0, 8.0));
-    refused(
-        &bad.run(),
-        unknown(),
-        Kind::Clipped,
-        &["8.000000", "cut off"],
-    );
+    let parts = ["8.000000", "cut off"];
+    refused(&bad.run(), unknown(), Kind::Clipped, &parts);
     let mut bad = good();
     let held = bad.speed[700];
     bad.speed[700..1300].fill(held);
-    refused(
-        &bad.run(),
-        unknown(),
-        Kind::Frozen,
-        &["for 600 rows", "1.400"],
-    );
+    let parts = ["for 600 rows", "1.400"];
+    refused(&bad.run(), unknown(), Kind::Frozen, &parts);
     for signal in 0..3 {
         let mut bad = good();
         bad.signal(signal).iter_mut().for_each(|x| *x = x.abs());

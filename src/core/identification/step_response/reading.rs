@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Read;
+use crate::numerics::root::halved;
 use crate::numerics::statistics;
 use crate::plant::{Input, Scenario};
 
@@ -110,9 +111,10 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
     // Levels: begin and voltage; a held value that is written on every row is one level.
     let mut levels: Vec<(f64, f64)> = Vec::new();
     for &(at_s, volts) in &scenario.events {
-        if levels.last().is_none_or(|level| {
+        let differs = |level: &(f64, f64)| {
             (volts - level.1).abs() > (SAME_LEVEL * level.1.abs()).max(NOISE * most_v)
-        }) {
+        };
+        if levels.last().is_none_or(differs) {
             levels.push((at_s, volts));
         }
     }
@@ -125,17 +127,11 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
         let rest = statistics::finite(&scenario.speed_rad_s[first..step_sample]);
         let still =
             rest.len() >= *REST.start() && statistics::median(&rest).abs() <= AT_REST * most_rad_s;
-        if before.1.abs() <= ZERO * most_v
-            && level.1.abs() > ZERO * most_v
-            && still
-            && until_s > level.0
-        {
-            let held = scenario
-                .events
-                .iter()
-                .filter(|event| event.0 >= level.0 && event.0 < until_s)
-                .map(|event| event.1)
-                .collect::<Vec<_>>();
+        let out_of_rest = before.1.abs() <= ZERO * most_v && level.1.abs() > ZERO * most_v;
+        if out_of_rest && still && until_s > level.0 {
+            let during = |event: &&(f64, f64)| event.0 >= level.0 && event.0 < until_s;
+            let held = scenario.events.iter().filter(during).map(|event| event.1);
+            let held: Vec<f64> = held.collect();
             steps.push(Step {
                 at_s: level.0,
                 until_s,
@@ -161,17 +157,16 @@ struct Response {
 
 impl Response {
     fn of(scenario: &Scenario, step: Step) -> Result<Self, String> {
-        let inside: Vec<usize> = (0..scenario.samples())
-            .filter(|k| {
-                let t = scenario.sample_time_s[*k];
-                t > step.at_s && t < step.until_s
-            })
-            .collect();
         let series = |values: &[f64]| -> Vec<(f64, f64)> {
-            let points = inside
+            let points = scenario
+                .sample_time_s
                 .iter()
-                .map(|k| (scenario.sample_time_s[*k] - step.at_s, values[*k]));
-            points.filter(|point| point.1.is_finite()).collect()
+                .copied()
+                .zip(values.iter().copied());
+            points
+                .filter(|(t, value)| *t > step.at_s && *t < step.until_s && value.is_finite())
+                .map(|(t, value)| (t - step.at_s, value))
+                .collect()
         };
         let speed = series(&scenario.speed_rad_s);
         if speed.len() < FEWEST {
@@ -261,11 +256,8 @@ impl Response {
         let slope = 0.3 / tm;
         let noise_s = self.noise / slope / (1.0 + 0.1 * tm / self.period_s).sqrt();
         let spread = |difference: f64| {
-            [difference, friction_delay_s, sampling_s, noise_s]
-                .iter()
-                .map(|part| part * part)
-                .sum::<f64>()
-                .sqrt()
+            let parts = [difference, friction_delay_s, sampling_s, noise_s];
+            parts.iter().map(|part| part * part).sum::<f64>().sqrt()
         };
         let electrical = ta
             .ok_or_else(|| {
@@ -386,10 +378,9 @@ impl Response {
         let room = current * final_speed - steady.value * speed;
         // Without a peak well above the steady current the two equations are one.
         if !(sign * current > 1.5 * sign * steady.value && room * voltage * final_speed > 0.0) {
-            return Err(
-                "the current has no peak well above its steady value: a larger step shows it"
-                    .to_owned(),
-            );
+            let reason =
+                "the current has no peak well above its steady value: a larger step shows it";
+            return Err(reason.to_owned());
         }
         let value = voltage * (final_speed - speed) / room;
         let back_emf = (voltage - value * steady.value) / final_speed;
@@ -411,12 +402,8 @@ impl Response {
 
     /// `L = u/(di/dt)` at the start, from a parabola without a constant through the current's first rise.
     fn inductance(&self, ta_s: f64) -> Result<Read, String> {
-        let start: Vec<(f64, f64)> = self
-            .current
-            .iter()
-            .copied()
-            .take_while(|point| point.0 <= 0.6 * ta_s)
-            .collect();
+        let start = self.current.iter().copied();
+        let start: Vec<(f64, f64)> = start.take_while(|point| point.0 <= 0.6 * ta_s).collect();
         if start.len() < FEWEST_AT_START {
             return Err(format!(
                 "{} samples of the current within its first rise ({:.1} ms), at least {FEWEST_AT_START} are needed: \
@@ -431,10 +418,8 @@ impl Response {
         let determinant = sum(2) * sum(4) - sum(3) * sum(3);
         let slope = (with(1) * sum(4) - with(2) * sum(3)) / determinant;
         let bend = (with(2) * sum(2) - with(1) * sum(3)) / determinant;
-        let misfit: f64 = start
-            .iter()
-            .map(|p| (p.1 - slope * p.0 - bend * p.0 * p.0).powi(2))
-            .sum();
+        let misses = start.iter().map(|p| p.1 - slope * p.0 - bend * p.0 * p.0);
+        let misfit: f64 = misses.map(|miss| miss.powi(2)).sum();
         let noise = (misfit / (start.len() - 2) as f64 * sum(4) / determinant).sqrt();
         // A parabola stands for an exponential: its third term is left out.
         let cut_off = slope * (0.6f64).powi(2) / 30.0;
@@ -510,26 +495,13 @@ fn meeting_time(r: f64) -> f64 {
     } else {
         20.0
     };
-    bisect(0.0, end.min(20.0), |x| height(x, r) - MEETING)
+    halved(0.0, end.min(20.0), 60, |x| height(x, r) - MEETING < 0.0)
 }
 
 /// Ratio of the curve whose height at half of TM is `half`; `None` for a height that none of them has.
 fn ratio(half: f64) -> Option<f64> {
     let within = half < height(0.5, 0.0) && half > height(0.5, LARGEST_RATIO);
-    within.then(|| bisect(0.0, LARGEST_RATIO, |r| half - height(0.5, r)))
-}
-
-/// Root of a function that rises through zero.
-fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if f(middle) < 0.0 {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    0.5 * (low + high)
+    within.then(|| halved(0.0, LARGEST_RATIO, 60, |r| half - height(0.5, r) < 0.0))
 }
 
 #[cfg(test)]
