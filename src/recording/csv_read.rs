@@ -278,10 +278,9 @@ impl<R: BufRead> CsvRows<R> {
         file: &str,
         options: ReadOptions<'_>,
     ) -> Result<Self, RecordingError> {
-        let time = options
-            .map
-            .and_then(|map| map.items().iter().find(|item| item.target.is_none()))
-            .map_or("time_s", |item| item.header.as_str());
+        let mut items = options.map.map_or(&[][..], ColumnMap::items).iter();
+        let time = items.find(|item| item.target.is_none());
+        let time = time.map_or("time_s", |item| item.header.as_str());
         let (headers, dialect, lines_before) = head(&mut reader, file, time)?;
         let mut warnings = Vec::new();
         let wanted = match options.map {
@@ -446,11 +445,7 @@ impl<R: BufRead> CsvRows<R> {
                 file,
                 line: self.line(),
             },
-            _ => RecordingError::Io {
-                path: file,
-                doing: "read",
-                reason: error.to_string(),
-            },
+            _ => unread(&file, error),
         }
     }
 
@@ -561,6 +556,14 @@ impl<R: BufRead> CsvRows<R> {
     }
 }
 
+fn unread(file: &str, error: &dyn std::error::Error) -> RecordingError {
+    RecordingError::Io {
+        path: file.to_owned(),
+        doing: "read",
+        reason: error.to_string(),
+    }
+}
+
 /// Headers, dialect, and number of the header row: the first line that is neither blank nor a remark. A line that begins with
 /// `#` but has the time column is a header, as some tools write it.
 fn head(
@@ -579,11 +582,7 @@ fn head(
     for lines in 1.. {
         bytes.clear();
         let count = reader.read_until(b'\n', &mut bytes);
-        let count = count.map_err(|error| RecordingError::Io {
-            path: file.to_owned(),
-            doing: "read",
-            reason: error.to_string(),
-        })?;
+        let count = count.map_err(|error| unread(file, &error))?;
         if count == 0 {
             break;
         }
@@ -607,17 +606,13 @@ fn head(
         let is_remark = text[0] == b'#';
         // Only a line end within its field tells that a quote is not closed.
         let line = [text, b"\n"].concat();
-        let found = separators
-            .iter()
-            .map(|separator| headers(&line, *separator, lines, file))
-            .collect::<Result<Vec<_>, _>>();
-        let found = match found {
+        let of = |separator: &u8| headers(&line, *separator, lines, file);
+        let found = match separators.iter().map(of).collect::<Result<Vec<_>, _>>() {
             Err(_) if is_remark => continue,
             found => found?,
         };
-        let with_time = found
-            .iter()
-            .position(|names| names.iter().any(|n| n == time));
+        let has_time = |names: &Vec<String>| names.iter().any(|name| name == time);
+        let with_time = found.iter().position(has_time);
         if is_remark && with_time.is_none() {
             continue;
         }

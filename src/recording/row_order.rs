@@ -79,11 +79,8 @@ impl RowOrder {
         match sample.applied {
             Some(applied) => self.place_applied(applied, &mut own),
             None => {
-                while self
-                    .waiting
-                    .front()
-                    .is_some_and(|row| row.time_s <= own.time_s)
-                {
+                let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
+                while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
                     self.place_front(None, &mut own);
                 }
             }
@@ -186,10 +183,8 @@ impl RowOrder {
     }
 
     fn shows(&self, row: &Row) -> bool {
-        self.layout
-            .channels()
-            .iter()
-            .any(|channel| row.get(*channel).is_some())
+        let mut channels = self.layout.channels().iter();
+        channels.any(|channel| row.get(*channel).is_some())
     }
 
     /// Stale values are left out and said to be stale: the value would be a repeat of an older instant.
