@@ -118,9 +118,8 @@ impl LineWatch {
             line.foreign_writes,
         ];
         let matters = self.matters.iter_mut().zip(counts);
-        matters
-            .filter_map(|(matter, count)| matter.look(now_s, count))
-            .collect()
+        let news = matters.filter_map(|(matter, count)| matter.look(now_s, count));
+        news.collect()
     }
 
     /// An exchange of a run that ended at `now_s`.

@@ -279,7 +279,7 @@ pub(super) fn gone(link: String) -> LinkError {
     LinkError::Gone(link, "unplugged".to_owned())
 }
 
-fn timeout(link: LinkName, request: &str) -> LinkError {
+pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {
     LinkError::Timeout {
         link: link.0,
         deadline_ms: 5,

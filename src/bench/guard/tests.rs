@@ -192,12 +192,8 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
         // On for half of the time.
         let on = cycle % 2 == 0;
         on_cycles += u32::from(on);
-        let demand = if on {
-            Demand::Voltage(1.0)
-        } else {
-            Demand::Disable
-        };
-        guard.shape(now_s, demand);
+        let volts = Demand::Voltage(1.0);
+        guard.shape(now_s, if on { volts } else { Demand::Disable });
         guard.watch(now_s, &sample(now_s), true);
     }
     assert_eq!(guard.tripped().unwrap().kind, TripKind::TimeLimit);

@@ -81,10 +81,8 @@ impl Case {
             &mut || {
                 tries += 1;
                 if tries < self.there_at {
-                    return Err(LinkError::Open(
-                        "x".to_owned(),
-                        "it does not exist".to_owned(),
-                    ));
+                    let reason = "it does not exist".to_owned();
+                    return Err(LinkError::Open("x".to_owned(), reason));
                 }
                 let mut drive = ScriptedDrive::new(0.01);
                 drive.faults.extend(self.faults.iter().cloned());
@@ -125,10 +123,8 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
     assert_eq!(done.events[0]["watchdog_s"], 0.3);
     assert_eq!(done.events[0]["time_s"], 15.0);
     let last = &done.events[2];
-    assert_eq!(
-        (&last["ending"], &last["identity"]["serial_number"]),
-        (&"stopped".into(), &"7".into())
-    );
+    assert_eq!(last["ending"], "stopped");
+    assert_eq!(last["identity"]["serial_number"], "7");
     assert_eq!(done.shown.phase, Some(Phase::Safe));
     let shown = done.shown.reopening.as_deref().unwrap();
     has(shown, "stop confirmed; nothing is armed");

@@ -99,10 +99,10 @@ impl ReferencePart {
     fn speeds(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::Constant { speed_rad_s, .. } => vec![("speed_rad_s", *speed_rad_s)],
-            Self::Steps { levels_rad_s, .. } => levels_rad_s
-                .iter()
-                .map(|level| ("levels_rad_s", *level))
-                .collect(),
+            Self::Steps { levels_rad_s, .. } => {
+                let levels = levels_rad_s.iter();
+                levels.map(|level| ("levels_rad_s", *level)).collect()
+            }
             Self::Square {
                 low_rad_s,
                 high_rad_s,
@@ -148,9 +148,8 @@ impl ReferencePart {
                 .or_else(|| count("periods", *periods as usize, 1)),
             Self::Polyline { points } => {
                 let start = points.first().map_or(0.0, |first| first[0]);
-                let back = points
-                    .windows(2)
-                    .find(|pair| pair[1][0].is_nan() || pair[1][0] <= pair[0][0]);
+                let is_back = |pair: &&[[f64; 2]]| pair[1][0].is_nan() || pair[1][0] <= pair[0][0];
+                let back = points.windows(2).find(is_back);
                 let last = points.last().map_or(0.0, |last| last[0]);
                 count("number of points", points.len(), 2)
                     .or_else(|| (start != 0.0).then_some(("points", start, "0 as the first time")))
@@ -162,36 +161,37 @@ impl ReferencePart {
 
     /// Lines `(length, from, to)`.
     fn lines(&self) -> Vec<(f64, f64, f64)> {
+        let held = |level: &f64, seconds: f64| (seconds, *level, *level);
         match self {
             Self::Constant {
                 speed_rad_s,
                 seconds,
-            } => vec![(*seconds, *speed_rad_s, *speed_rad_s)],
+            } => vec![held(speed_rad_s, *seconds)],
             Self::Steps {
                 levels_rad_s,
                 hold_s,
             } => levels_rad_s
                 .iter()
-                .map(|level| (*hold_s, *level, *level))
+                .map(|level| held(level, *hold_s))
                 .collect(),
             Self::Square {
                 low_rad_s,
                 high_rad_s,
                 half_period_s,
                 periods,
-            } => (0..*periods)
-                .flat_map(|_| [*high_rad_s, *low_rad_s])
-                .map(|level| (*half_period_s, level, level))
-                .collect(),
+            } => {
+                let period = [high_rad_s, low_rad_s].map(|level| held(level, *half_period_s));
+                period.repeat(*periods as usize)
+            }
             Self::Ramp {
                 from_rad_s,
                 to_rad_s,
                 seconds,
             } => vec![(*seconds, *from_rad_s, *to_rad_s)],
-            Self::Polyline { points } => points
-                .windows(2)
-                .map(|pair| (pair[1][0] - pair[0][0], pair[0][1], pair[1][1]))
-                .collect(),
+            Self::Polyline { points } => {
+                let line = |pair: &[[f64; 2]]| (pair[1][0] - pair[0][0], pair[0][1], pair[1][1]);
+                points.windows(2).map(line).collect()
+            }
         }
     }
 }
@@ -314,9 +314,8 @@ impl Reference {
     }
 
     pub fn part_at(&self, time_s: f64) -> usize {
-        self.parts
-            .partition_point(|(_, end_s)| *end_s <= time_s)
-            .min(self.parts.len().saturating_sub(1))
+        let after = self.parts.partition_point(|(_, end_s)| *end_s <= time_s);
+        after.min(self.parts.len().saturating_sub(1))
     }
 
     pub fn part_name(&self, index: usize) -> &str {
@@ -350,9 +349,8 @@ impl Reference {
     }
 
     fn start_of(&self, index: usize) -> f64 {
-        index
-            .checked_sub(1)
-            .map_or(0.0, |before| self.lines[before].end_s)
+        let before = index.checked_sub(1);
+        before.map_or(0.0, |before| self.lines[before].end_s)
     }
 }
 
@@ -432,11 +430,9 @@ mod tests {
         near(reference.peak_rad_s(), 50.0, 1e-12);
         assert_eq!(reference.part_name(reference.part_at(1.5)), "constant 2");
         assert_eq!(reference.part_name(reference.part_at(99.0)), "steps");
-        let steps = reference.steps();
-        let found: Vec<[f64; 4]> = steps
-            .iter()
-            .map(|step| [step.at_s, step.until_s, step.from_rad_s, step.to_rad_s])
-            .collect();
+        let steps = reference.steps().into_iter();
+        let steps = steps.map(|step| [step.at_s, step.until_s, step.from_rad_s, step.to_rad_s]);
+        let found: Vec<[f64; 4]> = steps.collect();
         assert_eq!(
             found,
             [
