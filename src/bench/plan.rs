@@ -485,26 +485,20 @@ fn parameters(trace: &Trace, motor: &Nameplate, rate_hz: f64) -> Vec<Observabili
     };
     let electrical_s = motor.inductance_h / motor.resistance_ohm;
     let periods = 1.0 / (rate_hz * electrical_s);
+    let exact = "only exact discretisation or output error sees it";
+    let over = "the transient is over between two samples: use burst capture";
     let (prospect, verdict) = if periods <= 1.0 / GOOD_SAMPLES {
         (Prospect::Good, "the transient is sampled")
     } else if periods <= MOST_PERIODS {
-        (
-            Prospect::Weak,
-            "only exact discretisation or output error sees it",
-        )
+        (Prospect::Weak, exact)
     } else {
-        (
-            Prospect::NotObservable,
-            "the transient is over between two samples: use burst capture",
-        )
+        (Prospect::NotObservable, over)
     };
+    let one_way = "one direction only: it cannot be parted from a constant load";
     let load = match (forward, backward) {
         (true, true) => (Prospect::Good, "both directions part it from an offset"),
         (false, false) => (Prospect::NotObservable, "the shaft does not move"),
-        _ => (
-            Prospect::Weak,
-            "one direction only: it cannot be parted from a constant load",
-        ),
+        _ => (Prospect::Weak, one_way),
     };
     vec![
         by_share(MotorKey::Resistance, current_share, "the current"),

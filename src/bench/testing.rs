@@ -456,6 +456,13 @@ impl Default for Course<'_> {
 }
 
 impl Course<'_> {
+    pub(super) fn at(rate_hz: f64) -> Self {
+        Self {
+            rate_hz,
+            ..Self::default()
+        }
+    }
+
     pub(super) fn run(
         self,
         session: Session,

@@ -258,20 +258,14 @@ mod tests {
     fn a_factor_may_be_a_column_or_its_sign() {
         let column = |name: &str| Factor::Column(name.to_owned());
         let sign = |name: &str| Factor::SignOf(name.to_owned());
-        let (power, product) = (
-            [column("duty"), column("bus_v")],
-            [column("a"), column("b, c")],
-        );
+        let power = [column("duty"), column("bus_v")];
+        let product = [column("a"), column("b, c")];
+        let first = [sign("u, V"), column("rpm")];
         for (source, columns, factor, offset) in [
             ("duty*bus_v", power, 1.0, 0.0),
             ("a*-2*\"b, c\"*0.5+3", product, -1.0, 3.0),
             ("rpm*0.1*sign(u)", [column("rpm"), sign("u")], 0.1, 0.0),
-            (
-                "sign( \"u, V\" )*rpm",
-                [sign("u, V"), column("rpm")],
-                1.0,
-                0.0,
-            ),
+            ("sign( \"u, V\" )*rpm", first, 1.0, 0.0),
         ] {
             let map: ColumnMap = format!("time_s=t,current_a={source}").parse().unwrap();
             let item = &map.items()[1];

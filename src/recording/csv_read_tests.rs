@@ -88,6 +88,8 @@ fn errors_name_row_column_and_value() {
     let (unclosed, swallows, joined) = (quote(2), quote(5), quote(4));
     let empty = "the file is empty (a header row and data rows are needed)";
     let stays = "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)";
+    let timeless = "row 1 (line 2): no time in column \"time_s\"";
+    let unknown = "no column that drivebench knows beside time_s";
     let two = "2 columns are called \"current_a\", exactly one is needed";
     let row = |cells: &str| format!("time_s,current_a/{cells}/");
     let (short, long) = (row("0,1/1/2,3"), row("0,1/1,2,3"));
@@ -99,14 +101,8 @@ fn errors_name_row_column_and_value() {
         (&long, "row 2 (line 3): 3 cells, the header has 2"),
         ("time_s,current_a/0,1 A/", &amps),
         ("time_s,current_a/0,inf/", &infinite),
-        (
-            &row("nan,1"),
-            "row 1 (line 2): no time in column \"time_s\"",
-        ),
-        (
-            "time_s,foo/0,1/",
-            "no column that drivebench knows beside time_s",
-        ),
+        (&row("nan,1"), timeless),
+        ("time_s,foo/0,1/", unknown),
         ("t,current_a/0,1/", "no column \"time_s\" in the header"),
         ("time_s,current_a,current_a/0,1,1/", two),
         ("time_s,current_a/0,\"1/1,2/", &unclosed),

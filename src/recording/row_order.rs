@@ -262,10 +262,8 @@ mod tests {
             assert_eq!(width(&read), width(row));
             assert_eq!(read.quality, row.quality);
         }
-        assert_eq!(
-            rows[1].quality, "",
-            "the drive's own stamp is not missing anything"
-        );
+        let why = "the drive's own stamp is not missing anything";
+        assert_eq!(rows[1].quality, "", "{why}");
         let plain = Layout::of_drive(&[Channel::Current]).header();
         assert!(!plain.contains("half_width"));
     }
@@ -349,11 +347,8 @@ mod tests {
                 text.extend(rows.iter().map(|row| layout.line(row)));
             }
             assert_eq!(text, expected, "{name}");
-            assert_eq!(
-                (order.repeats(), order.unconfirmed()),
-                (repeats, unconfirmed),
-                "{name}"
-            );
+            let counts = (order.repeats(), order.unconfirmed());
+            assert_eq!(counts, (repeats, unconfirmed), "{name}");
         }
     }
 

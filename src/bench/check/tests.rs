@@ -37,11 +37,14 @@ fn options() -> CheckOptions<'static> {
     }
 }
 
+fn asking(change: impl FnOnce(&mut CheckOptions<'static>)) -> CheckOptions<'static> {
+    let mut options = options();
+    change(&mut options);
+    options
+}
+
 fn waived() -> CheckOptions<'static> {
-    CheckOptions {
-        waivers: NO_WATCHDOG,
-        ..options()
-    }
+    asking(|options| options.waivers = NO_WATCHDOG)
 }
 
 fn limits() -> Limits {
@@ -409,10 +412,7 @@ fn hardware_needs_to_be_allowed() {
     for hardware_allowed in [false, true] {
         let mut drive = ScriptedDrive::new(0.01);
         drive.is_emulator = false;
-        let asked = CheckOptions {
-            hardware_allowed,
-            ..options()
-        };
+        let asked = asking(|options| options.hardware_allowed = hardware_allowed);
         let report = scripted(drive, asked).unwrap();
         let is_by_identity = report.refusal().unwrap().name == "identity";
         assert_eq!(is_by_identity, !hardware_allowed);
@@ -432,10 +432,7 @@ fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
 fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
-    let asked = CheckOptions {
-        reset_fault: true,
-        ..options()
-    };
+    let asked = asking(|options| options.reset_fault = true);
     refuses(&checked(&mut drive, asked), "identity", "");
     assert!(drive.demands.is_empty() && drive.stops == 0);
 }
@@ -451,10 +448,7 @@ fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
         };
         link.exchange(left).unwrap();
         clock.set_time_s(1.0);
-        let asked = CheckOptions {
-            reset_fault,
-            ..options()
-        };
+        let asked = asking(|options| options.reset_fault = reset_fault);
         let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
         if reset_fault {
             passes(&report);

@@ -17,6 +17,12 @@ fn told() -> Told {
     }
 }
 
+fn told_but(change: impl FnOnce(&mut Told)) -> Told {
+    let mut told = told();
+    change(&mut told);
+    told
+}
+
 fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -> InitRequest<'a> {
     InitRequest {
         profile,
@@ -104,10 +110,7 @@ fn what_was_not_read_back_is_said() {
     assert!(file.bench.limits().bus_max_v.is_none());
     has(&file.text, "none of its own limits is known here");
     has(&file.text, "# bus_min_v: none. ");
-    let mute = Told {
-        current_limit_a: None,
-        ..told()
-    };
+    let mute = told_but(|told| told.current_limit_a = None);
     let file = made("own", &plate(), mute).unwrap();
     let current = &reason(&file, "limits.current_a").reason;
     has(current, "does not tell its own current limit");
@@ -138,10 +141,7 @@ fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
     assert!(speed.drive_lag_s.is_some());
     let speed = "drivebench speed b.toml --hardware --headless";
     assert_eq!(file.next("b.toml"), [speed]);
-    let unknown = Told {
-        watchdog_s: None,
-        ..told()
-    };
+    let unknown = told_but(|told| told.watchdog_s = None);
     let remarks = made("epulse50-dc", &plate(), unknown).unwrap().remarks;
     has(remarks.join("\n"), "--waive-watchdog");
     // Its reference takes 3000 rpm.
@@ -234,10 +234,7 @@ fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
     let mut map = (*profile.registers.clone().unwrap()).clone();
     map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
-    let silent = Told {
-        watchdog_s: Some(0.0),
-        ..told()
-    };
+    let silent = told_but(|told| told.watchdog_s = Some(0.0));
     let motor = plate();
     let file = init_file(&request(&profile, &motor, silent)).unwrap();
     let silence = reason(&file, "limits.link_silence_s");

@@ -209,11 +209,7 @@ impl Trial {
         if self.waived {
             session = session.with_waivers(vec!["plausibility".to_owned()]);
         }
-        let course = Course {
-            rate_hz: self.rate_hz,
-            ..Course::default()
-        };
-        let (summary, _) = course.run(session, &mut link, &mut clock);
+        let (summary, _) = Course::at(self.rate_hz).run(session, &mut link, &mut clock);
         let last = link.by.last;
         assert!(matches!(last, Demand::Stop | Demand::Disable), "{last:?}");
         summary.outcome

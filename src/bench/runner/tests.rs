@@ -276,11 +276,7 @@ fn in_real_time_every_deadline_is_either_kept_or_counted() {
     };
     let guard = Guard::new(limits, &bench.nameplate().unwrap(), None);
     let session = Session::new(constant(0.3, Demand::Voltage(5.0)), guard);
-    let course = Course {
-        rate_hz: 200.0,
-        ..Course::default()
-    };
-    let (summary, _) = course.run(session, &mut ScriptedDrive::new(0.005), &mut clock);
+    let (summary, _) = Course::at(200.0).run(session, &mut ScriptedDrive::new(0.005), &mut clock);
     assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
     let deadlines = summary.timing.cycles + summary.timing.missed_cycles;
     let passed = whole((clock.now_s() - begin_s) / 0.005) as u64 + 1;
@@ -435,12 +431,11 @@ fn stalled(seed: u64, knows_its_period: bool) -> Outcome {
             Demand::Voltage(if up { 40.0 } else { -40.0 })
         },
     };
-    let course = Course {
-        rate_hz: STALLED_HZ,
-        ..Course::default()
-    };
     let session = Session::new(Box::new(program), guard);
-    course.run(session, &mut link, &mut clock).0.outcome
+    Course::at(STALLED_HZ)
+        .run(session, &mut link, &mut clock)
+        .0
+        .outcome
 }
 
 /// Currents beyond the limit that ended the runs, A.
@@ -522,11 +517,7 @@ fn foreign(
         ..Limits::for_motor(&motor, 20.0)
     };
     let session = Session::new(constant(4.0, demand), Guard::new(limits, &motor, None));
-    let course = Course {
-        rate_hz: 20.0,
-        ..Course::default()
-    };
-    let (summary, recorder) = course.run(session, &mut link, &mut clock);
+    let (summary, recorder) = Course::at(20.0).run(session, &mut link, &mut clock);
     (summary, recorder.events_jsonl(), link.link)
 }
 
@@ -541,10 +532,8 @@ fn a_foreign_drive_is_given_the_time_of_its_profile_and_its_stop_confirmed_where
         let to = format!("{from}  {{ delay_ms = 1600 }},\n");
         changed("epulse50-dc", &from, &to)
     };
-    let (mute, volts) = (
-        changed("roboteq-dc", roboteq, voltage),
-        Demand::Voltage(8.0),
-    );
+    let mute = changed("roboteq-dc", roboteq, voltage);
+    let volts = Demand::Voltage(8.0);
     for (name, profile, demand, confirmed) in [
         ("undisturbed", telling(), SLOW, true),
         ("takes long to run", slow("enable"), SLOW, true),

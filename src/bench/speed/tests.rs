@@ -391,6 +391,7 @@ fn a_drive_that_takes_a_current_is_regulated_and_one_that_takes_a_speed_is_trimm
 fn what_an_actuator_does_not_allow_is_refused_by_name() {
     type Case = (Actuator, fn(&mut SpeedSection), &'static str);
     use ControllerKind::{PaperB, Pi};
+    let lagless = "speed.drive_lag_s is missing";
     let of_speed = "\"addc\" does not act with a speed (expected one of voltage, current)";
     let of_current = "\"paper-b\" does not act with a current";
     let nothing = "nothing can be given forward with a speed command";
@@ -400,11 +401,7 @@ fn what_an_actuator_does_not_allow_is_refused_by_name() {
         section.feed_forward = ForwardUse::On;
     };
     let cases: [Case; 4] = [
-        (
-            Actuator::Speed,
-            |s| s.controller = Pi,
-            "speed.drive_lag_s is missing",
-        ),
+        (Actuator::Speed, |s| s.controller = Pi, lagless),
         (Actuator::Speed, |s| s.drive_lag_s = Some(0.05), of_speed),
         (Actuator::Current, |s| s.controller = PaperB, of_current),
         (Actuator::Speed, forward, nothing),
