@@ -610,19 +610,14 @@ impl Guard {
         let above = |value: f64, limit: f64| value > limit;
         let below = |value: f64, limit: f64| value < limit;
         let beyond = |value: f64, limit: f64| value.abs() > limit;
+        let window = limits.travel_rad;
         let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
         // Value and limit, and what of the value counts against it.
         let rows: [(_, _, _, _, fn(f64, f64) -> bool); 6] = [
             (OverCurrent, Channel::Current, None, amps, beyond),
             (OverSpeed, Channel::Speed, None, speed, beyond),
             (OverVoltage, Channel::Voltage, None, Some(voltage_v), beyond),
-            (
-                Travel,
-                Channel::Angle,
-                Some(travel),
-                limits.travel_rad,
-                beyond,
-            ),
+            (Travel, Channel::Angle, Some(travel), window, beyond),
             (BusHigh, Channel::Bus, None, limits.bus_max_v, above),
             (BusLow, Channel::Bus, None, limits.bus_min_v, below),
         ];

@@ -263,16 +263,9 @@ mod tests {
             }
         }
         let events: Vec<_> = told.iter().map(|(k, event, _)| (*k, *event)).collect();
-        assert_eq!(
-            events,
-            [
-                (101, "stale_frames"),
-                (110, "stale_frames"),
-                (200, "stale_frames"),
-                (751, "stale_frames_end")
-            ],
-            "{told:?}"
-        );
+        let (stale, end) = ("stale_frames", "stale_frames_end");
+        let expected = [(101, stale), (110, stale), (200, stale), (751, end)];
+        assert_eq!(events, expected, "{told:?}");
     }
 
     #[test]

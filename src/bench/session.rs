@@ -596,10 +596,8 @@ impl Session {
             Intent::Mark(_) => Ok(()),
         };
         if let Err(reason) = refused {
-            self.event(
-                "refused",
-                json!({ "intent": intent.name(), "reason": reason }),
-            );
+            let detail = json!({ "intent": intent.name(), "reason": reason });
+            self.event("refused", detail);
             self.notice(Level::Warning, reason);
         }
     }
@@ -637,10 +635,8 @@ impl Session {
     /// From an ended session back to safe, explicitly; the ended run stays ended.
     fn rearm(&mut self) -> Result<(), String> {
         if !self.phase.is_final() {
-            return Err(format!(
-                "nothing to re-arm: the session is {}",
-                self.phase.name()
-            ));
+            let phase = self.phase.name();
+            return Err(format!("nothing to re-arm: the session is {phase}"));
         }
         let rearmed = self.guard.rearm(self.now_s, self.drive.as_ref());
         rearmed.map_err(|error| format!("cannot re-arm: {error}"))?;

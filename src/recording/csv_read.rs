@@ -358,10 +358,9 @@ impl<R: BufRead> CsvRows<R> {
         }
         let comments = std::mem::take(&mut self.comments);
         if comments > 0 {
-            self.warnings.push(format!(
-                "{}: {comments} lines that begin with # were left out",
-                self.file
-            ));
+            let file = &self.file;
+            let text = format!("{file}: {comments} lines that begin with # were left out");
+            self.warnings.push(text);
         }
         if self.rows == 0 {
             return Err(RecordingError::NoRows {
@@ -419,10 +418,9 @@ impl<R: BufRead> CsvRows<R> {
 
     fn leave_out_torn(&mut self, line: usize) {
         self.rows_dropped += 1;
-        self.warnings.push(format!(
-            "{}: the last row (line {line}) is torn and was left out",
-            self.file
-        ));
+        let file = &self.file;
+        let text = format!("{file}: the last row (line {line}) is torn and was left out");
+        self.warnings.push(text);
     }
 
     /// Number of the line that was read last.

@@ -228,16 +228,14 @@ fn every_dialect_is_found_and_named() {
     let semicolon = "';' parts the cells";
     let mark = "it begins with a byte order mark";
     let carriage_returns = "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3";
+    let tabs = "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/";
     let bar = "\u{feff}sep=|//t|u|i/0|1.5|-2/1|2|0.3/";
     let commas = "\"t\";\"u\";i;\"a, b, c, d\"/0;1.5;-2;/1;2;0.3;/";
     for (text, named) in [
         ("t,u,i/0,1.5,-2/1,2,3e-1/", vec![]),
         ("t;u;i/0;1.5;-2/1;2;0.3/", vec![semicolon]),
         ("t;u;i/0;1,5;-2/1;2;3e-1/", vec![semicolon, comma]),
-        (
-            "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/",
-            vec!["a tab parts the cells"],
-        ),
+        (tabs, vec!["a tab parts the cells"]),
         (carriage_returns, vec![semicolon, comma, sep]),
         (bar, vec!["'|' parts the cells", sep, mark]),
         // A comma within a name is none between cells.

@@ -124,11 +124,8 @@ impl SupplySection {
         let watts = self.brake_power_w?;
         let key = "supply.brake_power_w";
         if self.regenerates {
-            return Some((
-                key,
-                watts.to_string(),
-                "nothing without supply.regenerates = false",
-            ));
+            let allowed = "nothing without supply.regenerates = false";
+            return Some((key, watts.to_string(), allowed));
         }
         let good = watts.is_finite() && watts >= 0.0;
         (!good).then_some((key, watts.to_string(), "0 or more"))

@@ -261,24 +261,15 @@ impl Ratio {
     fn suspicion(&self) -> String {
         let ratio = self.interval.1;
         let rpm = rpm_from_rad_s(1.0);
+        let milli = "a current in A that is taken for mA, or milliohm on the nameplate";
+        let per_rpm = "V per r/min on the nameplate instead of V.s/rad, or a speed in rad/s that is taken for r/min";
+        let per_thousand = "V per 1000 r/min on the nameplate instead of V.s/rad";
         let mistakes: &[(f64, &str)] = match self.name {
-            RESISTANCE => &[
-                (
-                    1e3,
-                    "a current in A that is taken for mA, or milliohm on the nameplate",
-                ),
-                (1e-3, "a current in mA that is taken for A"),
-            ],
+            RESISTANCE => &[(1e3, milli), (1e-3, "a current in mA that is taken for A")],
             _ => &[
-                (
-                    rpm,
-                    "V per r/min on the nameplate instead of V.s/rad, or a speed in rad/s that is taken for r/min",
-                ),
+                (rpm, per_rpm),
                 (1.0 / rpm, "a speed in r/min that is taken for rad/s"),
-                (
-                    1e-3 * rpm,
-                    "V per 1000 r/min on the nameplate instead of V.s/rad",
-                ),
+                (1e-3 * rpm, per_thousand),
                 (1e3, "mV on the nameplate"),
             ],
         };

@@ -356,54 +356,30 @@ impl Reference {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::bench::testing::{has, near};
 
-    fn constant(speed_rad_s: f64) -> ReferencePart {
-        ReferencePart::Constant {
-            speed_rad_s,
-            seconds: 1.0,
-        }
-    }
-
-    fn square(low_rad_s: f64, high_rad_s: f64, half_period_s: f64, periods: u32) -> ReferencePart {
-        ReferencePart::Square {
-            low_rad_s,
-            high_rad_s,
-            half_period_s,
-            periods,
-        }
-    }
-
-    fn ramp(from_rad_s: f64, to_rad_s: f64, seconds: f64) -> ReferencePart {
-        ReferencePart::Ramp {
-            from_rad_s,
-            to_rad_s,
-            seconds,
-        }
-    }
-
-    fn polyline(points: &[[f64; 2]]) -> ReferencePart {
-        let points = points.to_vec();
-        ReferencePart::Polyline { points }
-    }
-
-    fn steps(levels_rad_s: &[f64], hold_s: f64) -> ReferencePart {
-        let levels_rad_s = levels_rad_s.to_vec();
-        ReferencePart::Steps {
-            levels_rad_s,
-            hold_s,
-        }
+    /// A part as it stands in a bench file.
+    fn part(kind: &str, keys: &str) -> ReferencePart {
+        let text = format!("part.{kind} = {{ {keys} }}");
+        let file: BTreeMap<String, ReferencePart> = toml::from_str(&text).unwrap();
+        file["part"].clone()
     }
 
     fn parts() -> Vec<ReferencePart> {
+        let square = "low_rad_s = -10.0, high_rad_s = 10.0, half_period_s = 0.5, periods = 2";
         vec![
-            constant(50.0),
-            constant(50.0),
-            square(-10.0, 10.0, 0.5, 2),
-            ramp(-10.0, 30.0, 4.0),
-            polyline(&[[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]),
-            steps(&[5.0, 6.0], 1.0),
+            part("constant", "speed_rad_s = 50.0, seconds = 1.0"),
+            part("constant", "speed_rad_s = 50.0, seconds = 1.0"),
+            part("square", square),
+            part("ramp", "from_rad_s = -10.0, to_rad_s = 30.0, seconds = 4.0"),
+            part(
+                "polyline",
+                "points = [[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]",
+            ),
+            part("steps", "levels_rad_s = [5.0, 6.0], hold_s = 1.0"),
         ]
     }
 
@@ -457,16 +433,25 @@ mod tests {
         };
         let beyond = "part 2 (constant): speed_rad_s = 120 is not allowed (expected -100.0000 to 100.0000 rad/s: limits.speed_rad_s)";
         let back = "points = 1 is not allowed (expected times that grow)";
-        for (part, expected) in [
-            (constant(120.0), beyond),
-            (constant(f64::NAN), "speed_rad_s = NaN"),
-            (ramp(0.0, 1.0, 0.0), "seconds = 0"),
-            (steps(&[], 1.0), "number of levels_rad_s = 0"),
-            (square(0.0, 1.0, 1.0, 0), "periods = 0"),
-            (polyline(&[[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]), back),
-            (polyline(&[[0.5, 0.0], [1.0, 0.0]]), "points = 0.5"),
+        let ramp = "from_rad_s = 0.0, to_rad_s = 1.0, seconds = 0.0";
+        let square = "low_rad_s = 0.0, high_rad_s = 1.0, half_period_s = 1.0, periods = 0";
+        let corners = "points = [[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]";
+        let late = "points = [[0.5, 0.0], [1.0, 0.0]]";
+        let none = "levels_rad_s = [], hold_s = 1.0";
+        for (kind, keys, expected) in [
+            ("constant", "speed_rad_s = 120.0, seconds = 1.0", beyond),
+            (
+                "constant",
+                "speed_rad_s = nan, seconds = 1.0",
+                "speed_rad_s = NaN",
+            ),
+            ("ramp", ramp, "seconds = 0"),
+            ("steps", none, "number of levels_rad_s = 0"),
+            ("square", square, "periods = 0"),
+            ("polyline", corners, back),
+            ("polyline", late, "points = 0.5"),
         ] {
-            has(refused(part), expected);
+            has(refused(part(kind, keys)), expected);
         }
         assert!(Reference::new(&[], 100.0, "limits").is_err());
     }
