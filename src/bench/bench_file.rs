@@ -274,18 +274,17 @@ impl BenchFile {
     }
 
     pub fn deadline_s(&self) -> f64 {
-        self.link
-            .deadline_ms
-            .map_or(0.9 * self.period_s(), |ms| ms * 1e-3)
+        let given_s = self.link.deadline_ms.map(|ms| ms * 1e-3);
+        given_s.unwrap_or(0.9 * self.period_s())
     }
 
     /// Limits with every default filled in.
     pub fn limits(&self) -> Limits {
         let rate_hz = self.link.rate_hz;
-        let defaults = self.motor.nameplate().map_or_else(
-            || Limits::for_rated(&self.motor, rate_hz),
-            |plate| Limits::for_motor(&plate, rate_hz),
-        );
+        let defaults = match self.motor.nameplate() {
+            Some(plate) => Limits::for_motor(&plate, rate_hz),
+            None => Limits::for_rated(&self.motor, rate_hz),
+        };
         let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
         let converter = self.drive_facts.converter;
         // A default gives way to what the drive's profile allows; a value that is given is held against it.
@@ -322,10 +321,8 @@ impl BenchFile {
     /// The sequence of one run, its random parts seeded with `run_seed` besides their own seed.
     pub fn program(&self, run_seed: u64) -> Result<excitation::Program, ExcitationError> {
         let mut segments = self.sequence.clone();
-        for seed in segments
-            .iter_mut()
-            .filter_map(|segment| cells(segment).seed)
-        {
+        let parts = segments.iter_mut();
+        for seed in parts.filter_map(|segment| cells(segment).seed) {
             // Far apart, so that run 2 is not run 1 with its parts exchanged.
             *seed = seed.wrapping_add(run_seed.wrapping_mul(1000));
         }
@@ -393,11 +390,8 @@ impl BenchFile {
         }
         let bus = limits.bus_min_v.zip(limits.bus_max_v);
         let (low, _) = bus.filter(|(low, high)| low >= high)?;
-        no(
-            "limits.bus_min_v",
-            low.to_string(),
-            "less than limits.bus_max_v",
-        )
+        let allowed = "less than limits.bus_max_v";
+        no("limits.bus_min_v", low.to_string(), allowed)
     }
 
     /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.
@@ -408,9 +402,9 @@ impl BenchFile {
             ("limits.speed_rad_s", given.speed_rad_s, bounds.speed_rad_s),
             ("limits.voltage_v", given.voltage_v, bounds.voltage_v),
         ];
-        let mut found = pairs
-            .into_iter()
-            .filter_map(|(key, given, bound)| Some((key, given?, bound?)));
+        let known =
+            |(key, given, bound): (_, Option<f64>, Option<f64>)| Some((key, given?, bound?));
+        let mut found = pairs.into_iter().filter_map(known);
         found.find(|(_, given, bound)| given > bound)
     }
 
@@ -429,9 +423,8 @@ impl BenchFile {
         if let Some((key, value, allowed)) = speed.refused(&limits) {
             return refuse(key, value, allowed);
         }
-        let reference = self
-            .reference(speed)
-            .map_err(|error| at_its_line(file, text, &error))?;
+        let reference = self.reference(speed);
+        let reference = reference.map_err(|error| at_its_line(file, text, &error))?;
         let needed_s = reference.duration_s() + SPEED_ENDS_S;
         if needed_s > limits.time_s {
             let allowed = format!("at least {needed_s} s, which the reference takes with its ends");

@@ -7,21 +7,14 @@ use crate::excitation::Segment;
 /// The part of the sequence, from 1, whose first command should start a burst capture: the first in which the voltage
 /// jumps. `None` where the loop itself sees the transient, its period being no longer than L/R, or where nothing jumps.
 pub fn burst_part(bench: &BenchFile, motor: &Nameplate) -> Option<usize> {
-    let period_s = 1.0 / bench.link.rate_hz;
+    let period_s = bench.period_s();
     if period_s <= motor.inductance_h / motor.resistance_ohm {
         return None;
     }
-    let jumps = |segment: &Segment| {
-        matches!(
-            segment,
-            Segment::Steps(_) | Segment::Staircase(_) | Segment::Prbs(_)
-        )
-    };
-    bench
-        .sequence
-        .iter()
-        .position(jumps)
-        .map(|segment| segment + 1)
+    use Segment::{Prbs, Staircase, Steps};
+    let jumps = |segment: &Segment| matches!(segment, Steps(_) | Staircase(_) | Prbs(_));
+    let first = bench.sequence.iter().position(jumps)?;
+    Some(first + 1)
 }
 
 #[cfg(test)]

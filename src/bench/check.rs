@@ -279,12 +279,9 @@ impl Checker<'_> {
         if !identity.is_emulator && hardware_said {
             self.report.waived.push("hardware");
         }
-        self.note(
-            "identity",
-            passed,
-            who,
-            "this drive does not say that it is an emulator: pass --hardware if the motor may move",
-        )
+        let help =
+            "this drive does not say that it is an emulator: pass --hardware if the motor may move";
+        self.note("identity", passed, who, help)
     }
 
     /// What somebody left in the drive, reference and command, is taken back first: with the fault gone it may count again.
@@ -305,38 +302,25 @@ impl Checker<'_> {
             _ => "the drive stays in fault",
         };
         let passed = cleared && last != Some(DriveState::Running);
-        Ok(self.note(
-            "reset",
-            passed,
-            text.to_owned(),
-            "mend the cause of the fault; take the run command away (keypad, terminals, another master)",
-        ))
+        let help = "mend the cause of the fault; take the run command away (keypad, terminals, another master)";
+        Ok(self.note("reset", passed, text, help))
     }
 
     /// A load that falls is not even held without knowing how.
     fn load(&mut self, limits: &Limits) -> bool {
-        let (text, passed) = match (limits.load.missing(), limits.load.brake()) {
-            (Some(key), _) => (
-                format!(
-                    "a vertical load is not moved without its brake described: {key} is left out"
-                ),
-                false,
+        let missing = limits.load.missing();
+        let text = match (missing, limits.load.brake()) {
+            (Some(key), _) => format!(
+                "a vertical load is not moved without its brake described: {key} is left out"
             ),
-            (None, Some(brake)) => (
-                format!(
-                    "vertical, held by {} A; brake opens in {} s and closes in {} s, worked by the drive: the bench keeps order and times",
-                    brake.hold_current_a, brake.release_s, brake.apply_s
-                ),
-                true,
+            (None, Some(brake)) => format!(
+                "vertical, held by {} A; brake opens in {} s and closes in {} s, worked by the drive: the bench keeps order and times",
+                brake.hold_current_a, brake.release_s, brake.apply_s
             ),
             (None, None) => return true,
         };
-        self.note(
-            "load",
-            passed,
-            text,
-            "give load.hold_current_a, load.brake_release_s and load.brake_apply_s",
-        )
+        let help = "give load.hold_current_a, load.brake_release_s and load.brake_apply_s";
+        self.note("load", missing.is_none(), text, help)
     }
 
     fn limits(&mut self, limits: &Limits) -> bool {
@@ -355,15 +339,11 @@ impl Checker<'_> {
         if identity.current_limit_a.is_none() && identity.voltage_limit_v.is_none() {
             read.push_str("; only the bench's hold, the drive's own cannot be read back");
         }
-        let passed = identity
-            .voltage_limit_v
-            .is_none_or(|volts| volts >= limits.voltage_v);
-        self.note(
-            "limits",
-            passed,
-            read,
-            "the drive cannot give the voltage that the bench may ask for: lower limits.voltage_v",
-        )
+        let most_v = identity.voltage_limit_v;
+        let passed = most_v.is_none_or(|volts| volts >= limits.voltage_v);
+        let help =
+            "the drive cannot give the voltage that the bench may ask for: lower limits.voltage_v";
+        self.note("limits", passed, read, help)
     }
 
     /// What the drive may take at the rate of these checks.

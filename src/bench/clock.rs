@@ -42,14 +42,10 @@ impl MonotonicClock {
         Self {
             origin: Instant::now(),
             // The largest is the truest.
-            slept_before_s: [suspended_s(), suspended_s(), suspended_s()]
-                .into_iter()
-                .fold(0.0, f64::max),
+            slept_before_s: suspended_s().max(suspended_s()).max(suspended_s()).max(0.0),
         }
     }
-}
 
-impl MonotonicClock {
     /// The instant that its zero stands for, so that a link can stamp in the same time.
     pub const fn origin(&self) -> Instant {
         self.origin

@@ -45,11 +45,8 @@ pub fn manifest(
     };
     manifest.configs.insert("bench".to_owned(), bench.to_toml());
     manifest.set_origin(Channel::VoltageCmd, Origin::Commanded);
-    for channel in report
-        .signals
-        .iter()
-        .filter(|channel| !channel.is_commanded())
-    {
+    let signals = report.signals.iter();
+    for channel in signals.filter(|channel| !channel.is_commanded()) {
         manifest.set_origin(*channel, Origin::Measured);
     }
     manifest.waivers = report.waived.iter().map(|&name| name.to_owned()).collect();

@@ -74,10 +74,8 @@ pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> 
 /// A session over one stage: every limit of the bench in force, and the goals that end the stage early.
 pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, ExcitationError> {
     // The stage's own slew serves the experiment; a limit that the bench file gives stands above it.
-    let slew_v_per_s = bench
-        .limits
-        .slew_v_per_s
-        .map_or(stage.slew_v_per_s, |given| given.min(stage.slew_v_per_s));
+    let given = bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY);
+    let slew_v_per_s = given.min(stage.slew_v_per_s);
     let limits = Limits {
         slew_v_per_s,
         ..bench.limits()
@@ -136,13 +134,12 @@ pub fn scale(
             motor.resistance_ohm *= resistance;
             motor.back_emf_v_s_per_rad *= back_emf;
             let plan = plan(&program, &motor, &limits, rate_hz, drive_current_limit_a)?;
-            let refused = plan.is_refused();
-            let kept = first.get_or_insert_with(|| plan.clone());
-            if refused {
+            if plan.is_refused() {
                 // The plan that is shown is the refused one.
-                *kept = plan;
+                first = Some(plan);
                 break;
             }
+            first.get_or_insert(plan);
         }
         Ok(first.map(|plan| Scaled {
             bench: scaled,
@@ -153,13 +150,12 @@ pub fn scale(
         }))
     };
     let whole = tried(1.0, given_slew)?;
-    let mut refusal = whole
-        .as_ref()
-        .and_then(|s| s.plan.refusals.first().cloned());
+    let first_refusal = |scaled: &Scaled| scaled.plan.refusals.first().cloned();
+    let mut refusal = whole.as_ref().and_then(first_refusal);
     if let Some(whole) = whole.filter(|_| refusal.is_none()) {
         return Ok(Ok(whole));
     }
-    let first_refusal = refusal.clone();
+    let unchanged = refusal.clone();
     let mut factor = 1.0;
     while factor >= LEAST {
         // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents. Where
@@ -167,12 +163,10 @@ pub fn scale(
         let slew = given_slew.min(own_slew);
         for slew_v_per_s in [slew, slew * factor.max(0.3)] {
             if let Some(mut scaled) = tried(factor, slew_v_per_s)? {
-                match scaled.plan.refusals.first() {
-                    None => {
-                        scaled.refusal = first_refusal;
-                        return Ok(Ok(scaled));
-                    }
-                    Some(still) => refusal = Some(still.clone()),
+                refusal = first_refusal(&scaled);
+                if refusal.is_none() {
+                    scaled.refusal = unchanged;
+                    return Ok(Ok(scaled));
                 }
             }
         }

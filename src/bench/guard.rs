@@ -401,10 +401,8 @@ impl Guard {
 
     /// Whether samples ever carried `channel`: a limit on a signal that the drive does not give cannot be watched.
     pub fn has_seen(&self, channel: Channel) -> bool {
-        WATCHED
-            .iter()
-            .zip(self.seen)
-            .any(|(watched, seen)| *watched == channel && seen)
+        let mut all = WATCHED.into_iter().zip(self.seen);
+        all.any(|(watched, seen)| watched == channel && seen)
     }
 
     /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
@@ -424,21 +422,13 @@ impl Guard {
         if let Some(last_s) = self.last_step_s {
             let gap_s = now_s - last_s;
             if !gap_s.is_finite() || gap_s < 0.0 {
-                return self.late(
-                    TripKind::ClockStuck,
-                    last_s,
-                    (gap_s, 0.0),
-                    "host time ran back",
-                );
+                let times_s = (gap_s, 0.0);
+                return self.late(TripKind::ClockStuck, last_s, times_s, "host time ran back");
             }
             if gap_s > limit_s {
                 self.last_step_s = Some(now_s);
-                return self.late(
-                    TripKind::HostGap,
-                    now_s,
-                    (gap_s, limit_s),
-                    "no step was taken",
-                );
+                let times_s = (gap_s, limit_s);
+                return self.late(TripKind::HostGap, now_s, times_s, "no step was taken");
             }
         }
         self.last_step_s = Some(now_s);
@@ -450,11 +440,8 @@ impl Guard {
             let times_s = (silent_s, limit_s);
             return self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply");
         }
-        let on_s = self.counts.on_total_s
-            + self
-                .counts
-                .on_since_s
-                .map_or(0.0, |since_s| now_s - since_s);
+        let since_s = self.counts.on_since_s;
+        let on_s = self.counts.on_total_s + since_s.map_or(0.0, |since_s| now_s - since_s);
         if on_s > self.limits.time_s {
             let times_s = (on_s, self.limits.time_s);
             return self.late(TripKind::TimeLimit, now_s, times_s, "output on");
@@ -623,19 +610,14 @@ impl Guard {
         let above = |value: f64, limit: f64| value > limit;
         let below = |value: f64, limit: f64| value < limit;
         let beyond = |value: f64, limit: f64| value.abs() > limit;
+        let window = limits.travel_rad;
         let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
         // Value and limit, and what of the value counts against it.
         let rows: [(_, _, _, _, fn(f64, f64) -> bool); 6] = [
             (OverCurrent, Channel::Current, None, amps, beyond),
             (OverSpeed, Channel::Speed, None, speed, beyond),
             (OverVoltage, Channel::Voltage, None, Some(voltage_v), beyond),
-            (
-                Travel,
-                Channel::Angle,
-                Some(travel),
-                limits.travel_rad,
-                beyond,
-            ),
+            (Travel, Channel::Angle, Some(travel), window, beyond),
             (BusHigh, Channel::Bus, None, limits.bus_max_v, above),
             (BusLow, Channel::Bus, None, limits.bus_min_v, below),
         ];

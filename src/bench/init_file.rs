@@ -129,11 +129,9 @@ impl Reasoned {
 impl InitFile {
     /// The commands that use it, in order; `file` names it.
     pub fn next(&self, file: &str) -> Vec<String> {
-        let real = matches!(self.bench.port(), Port::Tcp(_) | Port::Serial(_));
-        let consent = if real {
-            "--hardware --headless"
-        } else {
-            "--headless"
+        let consent = match self.bench.port() {
+            Port::Tcp(_) | Port::Serial(_) => "--hardware --headless",
+            Port::Emulator | Port::Sim => "--headless",
         };
         let mut next = Vec::new();
         if self.purpose == InitUse::Voltages {
@@ -226,14 +224,8 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     remarks.extend(rate.remarks);
     remarks.extend(unproven_watchdog(request));
     remarks.extend(fitted.remarks);
-    let text = page::text(
-        request,
-        &bench,
-        purpose,
-        &reasons,
-        &remarks,
-        fitted.plan.as_ref(),
-    );
+    let plan = fitted.plan;
+    let text = page::text(request, &bench, purpose, &reasons, &remarks, plan.as_ref());
     let read = BenchFile::parse("the new bench file", &text)?;
     read.check_speed("the new bench file", &text)?;
     Ok(InitFile {
@@ -242,7 +234,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
         purpose,
         reasons,
         remarks,
-        plan: fitted.plan,
+        plan,
     })
 }
 
@@ -277,13 +269,9 @@ fn protocol(profile: &DriveProfile, port: &str) -> Protocol {
 /// Stands in the names of run folders.
 fn name(motor: &str, drive: &str) -> String {
     let text = format!("{motor}-{drive}");
-    let plain = text.chars().map(|c| match c {
-        c if c.is_ascii_alphanumeric() => c.to_ascii_lowercase(),
-        _ => '-',
-    });
-    let parts: String = plain.collect();
-    let parts: Vec<&str> = parts.split('-').filter(|part| !part.is_empty()).collect();
-    parts.join("-")
+    let parts = text.split(|c: char| !c.is_ascii_alphanumeric());
+    let parts: Vec<&str> = parts.filter(|part| !part.is_empty()).collect();
+    parts.join("-").to_ascii_lowercase()
 }
 
 /// Rounded down to four digits: a limit that is rounded up would not be one.

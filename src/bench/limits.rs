@@ -282,7 +282,7 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::testing::within;
+    use crate::bench::testing::{has, within};
 
     #[test]
     fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
@@ -290,11 +290,7 @@ mod tests {
         assert_eq!(plate.doubts(), Vec::<String>::new());
         let mut in_rpm = plate.clone();
         in_rpm.rated_speed_rad_s = 2800.0;
-        let doubts = in_rpm.doubts().join(" ");
-        assert!(
-            doubts.contains("2800 r/min would be 293.2 rad/s"),
-            "{doubts}"
-        );
+        has(in_rpm.doubts().join(" "), "2800 r/min would be 293.2 rad/s");
         let mut in_milliampere = plate;
         in_milliampere.rated_current_a = 5700.0;
         assert!(in_milliampere.doubts()[0].contains("given in mA"));

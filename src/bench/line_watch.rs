@@ -118,9 +118,8 @@ impl LineWatch {
             line.foreign_writes,
         ];
         let matters = self.matters.iter_mut().zip(counts);
-        matters
-            .filter_map(|(matter, count)| matter.look(now_s, count))
-            .collect()
+        let news = matters.filter_map(|(matter, count)| matter.look(now_s, count));
+        news.collect()
     }
 
     /// An exchange of a run that ended at `now_s`.
@@ -264,16 +263,9 @@ mod tests {
             }
         }
         let events: Vec<_> = told.iter().map(|(k, event, _)| (*k, *event)).collect();
-        assert_eq!(
-            events,
-            [
-                (101, "stale_frames"),
-                (110, "stale_frames"),
-                (200, "stale_frames"),
-                (751, "stale_frames_end")
-            ],
-            "{told:?}"
-        );
+        let (stale, end) = ("stale_frames", "stale_frames_end");
+        let expected = [(101, stale), (110, stale), (200, stale), (751, end)];
+        assert_eq!(events, expected, "{told:?}");
     }
 
     #[test]

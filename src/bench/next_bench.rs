@@ -20,11 +20,10 @@ const COMMENT_WIDTH: usize = 110;
 /// What a run on this bench may reach.
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
+    let most_a = CURRENT_IN_RATED * bench.motor.rated_current_a;
     ExperimentLimits {
         voltage_v: limits.voltage_v,
-        current_a: limits
-            .current_a
-            .min(CURRENT_IN_RATED * bench.motor.rated_current_a),
+        current_a: limits.current_a.min(most_a),
         speed_rad_s: limits.speed_rad_s,
         rms_current_a: bench.motor.rated_current_a,
         travel_rad: limits.travel_rad,

@@ -203,10 +203,8 @@ impl Plausibility {
             (Channel::Speed, &mut self.speed),
             (Channel::Current, &mut self.current),
         ] {
-            let all = rest.iter();
-            let readings: Vec<(f64, f64)> = all
-                .filter_map(|sample| Some((sample.time_s, sample.get(channel)?)))
-                .collect();
+            let reading = |sample: &Sample| Some((sample.time_s, sample.get(channel)?));
+            let readings: Vec<(f64, f64)> = rest.iter().filter_map(reading).collect();
             let differ = |pair: &[(f64, f64)]| pair[0].1.to_bits() != pair[1].1.to_bits();
             if readings.windows(2).any(differ) {
                 for (time_s, value) in readings {
@@ -280,9 +278,7 @@ impl Plausibility {
     /// Looks at one sample. With `armed` false it only learns how noisy the sensors are.
     pub(super) fn look(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
         self.now_s = now_s;
-        let runs = sample
-            .state
-            .is_none_or(|state| state == DriveState::Running);
+        let runs = matches!(sample.state, None | Some(DriveState::Running));
         let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
         let still = speed.is_some_and(|speed| speed.abs() < REST_SPEED * self.scale.rad_s);
         if !(armed && runs && self.history.has_sent()) {
@@ -374,10 +370,8 @@ impl Plausibility {
             return None;
         }
         let n = rows as f64;
-        let terms = last()
-            .map(|row| plate.terms(row, n))
-            .collect::<Option<Vec<_>>>()?;
-        let mut window = terms.into_iter().reduce(Window::and)?;
+        let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, n)).collect();
+        let mut window = terms?.into_iter().reduce(Window::and)?;
         if !self.is_signed {
             // A drive may tell no more than the magnitude: it goes either way.
             let most = window.current.low.abs().max(window.current.high.abs());
@@ -415,10 +409,8 @@ impl Plausibility {
             );
             return Some(self.doubt(TripKind::EncoderFrozen, (speed, speed), &what));
         }
-        let moved = self
-            .current_held
-            .map_or(0.0, |(from, _)| (speed - from).abs());
-        let from_rest = self.current_held.is_some_and(|(_, at_rest)| at_rest);
+        let (from, from_rest) = self.current_held.unwrap_or((speed, false));
+        let moved = (speed - from).abs();
         let needs_current = moved > MOVED_SPEED * self.scale.rad_s;
         let stays = from_rest && needs_current && self.current.run() >= SAME;
         if excited
@@ -438,10 +430,8 @@ impl Plausibility {
     fn stands(&mut self) -> Option<Trip> {
         let plate = self.plate.filter(|_| !self.vertical)?;
         let row = *self.history.rows().back()?;
-        let least_a = self
-            .scale
-            .amps
-            .max(HELD_FRICTION * plate.friction / plate.back_emf);
+        let friction_a = HELD_FRICTION * plate.friction / plate.back_emf;
+        let least_a = self.scale.amps.max(friction_a);
         let stands =
             row.current_a.abs() >= least_a && row.speed_rad_s.abs() < REST_SPEED * self.scale.rad_s;
         let last_s = self.history.last()?.time_s;
@@ -476,15 +466,15 @@ impl Plausibility {
         let row = *self.history.rows().back()?;
         if !(self.waived || row.limited)
             && row.exact
-            && let Some(factor) = self
-                .factor
-                .as_mut()
-                .and_then(|factor| factor.push(&row, self.is_signed, &plate, &self.scale))
+            && let Some(balances) = self.factor.as_mut()
+            && let Some(factor) = balances.push(&row, self.is_signed, &plate, &self.scale)
         {
             // Both balances see no difference between the two signs, but for which of them goes against the voltage.
+            let is_against = |window: &Window| window.mean_speed * window.mean_volts < 0.0;
             let window = self
                 .window(&plate, WINDOW)
-                .filter(|window| factor < 0.0 && window.mean_speed * window.mean_volts < 0.0);
+                .filter(is_against)
+                .filter(|_| factor < 0.0);
             return Some(match window {
                 Some(window) => self.misread(TripKind::EncoderReversed, &plate, &window),
                 None => self.current_scaled(factor),
@@ -663,8 +653,8 @@ impl Plausibility {
         let idle_v = IDLE_A * self.scale.amps * plate.resistance;
         // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
         // A window in which it does both has done either.
-        let flows =
-            |currents: Range, sign: f64| (sign * currents.low).max(sign * currents.high) > idle_v;
+        let most = |range: Range, sign: f64| (sign * range.low).max(sign * range.high);
+        let flows = |currents: Range, sign: f64| most(currents, sign) > idle_v;
         let both = |sign: f64| flows(held.currents, sign) && flows(currents, -sign);
         let turns = held.current.abs() < idle_v || both(1.0) || both(-1.0);
         let drops_v = if turns {
@@ -777,11 +767,8 @@ impl Plausibility {
 
     /// A current that both balances want to be another.
     fn current_scaled(&self, factor: f64) -> Trip {
-        let current = self
-            .history
-            .last()
-            .and_then(|last| last.current_a)
-            .unwrap_or(0.0);
+        let last = self.history.last().and_then(|last| last.current_a);
+        let current = last.unwrap_or(0.0);
         let kind = if factor < 0.0 {
             TripKind::CurrentReversed
         } else {

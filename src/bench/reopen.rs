@@ -149,18 +149,14 @@ impl Search<'_> {
                 return (self.end(ReopenEnding::Interrupted, None, text), None);
             }
             let attempt = self.reopening.attempt();
-            self.show(
-                format!("link lost, reopening (attempt {attempt})…"),
-                None,
-                None,
-            );
+            let text = format!("link lost, reopening (attempt {attempt})…");
+            self.show(text, None, None);
             match self.attempt(open) {
                 Found::Nothing(reason) => {
                     if reason != self.last_reason {
                         let event = self.event("reopen_failed").with("attempt", attempt);
-                        self.bench
-                            .recorder
-                            .event(event.with("reason", reason.as_str()));
+                        let event = event.with("reason", reason.as_str());
+                        self.bench.recorder.event(event);
                         self.last_reason = reason;
                     }
                     self.reopening.failed(self.bench.clock.now_s());

@@ -153,16 +153,12 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         target: options.target,
         ..Snapshot::default()
     };
+    let times = bench.link.command_times();
     let mut runner = Runner {
         publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
         session: session
             .telling_stop(bench.link.confirms_stop())
-            .with_command_times(
-                bench
-                    .link
-                    .command_times()
-                    .asked_every(1.0 / options.rate_hz),
-            ),
+            .with_command_times(times.asked_every(1.0 / options.rate_hz)),
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
         estimator: bench.estimator,
@@ -268,10 +264,9 @@ impl Runner<'_> {
             self.act_on_notice(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());
-        for row in self.recorder.flush() {
-            if let Some(estimator) = self.estimator.as_mut() {
-                estimator.push(row);
-            }
+        let waiting = self.recorder.flush();
+        if let Some(estimator) = self.estimator.as_mut() {
+            waiting.iter().for_each(|row| estimator.push(row));
         }
         let now_s = clock.now_s();
         // A drive that did not confirm its stop is not asked for records.
@@ -332,12 +327,12 @@ impl Runner<'_> {
 
     /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
     fn still_moves(&self) -> bool {
-        self.session.last_sample().is_some_and(|sample| {
-            matches!(
-                self.session.guard().check_rest(sample),
-                Err(RearmError::Moving { .. })
-            )
-        })
+        let guard = self.session.guard();
+        let rest = self
+            .session
+            .last_sample()
+            .map(|sample| guard.check_rest(sample));
+        matches!(rest, Some(Err(RearmError::Moving { .. })))
     }
 
     /// One input and everything that follows from it.
@@ -367,10 +362,9 @@ impl Runner<'_> {
             Action::Send(command) => self.exchange(clock, command),
             Action::ArmBurst => self.arm_burst(),
             Action::Row(sample) => {
-                for row in self.recorder.row(&sample) {
-                    if let Some(estimator) = self.estimator.as_mut() {
-                        estimator.push(row);
-                    }
+                let rows = self.recorder.row(&sample);
+                if let Some(estimator) = self.estimator.as_mut() {
+                    rows.iter().for_each(|row| estimator.push(row));
                 }
                 let reference_rad_s = self.session.reference_rad_s();
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
@@ -444,14 +438,11 @@ impl Runner<'_> {
             notice,
         } in news
         {
-            let key = if event.starts_with("rate") {
-                "achieved_hz"
-            } else {
-                "frames"
-            };
+            let is_rate = event.starts_with("rate");
+            let key = if is_rate { "achieved_hz" } else { "frames" };
             if event == FOREIGN_WRITES {
-                self.inputs
-                    .push_back(Input::OtherMaster(line.foreign_writes));
+                let master = Input::OtherMaster(line.foreign_writes);
+                self.inputs.push_back(master);
             }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
             self.recorder
@@ -519,27 +510,22 @@ impl Runner<'_> {
     }
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
-        self.estimator
-            .as_ref()
-            .map(|estimator| estimator.estimates())
-            .unwrap_or_default()
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Vec::new, |estimator| estimator.estimates())
     }
 
     fn excitation(&self) -> Excitation {
-        self.estimator
-            .as_ref()
-            .map(|estimator| estimator.excitation())
-            .unwrap_or_default()
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
     }
 
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
-        let estimates = self.estimates();
         let state = RunState {
             session: &self.session,
             link: self.link.0.statistics(),
             timing: self.punctuality.timing(rate_hz),
             recorder: self.recorder.status(),
-            estimates,
+            estimates: self.estimates(),
             excitation: self.excitation(),
             outcome,
         };

@@ -452,8 +452,8 @@ impl Session {
         let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
         if trip.is_none() && self.phase == Phase::Running {
             let proven = self.guard.plausibility().has_seen_direction();
-            self.pilot
-                .sample(self.now_s, self.elapsed_s(), &sample, proven);
+            let elapsed_s = self.elapsed_s();
+            self.pilot.sample(self.now_s, elapsed_s, &sample, proven);
             self.tell_unwatched();
         }
         if self.phase.is_recorded() {
@@ -534,18 +534,14 @@ impl Session {
     }
 
     fn may_run(&self) -> bool {
-        let runs = self
-            .drive_state()
-            .is_none_or(|state| state == DriveState::Running);
+        let runs = matches!(self.drive_state(), None | Some(DriveState::Running));
         self.start_wanted && runs && self.is_at_rest()
     }
 
     fn is_at_rest(&self) -> bool {
         let limit = REST_SHARE * self.guard.limits().speed_rad_s;
-        self.drive
-            .as_ref()
-            .and_then(|sample| sample.get(Channel::Speed))
-            .is_some_and(|speed| speed.abs() <= limit)
+        let speed = self.drive.as_ref().and_then(|s| s.get(Channel::Speed));
+        speed.is_some_and(|speed| speed.abs() <= limit)
     }
 
     fn is_ramped_down(&self) -> bool {
@@ -600,10 +596,8 @@ impl Session {
             Intent::Mark(_) => Ok(()),
         };
         if let Err(reason) = refused {
-            self.event(
-                "refused",
-                json!({ "intent": intent.name(), "reason": reason }),
-            );
+            let detail = json!({ "intent": intent.name(), "reason": reason });
+            self.event("refused", detail);
             self.notice(Level::Warning, reason);
         }
     }
@@ -613,16 +607,13 @@ impl Session {
         if self.phase != Phase::Safe {
             return Err(format!("cannot arm: the session is {}", self.phase.name()));
         }
-        let sample = self
-            .drive
-            .as_ref()
-            .ok_or("cannot arm: no valid sample yet")?;
+        let sample = self.drive.as_ref();
+        let sample = sample.ok_or("cannot arm: no valid sample yet")?;
         if let Some(hindrance) = sample.hindrance {
             return Err(format!("cannot arm: {}", hindrance.sentence()));
         }
-        self.guard
-            .check_rest(sample)
-            .map_err(|error| format!("cannot arm: {error}"))?;
+        let rest = self.guard.check_rest(sample);
+        rest.map_err(|error| format!("cannot arm: {error}"))?;
         let needs_angle = self.guard.limits().travel_rad.is_some();
         for (channel, needed) in [
             (Channel::Current, true),
@@ -644,14 +635,11 @@ impl Session {
     /// From an ended session back to safe, explicitly; the ended run stays ended.
     fn rearm(&mut self) -> Result<(), String> {
         if !self.phase.is_final() {
-            return Err(format!(
-                "nothing to re-arm: the session is {}",
-                self.phase.name()
-            ));
+            let phase = self.phase.name();
+            return Err(format!("nothing to re-arm: the session is {phase}"));
         }
-        self.guard
-            .rearm(self.now_s, self.drive.as_ref())
-            .map_err(|error| format!("cannot re-arm: {error}"))?;
+        let rearmed = self.guard.rearm(self.now_s, self.drive.as_ref());
+        rearmed.map_err(|error| format!("cannot re-arm: {error}"))?;
         self.start_wanted = false;
         self.started_s = None;
         self.segment = None;
@@ -787,6 +775,7 @@ impl Session {
         if !self.word.unconfirmed {
             return None;
         }
+        let not = |why: &str| format!("stop NOT confirmed by the drive{why}");
         let (level, text) = match failed {
             None if self.word.tells_stop => (
                 Level::Warning,
@@ -795,20 +784,18 @@ impl Session {
             ),
             None => (Level::Warning, TOLD_NOTHING.to_owned()),
             // It answers, or was not seen to run: no watchdog has acted.
-            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => (
-                Level::Error,
-                format!("stop NOT confirmed by the drive: {error}; see that the shaft stands still"),
-            ),
-            Some(_) if !self.word.has_run => (
-                Level::Error,
-                "stop NOT confirmed by the drive, which was not seen to run; see that the shaft stands still"
-                    .to_owned(),
-            ),
-            Some(_) => (
-                Level::Error,
-                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
-                    .to_owned(),
-            ),
+            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => {
+                let why = format!(": {error}; see that the shaft stands still");
+                (Level::Error, not(&why))
+            }
+            Some(_) if !self.word.has_run => {
+                let why = ", which was not seen to run; see that the shaft stands still";
+                (Level::Error, not(why))
+            }
+            Some(_) => {
+                let why = ": its watchdog must have stopped the motor";
+                (Level::Error, not(why))
+            }
         };
         Some(Notice { level, text })
     }

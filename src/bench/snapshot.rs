@@ -199,35 +199,26 @@ impl Publisher {
     }
 
     pub(super) fn publish(&mut self, now_s: f64, state: RunState<'_>) {
-        let RunState {
-            session,
-            link,
-            timing,
-            recorder,
-            estimates,
-            excitation,
-            outcome,
-        } = state;
+        let session = state.session;
         self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
-        if !self.model.is_identified() {
-            self.model.learn(&estimates);
+        if !self.model.is_identified {
+            self.model.learn(&state.estimates);
         }
-        let (elapsed_s, total_s) = session.progress_s(now_s);
         let snapshot = &mut self.snapshot;
         snapshot.phase = Some(session.phase());
         snapshot.drive_state = session.last_sample().and_then(|sample| sample.state);
-        (snapshot.elapsed_s, snapshot.total_s) = (elapsed_s, total_s);
+        (snapshot.elapsed_s, snapshot.total_s) = session.progress_s(now_s);
         snapshot.segment = session.segment_name().map(str::to_owned);
         snapshot.trace = Arc::new(self.points.iter().copied().collect());
-        snapshot.estimates = Arc::new(estimates);
-        snapshot.excitation = Arc::new(excitation);
-        snapshot.model_is_identified = self.model.is_identified();
-        snapshot.link_statistics = link;
-        snapshot.timing = timing;
-        snapshot.rows = recorder.rows as u64;
-        snapshot.recorder_error = recorder.error;
+        snapshot.estimates = Arc::new(state.estimates);
+        snapshot.excitation = Arc::new(state.excitation);
+        snapshot.model_is_identified = self.model.is_identified;
+        snapshot.link_statistics = state.link;
+        snapshot.timing = state.timing;
+        snapshot.rows = state.recorder.rows as u64;
+        snapshot.recorder_error = state.recorder.error;
         snapshot.trip = session.guard().tripped().cloned();
-        snapshot.outcome = outcome;
+        snapshot.outcome = state.outcome;
         self.cell.publish(snapshot.clone());
     }
 }
@@ -263,10 +254,6 @@ impl ModelTrace {
         }
     }
 
-    const fn is_identified(&self) -> bool {
-        self.is_identified
-    }
-
     /// Takes over estimates once every one of the five is settled.
     fn learn(&mut self, estimates: &[ParameterEstimate]) {
         let mut motor = self.motor.clone();
@@ -274,13 +261,12 @@ impl ModelTrace {
             if key == MotorKey::TorqueConstant {
                 continue;
             }
-            let settled = estimates
-                .iter()
-                .find(|estimate| estimate.key == key.key() && estimate.verdict == Verdict::Settled);
-            match settled.and_then(|estimate| estimate.value) {
-                Some(value) => motor.set(key, value),
-                None => return,
-            }
+            let found = ParameterEstimate::find(estimates, key.key());
+            let settled = found.filter(|estimate| estimate.verdict == Verdict::Settled);
+            let Some(value) = settled.and_then(|estimate| estimate.value) else {
+                return;
+            };
+            motor.set(key, value);
         }
         let model = Model::baseline(motor);
         if model.validate().is_ok()
@@ -294,29 +280,24 @@ impl ModelTrace {
     /// The model's speed at the sample, rad/s; NaN where there is none. `demand` is the command in force.
     fn follow(&mut self, sample: &Sample, demand: Demand) -> f64 {
         let now_s = sample.time_s;
-        let before_v = std::mem::replace(
-            &mut self.voltage_v,
-            match demand {
-                // Off: the terminals are where the drive leaves them, which only a measurement tells.
-                Demand::Voltage(volts) => volts,
-                _ => sample.get(Channel::Voltage).unwrap_or(0.0),
-            },
-        );
+        let now_v = match demand {
+            // Off: the terminals are where the drive leaves them, which only a measurement tells.
+            Demand::Voltage(volts) => volts,
+            _ => sample.get(Channel::Voltage).unwrap_or(0.0),
+        };
+        let before_v = std::mem::replace(&mut self.voltage_v, now_v);
         let last_s = self.last_s.replace(now_s);
         let fresh = last_s.is_none_or(|last_s| !(0.0..LONGEST_GAP_S).contains(&(now_s - last_s)));
         let Some(plant) = self.plant.as_mut() else {
             return f64::NAN;
         };
         let Some(begin_s) = last_s.filter(|_| !fresh) else {
-            self.state = State::at(
-                sample.get(Channel::Current).unwrap_or(0.0),
-                sample.get(Channel::Speed).unwrap_or(0.0),
-            );
+            let read = |channel| sample.get(channel).unwrap_or(0.0);
+            self.state = State::at(read(Channel::Current), read(Channel::Speed));
             return self.state.speed_rad_s;
         };
-        let applied_s = sample
-            .applied
-            .map_or(begin_s, |applied| applied.time_s.clamp(begin_s, now_s));
+        let applied_s = sample.applied.map_or(begin_s, |applied| applied.time_s);
+        let applied_s = applied_s.clamp(begin_s, now_s);
         self.scenario.events.clear();
         if applied_s > begin_s {
             self.scenario.events.push((begin_s, before_v));

@@ -279,7 +279,7 @@ pub(super) fn gone(link: String) -> LinkError {
     LinkError::Gone(link, "unplugged".to_owned())
 }
 
-fn timeout(link: LinkName, request: &str) -> LinkError {
+pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {
     LinkError::Timeout {
         link: link.0,
         deadline_ms: 5,
@@ -456,6 +456,13 @@ impl Default for Course<'_> {
 }
 
 impl Course<'_> {
+    pub(super) fn at(rate_hz: f64) -> Self {
+        Self {
+            rate_hz,
+            ..Self::default()
+        }
+    }
+
     pub(super) fn run(
         self,
         session: Session,

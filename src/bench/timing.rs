@@ -98,10 +98,8 @@ pub(super) fn whole(value: f64) -> usize {
 pub(super) fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = whole((share * values.len() as f64).ceil()).max(1);
-    values
-        .get(rank.min(values.len()).wrapping_sub(1))
-        .copied()
-        .unwrap_or(0.0)
+    let at = rank.min(values.len()).wrapping_sub(1);
+    values.get(at).copied().unwrap_or(0.0)
 }
 
 /// Asked and achieved rate, lateness, missed cycles.

@@ -31,10 +31,8 @@ impl ConfigError {
         }
         let before = &text[..end];
         let line = before.matches('\n').count() + 1;
-        let column = before
-            .rsplit('\n')
-            .next()
-            .map_or(1, |tail| tail.chars().count() + 1);
+        let tail = before.rsplit('\n').next().unwrap_or_default();
+        let column = tail.chars().count() + 1;
         Self {
             file: file.to_owned(),
             line,
@@ -50,46 +48,25 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
     toml::from_str(text).map_err(|error| {
         let message = error.message().trim().to_owned();
         let help = help_for(&message);
-        let headline = message
-            .split(", expected")
-            .next()
-            .unwrap_or(&message)
-            .to_owned();
-        let headline = if headline.starts_with("unknown") {
-            headline
-        } else {
-            in_words(&message.replace('\n', " "))
+        let headline = match message.split_once(", expected") {
+            Some((headline, _)) if message.starts_with("unknown") => headline.to_owned(),
+            _ => in_words(&message.replace('\n', " ")),
         };
-        ConfigError::at(
-            file,
-            text,
-            error.span().map_or(0, |span| span.start),
-            headline,
-            help,
-        )
+        let offset = error.span().map_or(0, |span| span.start);
+        ConfigError::at(file, text, offset, headline, help)
     })
 }
 
 /// The name in `allowed` that is most like `given`.
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    allowed
-        .into_iter()
-        .filter(|name| !name.is_empty())
-        .map(|name| {
-            (
-                if name.starts_with(given) {
-                    0
-                } else if name.contains(given) {
-                    1
-                } else {
-                    edit_distance(given, name)
-                },
-                name,
-            )
-        })
-        .min()
-        .filter(|(distance, name)| *distance <= name.len().max(given.len()).div_ceil(2))
-        .map(|(_, name)| name)
+    let distance = |name: &str| match name.find(given) {
+        Some(0) => 0,
+        Some(_) => 1,
+        None => edit_distance(given, name),
+    };
+    let names = allowed.into_iter().filter(|name| !name.is_empty());
+    let (distance, name) = names.map(|name| (distance(name), name)).min()?;
+    (distance <= name.len().max(given.len()).div_ceil(2)).then_some(name)
 }
 
 /// One help line for an unknown key: the conversion to our unit, the nearest key, or all of them.
@@ -196,16 +173,10 @@ mod tests {
 
     #[test]
     fn a_wrong_type_and_a_broken_text_have_a_place_too() {
-        assert_eq!(
-            parse::<Limits>("l", "\n\ncurrent_a = \"x\"\n")
-                .unwrap_err()
-                .line,
-            3
-        );
-        assert_eq!(
-            parse::<Limits>("l", "current_a = = 3\n").unwrap_err().line,
-            1
-        );
+        for (text, line) in [("\n\ncurrent_a = \"x\"\n", 3), ("current_a = = 3\n", 1)] {
+            let error = parse::<Limits>("l", text).unwrap_err();
+            assert_eq!(error.line, line, "{text}");
+        }
     }
 
     #[test]
@@ -219,11 +190,7 @@ mod tests {
         let said = "not allowed: number `300`, expected a whole number from 0 to 255";
         assert_eq!(error.message, said);
         let error = parse::<Unit>("l", "unit = \"x\"").unwrap_err();
-        assert!(
-            error
-                .message
-                .ends_with("expected a whole number from 0 to 255")
-        );
+        assert!(error.message.ends_with("a whole number from 0 to 255"));
         let error = parse::<Unit>("l", "").unwrap_err();
         assert!(error.help.starts_with("add `unit`"), "{}", error.help);
     }
@@ -231,9 +198,7 @@ mod tests {
     #[test]
     fn nothing_is_near_to_something_altogether_different() {
         assert_eq!(nearest("xyzzy", ["resistance_ohm"]), None);
-        assert_eq!(
-            nearest("inertia", ["inertia_kg_m2", "inductance_h"]),
-            Some("inertia_kg_m2")
-        );
+        let near = nearest("inertia", ["inertia_kg_m2", "inductance_h"]);
+        assert_eq!(near, Some("inertia_kg_m2"));
     }
 }

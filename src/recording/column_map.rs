@@ -85,16 +85,11 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         .split_once('=')
         .ok_or_else(|| wrong(item, "no = between target and header"))?;
     let target = target.trim();
-    let target = if target == "time_s" {
-        None
-    } else {
-        Some(
-            Channel::from_key(target).ok_or_else(|| RecordingError::UnknownTarget {
-                target: target.to_owned(),
-                help: unknown_target_help(target),
-            })?,
-        )
-    };
+    let channel = Channel::from_key(target);
+    if channel.is_none() && target != "time_s" {
+        let (target, help) = (target.to_owned(), unknown_target_help(target));
+        return Err(RecordingError::UnknownTarget { target, help });
+    }
     let source = source.trim();
     let parts = split_unquoted(source, '*');
     let (mut columns, mut factor, mut offset) = (Vec::new(), 1.0, 0.0);
@@ -124,7 +119,7 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
     };
     let is_bare = parts.len() == 1 && (header == source || source.ends_with('"'));
     Ok(Mapping {
-        target,
+        target: channel,
         header,
         columns,
         factor,
@@ -147,10 +142,8 @@ fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, Recor
     let looks_like_number = part.parse::<f64>().is_ok()
         || part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
     if is_behind && (part.is_empty() || looks_like_number) {
-        return Err(wrong(
-            item,
-            format!("{part:?} after the last * is neither a factor nor factor+offset"),
-        ));
+        let reason = format!("{part:?} after the last * is neither a factor nor factor+offset");
+        return Err(wrong(item, reason));
     }
     let name = match part.strip_prefix('"') {
         Some(quoted) => quoted
@@ -174,21 +167,15 @@ fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), Recordi
             return Ok((part, 0.0));
         };
         let behind = part[close + 1..].trim();
+        if behind.is_empty() {
+            return Ok((part, 0.0));
+        }
         let Some(offset) = behind.strip_prefix('+') else {
-            return match behind {
-                "" => Ok((part, 0.0)),
-                _ => Err(wrong(
-                    item,
-                    format!("{behind:?} after the header is neither *factor nor +offset"),
-                )),
-            };
+            let reason = format!("{behind:?} after the header is neither *factor nor +offset");
+            return Err(wrong(item, reason));
         };
-        let value = number(offset).ok_or_else(|| {
-            wrong(
-                item,
-                format!("the offset {offset:?} is not a finite number"),
-            )
-        })?;
+        let reason = || format!("the offset {offset:?} is not a finite number");
+        let value = number(offset).ok_or_else(|| wrong(item, reason()))?;
         return Ok((&part[..=close], value));
     }
     let is_factor = part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
@@ -204,10 +191,8 @@ fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), Recordi
 }
 
 fn number(text: &str) -> Option<f64> {
-    text.trim()
-        .parse::<f64>()
-        .ok()
-        .filter(|value| value.is_finite())
+    let value = text.trim().parse::<f64>().ok();
+    value.filter(|value| value.is_finite())
 }
 
 fn wrong(item: &str, reason: impl Into<String>) -> RecordingError {
@@ -264,11 +249,8 @@ mod tests {
             ("Torque (N\u{b7}m)*-1", "Torque (N\u{b7}m)", -1.0, 0.0),
             ("Motor = a", "Motor = a", 1.0, 0.0),
         ] {
-            assert_eq!(
-                one(source).unwrap(),
-                (header.to_owned(), factor, offset),
-                "{source}"
-            );
+            let expected = (header.to_owned(), factor, offset);
+            assert_eq!(one(source).unwrap(), expected, "{source}");
         }
     }
 
@@ -276,26 +258,14 @@ mod tests {
     fn a_factor_may_be_a_column_or_its_sign() {
         let column = |name: &str| Factor::Column(name.to_owned());
         let sign = |name: &str| Factor::SignOf(name.to_owned());
+        let power = [column("duty"), column("bus_v")];
+        let product = [column("a"), column("b, c")];
+        let first = [sign("u, V"), column("rpm")];
         for (source, columns, factor, offset) in [
-            (
-                "duty*bus_v",
-                vec![column("duty"), column("bus_v")],
-                1.0,
-                0.0,
-            ),
-            (
-                "a*-2*\"b, c\"*0.5+3",
-                vec![column("a"), column("b, c")],
-                -1.0,
-                3.0,
-            ),
-            ("rpm*0.1*sign(u)", vec![column("rpm"), sign("u")], 0.1, 0.0),
-            (
-                "sign( \"u, V\" )*rpm",
-                vec![sign("u, V"), column("rpm")],
-                1.0,
-                0.0,
-            ),
+            ("duty*bus_v", power, 1.0, 0.0),
+            ("a*-2*\"b, c\"*0.5+3", product, -1.0, 3.0),
+            ("rpm*0.1*sign(u)", [column("rpm"), sign("u")], 0.1, 0.0),
+            ("sign( \"u, V\" )*rpm", first, 1.0, 0.0),
         ] {
             let map: ColumnMap = format!("time_s=t,current_a={source}").parse().unwrap();
             let item = &map.items()[1];
@@ -334,10 +304,8 @@ mod tests {
     fn an_unknown_target_has_a_nearest_one_and_time_is_required() {
         let error = "time_s=t,speed_rads=w".parse::<ColumnMap>().unwrap_err();
         assert!(error.help().starts_with("did you mean `speed_rad_s`?"));
-        assert_eq!(
-            "speed_rad_s=w".parse::<ColumnMap>(),
-            Err(RecordingError::MapWithoutTime)
-        );
+        let timeless = "speed_rad_s=w".parse::<ColumnMap>();
+        assert_eq!(timeless, Err(RecordingError::MapWithoutTime));
         assert!("".parse::<ColumnMap>().is_err());
     }
 
@@ -348,13 +316,17 @@ mod tests {
             .unwrap();
         assert_eq!(map.items().len(), 4);
         assert_eq!(map.items()[3].factor.to_bits(), 0.104_719_755_f64.to_bits());
-        let scaled: Vec<bool> = map.items().iter().map(|item| item.scaled).collect();
-        assert_eq!(scaled, [false, false, false, true]);
-        let map: ColumnMap = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\""
+        let scaled = |map: &ColumnMap| {
+            map.items()
+                .iter()
+                .map(|item| item.scaled)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(scaled(&map), [false, false, false, true]);
+        let map = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\""
             .parse()
             .unwrap();
-        let scaled: Vec<bool> = map.items().iter().map(|item| item.scaled).collect();
-        assert_eq!(scaled, [true, true, false]);
+        assert_eq!(scaled(&map), [true, true, false]);
     }
 
     proptest! {

@@ -278,10 +278,9 @@ impl<R: BufRead> CsvRows<R> {
         file: &str,
         options: ReadOptions<'_>,
     ) -> Result<Self, RecordingError> {
-        let time = options
-            .map
-            .and_then(|map| map.items().iter().find(|item| item.target.is_none()))
-            .map_or("time_s", |item| item.header.as_str());
+        let mut items = options.map.map_or(&[][..], ColumnMap::items).iter();
+        let time = items.find(|item| item.target.is_none());
+        let time = time.map_or("time_s", |item| item.header.as_str());
         let (headers, dialect, lines_before) = head(&mut reader, file, time)?;
         let mut warnings = Vec::new();
         let wanted = match options.map {
@@ -359,10 +358,9 @@ impl<R: BufRead> CsvRows<R> {
         }
         let comments = std::mem::take(&mut self.comments);
         if comments > 0 {
-            self.warnings.push(format!(
-                "{}: {comments} lines that begin with # were left out",
-                self.file
-            ));
+            let file = &self.file;
+            let text = format!("{file}: {comments} lines that begin with # were left out");
+            self.warnings.push(text);
         }
         if self.rows == 0 {
             return Err(RecordingError::NoRows {
@@ -420,10 +418,9 @@ impl<R: BufRead> CsvRows<R> {
 
     fn leave_out_torn(&mut self, line: usize) {
         self.rows_dropped += 1;
-        self.warnings.push(format!(
-            "{}: the last row (line {line}) is torn and was left out",
-            self.file
-        ));
+        let file = &self.file;
+        let text = format!("{file}: the last row (line {line}) is torn and was left out");
+        self.warnings.push(text);
     }
 
     /// Number of the line that was read last.
@@ -446,11 +443,7 @@ impl<R: BufRead> CsvRows<R> {
                 file,
                 line: self.line(),
             },
-            _ => RecordingError::Io {
-                path: file,
-                doing: "read",
-                reason: error.to_string(),
-            },
+            _ => unread(&file, error),
         }
     }
 
@@ -561,6 +554,14 @@ impl<R: BufRead> CsvRows<R> {
     }
 }
 
+fn unread(file: &str, error: &dyn std::error::Error) -> RecordingError {
+    RecordingError::Io {
+        path: file.to_owned(),
+        doing: "read",
+        reason: error.to_string(),
+    }
+}
+
 /// Headers, dialect, and number of the header row: the first line that is neither blank nor a remark. A line that begins with
 /// `#` but has the time column is a header, as some tools write it.
 fn head(
@@ -579,11 +580,7 @@ fn head(
     for lines in 1.. {
         bytes.clear();
         let count = reader.read_until(b'\n', &mut bytes);
-        let count = count.map_err(|error| RecordingError::Io {
-            path: file.to_owned(),
-            doing: "read",
-            reason: error.to_string(),
-        })?;
+        let count = count.map_err(|error| unread(file, &error))?;
         if count == 0 {
             break;
         }
@@ -607,17 +604,13 @@ fn head(
         let is_remark = text[0] == b'#';
         // Only a line end within its field tells that a quote is not closed.
         let line = [text, b"\n"].concat();
-        let found = separators
-            .iter()
-            .map(|separator| headers(&line, *separator, lines, file))
-            .collect::<Result<Vec<_>, _>>();
-        let found = match found {
+        let of = |separator: &u8| headers(&line, *separator, lines, file);
+        let found = match separators.iter().map(of).collect::<Result<Vec<_>, _>>() {
             Err(_) if is_remark => continue,
             found => found?,
         };
-        let with_time = found
-            .iter()
-            .position(|names| names.iter().any(|n| n == time));
+        let has_time = |names: &Vec<String>| names.iter().any(|name| name == time);
+        let with_time = found.iter().position(has_time);
         if is_remark && with_time.is_none() {
             continue;
         }

@@ -14,6 +14,15 @@ fn mapped(text: &str, map: &str) -> Result<(Run, Vec<String>), RecordingError> {
     read_csv(text.as_bytes(), "foreign.csv", options)
 }
 
+fn points(run: &Run, channel: Channel) -> Vec<(f64, f64)> {
+    run.points(channel).collect()
+}
+
+#[track_caller]
+fn says(error: &RecordingError, words: &str) {
+    assert!(error.to_string().contains(words), "{error}");
+}
+
 #[test]
 fn our_own_columns_with_missing_cells_and_bookkeeping() {
     let text = "time_s,host_time_s,seq,voltage_cmd_v,current_a,speed_rad_s,status,quality\n\
@@ -23,14 +32,8 @@ fn our_own_columns_with_missing_cells_and_bookkeeping() {
     let (run, warnings) = own(text.as_bytes()).unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(run.time_s(), &[0.0, 0.01, 0.02]);
-    assert_eq!(
-        run.points(Channel::Current).collect::<Vec<_>>(),
-        vec![(0.01, 0.5)]
-    );
-    assert_eq!(
-        run.points(Channel::Speed).collect::<Vec<_>>(),
-        vec![(0.02, 3.0)]
-    );
+    assert_eq!(points(&run, Channel::Current), [(0.01, 0.5)]);
+    assert_eq!(points(&run, Channel::Speed), [(0.02, 3.0)]);
     assert_eq!(run.points(Channel::VoltageCmd).count(), 2);
     assert_eq!(run.origin(Channel::VoltageCmd), Origin::Commanded);
     assert_eq!(run.origin(Channel::Current), Origin::Unknown);
@@ -56,14 +59,8 @@ fn a_foreign_file_with_units_in_its_headers() {
     let map = "time_s=Time (ms)*0.001,torque_n_m=Torque (N\u{b7}m)*-1+0.25,speed_rad_s=\"Speed, optical\"*0.5";
     let (run, _) = mapped(text, map).unwrap();
     assert_eq!(run.time_s(), &[1.0, 1.01, 1.02]);
-    assert_eq!(
-        run.points(Channel::Torque).collect::<Vec<_>>(),
-        vec![(1.0, -0.25)]
-    );
-    assert_eq!(
-        run.points(Channel::Speed).collect::<Vec<_>>(),
-        vec![(1.0, 30.0), (1.01, 60.0)]
-    );
+    assert_eq!(points(&run, Channel::Torque), [(1.0, -0.25)]);
+    assert_eq!(points(&run, Channel::Speed), [(1.0, 30.0), (1.01, 60.0)]);
     assert_eq!(run.origin(Channel::Speed), Origin::Unknown);
 }
 
@@ -80,57 +77,37 @@ fn one_column_may_serve_two_targets_and_an_empty_column_is_none() {
 #[test]
 fn errors_name_row_column_and_value() {
     let allowed = "(allowed: a finite number with a decimal point, NaN or an empty cell)";
+    let not_a_number =
+        |cell| format!("row 1 (line 2), column \"current_a\": {cell:?} is not a number {allowed}");
+    let (amps, infinite) = (not_a_number("1 A"), not_a_number("inf"));
+    let quote = |line| {
+        format!(
+            "line {line}: a double quote is not closed on its line, or text follows a closed one"
+        )
+    };
+    let (unclosed, swallows, joined) = (quote(2), quote(5), quote(4));
+    let empty = "the file is empty (a header row and data rows are needed)";
+    let stays = "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)";
+    let timeless = "row 1 (line 2): no time in column \"time_s\"";
+    let unknown = "no column that drivebench knows beside time_s";
+    let two = "2 columns are called \"current_a\", exactly one is needed";
+    let row = |cells: &str| format!("time_s,current_a/{cells}/");
+    let (short, long) = (row("0,1/1/2,3"), row("0,1/1,2,3"));
     for (text, message) in [
-        (
-            "",
-            "the file is empty (a header row and data rows are needed)",
-        ),
+        ("", empty),
         ("time_s,current_a/", "a header but no data row"),
-        (
-            "time_s,current_a/0,1/0,2/",
-            "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
-        ),
-        (
-            "time_s,current_a/0,1/1/2,3/",
-            "row 2 (line 3): 1 cells, the header has 2",
-        ),
-        (
-            "time_s,current_a/0,1/1,2,3/",
-            "row 2 (line 3): 3 cells, the header has 2",
-        ),
-        (
-            "time_s,current_a/0,1 A/",
-            &format!("row 1 (line 2), column \"current_a\": \"1 A\" is not a number {allowed}"),
-        ),
-        (
-            "time_s,current_a/0,inf/",
-            &format!("row 1 (line 2), column \"current_a\": \"inf\" is not a number {allowed}"),
-        ),
-        (
-            "time_s,current_a/nan,1/",
-            "row 1 (line 2): no time in column \"time_s\"",
-        ),
-        (
-            "time_s,foo/0,1/",
-            "no column that drivebench knows beside time_s",
-        ),
+        ("time_s,current_a/0,1/0,2/", stays),
+        (&short, "row 2 (line 3): 1 cells, the header has 2"),
+        (&long, "row 2 (line 3): 3 cells, the header has 2"),
+        ("time_s,current_a/0,1 A/", &amps),
+        ("time_s,current_a/0,inf/", &infinite),
+        (&row("nan,1"), timeless),
+        ("time_s,foo/0,1/", unknown),
         ("t,current_a/0,1/", "no column \"time_s\" in the header"),
-        (
-            "time_s,current_a,current_a/0,1,1/",
-            "2 columns are called \"current_a\", exactly one is needed",
-        ),
-        (
-            "time_s,current_a/0,\"1/1,2/",
-            "line 2: a double quote is not closed on its line, or text follows a closed one",
-        ),
-        (
-            "time_s,current_a//0,1/1,\"2\"/2,\"3/4\"/3,1/",
-            "line 5: a double quote is not closed on its line, or text follows a closed one",
-        ),
-        (
-            "time_s,current_a/0,1/1,\"2\" /2,\"3\"4/3,1/",
-            "line 4: a double quote is not closed on its line, or text follows a closed one",
-        ),
+        ("time_s,current_a,current_a/0,1,1/", two),
+        ("time_s,current_a/0,\"1/1,2/", &unclosed),
+        (&row("/0,1/1,\"2\"/2,\"3/4\"/3,1"), &swallows),
+        (&row("0,1/1,\"2\" /2,\"3\"4/3,1"), &joined),
     ] {
         let error = own(text.replace('/', "\n").as_bytes()).unwrap_err();
         assert_eq!(error.to_string(), format!("run.csv: {message}"));
@@ -140,31 +117,24 @@ fn errors_name_row_column_and_value() {
 
 #[test]
 fn text_that_is_not_utf8_is_named_with_its_line() {
-    for text in [
-        &b"time_s,current_a\n0,\xff\n1,2\n"[..],
-        b"time_s,current_a,\xb5x\n0,1,2\n",
+    for (text, at) in [
+        (&b"time_s,current_a\n0,\xff\n1,2\n"[..], 2),
+        (b"time_s,current_a,\xb5x\n0,1,2\n", 1),
+        // UTF-16 with its byte order mark
+        (b"\xff\xfet\0\n\0", 1),
     ] {
-        assert!(matches!(
-            own(text).unwrap_err(),
-            RecordingError::NotUtf8 { .. }
-        ));
+        let error = own(text).unwrap_err();
+        let named = matches!(error, RecordingError::NotUtf8 { line, .. } if line == at);
+        assert!(named, "{error}");
     }
-    // UTF-16 with its byte order mark
-    assert!(matches!(
-        own(b"\xff\xfet\0\n\0").unwrap_err(),
-        RecordingError::NotUtf8 { line: 1, .. }
-    ));
 }
 
 #[test]
 fn help_lists_the_headers_and_the_nearest() {
     let error = mapped("Zeit,Strom\n0,1\n", "time_s=Zeit,current_a=strom").unwrap_err();
-    assert!(
-        error.help().starts_with("did you mean \"Strom\"?"),
-        "{}",
-        error.help()
-    );
-    assert!(error.help().contains("\"Zeit\", \"Strom\""));
+    let help = error.help();
+    assert!(help.starts_with("did you mean \"Strom\"?"), "{help}");
+    assert!(help.contains("\"Zeit\", \"Strom\""), "{help}");
     let error = own(b"t;current_a\n0;1\n").unwrap_err();
     assert!(error.help().contains("\"t\", \"current_a\""));
 }
@@ -173,13 +143,8 @@ fn help_lists_the_headers_and_the_nearest() {
 fn a_file_cut_at_any_byte_keeps_every_whole_row() {
     let mut text = String::from("time_s,current_a,quality\n");
     for row in 0..200 {
-        let time_s = f64::from(row) * 0.01;
-        text += &[
-            number_text(time_s),
-            number_text(f64::from(row) * 0.37),
-            "ok\n".into(),
-        ]
-        .join(",");
+        let [time_s, amps] = [0.01, 0.37].map(|step| number_text(f64::from(row) * step));
+        text += &format!("{time_s},{amps},ok\n");
     }
     let line_ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();
     for cut in line_ends[150]..=text.len() {
@@ -228,10 +193,8 @@ fn remarks_in_foreign_files_are_left_out_and_counted() {
     let text = "# made by hand, \"quick\nt,i\n0,1\n# half time\n1,2\n\n# a-> Type: rise, 0.008";
     let (run, warnings) = mapped(text, "time_s=t,current_a=i").unwrap();
     assert_eq!((run.rows(), run.rows_dropped), (2, 0));
-    assert_eq!(
-        warnings,
-        ["foreign.csv: 2 lines that begin with # were left out"]
-    );
+    let said = "foreign.csv: 2 lines that begin with # were left out";
+    assert_eq!(warnings, [said]);
     // numpy writes its header as a remark
     let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
     assert_eq!(run.rows(), 1);
@@ -262,59 +225,36 @@ fn cells_are_parted_at_commas_outside_of_quotes() {
 fn every_dialect_is_found_and_named() {
     let comma = "numbers have a decimal comma";
     let sep = "a sep= line names the separator";
+    let semicolon = "';' parts the cells";
+    let mark = "it begins with a byte order mark";
+    let carriage_returns = "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3";
+    let tabs = "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/";
+    let bar = "\u{feff}sep=|//t|u|i/0|1.5|-2/1|2|0.3/";
+    let commas = "\"t\";\"u\";i;\"a, b, c, d\"/0;1.5;-2;/1;2;0.3;/";
     for (text, named) in [
         ("t,u,i/0,1.5,-2/1,2,3e-1/", vec![]),
-        ("t;u;i/0;1.5;-2/1;2;0.3/", vec!["';' parts the cells"]),
-        (
-            "t;u;i/0;1,5;-2/1;2;3e-1/",
-            vec!["';' parts the cells", comma],
-        ),
-        (
-            "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/",
-            vec!["a tab parts the cells"],
-        ),
-        (
-            "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3",
-            vec!["';' parts the cells", comma, sep],
-        ),
-        (
-            "\u{feff}sep=|//t|u|i/0|1.5|-2/1|2|0.3/",
-            vec![
-                "'|' parts the cells",
-                sep,
-                "it begins with a byte order mark",
-            ],
-        ),
+        ("t;u;i/0;1.5;-2/1;2;0.3/", vec![semicolon]),
+        ("t;u;i/0;1,5;-2/1;2;3e-1/", vec![semicolon, comma]),
+        (tabs, vec!["a tab parts the cells"]),
+        (carriage_returns, vec![semicolon, comma, sep]),
+        (bar, vec!["'|' parts the cells", sep, mark]),
         // A comma within a name is none between cells.
-        (
-            "\"t\";\"u\";i;\"a, b, c, d\"/0;1.5;-2;/1;2;0.3;/",
-            vec!["';' parts the cells"],
-        ),
+        (commas, vec![semicolon]),
     ] {
         let text = text.replace('/', "\n");
         let (run, warnings) = mapped(&text, "time_s=t,voltage_v=u,current_a=i").unwrap();
         assert_eq!(run.time_s(), &[0.0, 1.0], "{text}");
-        assert_eq!(run.column(Channel::Voltage).unwrap(), &[1.5, 2.0], "{text}");
-        assert_eq!(
-            run.column(Channel::Current).unwrap(),
-            &[-2.0, 0.3],
-            "{text}"
-        );
+        let columns = [Channel::Voltage, Channel::Current].map(|c| run.column(c).unwrap());
+        assert_eq!(columns, [&[1.5, 2.0], &[-2.0, 0.3]], "{text}");
         assert!(warnings.is_empty(), "{warnings:?}");
         let named = (!named.is_empty()).then(|| format!("foreign.csv: {}", named.join(", ")));
         assert_eq!(run.notes.first(), named.as_ref(), "{text}");
     }
     // A file has one decimal mark: here the comma would part thousands.
     let error = mapped("t;i\n0,5;1\n1,5;1.234,5\n", "time_s=t,current_a=i").unwrap_err();
-    assert!(
-        error.to_string().contains("\"1.234,5\" is not a number"),
-        "{error}"
-    );
+    says(&error, "\"1.234,5\" is not a number");
     let error = mapped("t;i\n0.5;1\n1.5;1,234\n", "time_s=t,current_a=i").unwrap_err();
-    assert!(
-        error.to_string().contains("\"1,234\" is not a number"),
-        "{error}"
-    );
+    says(&error, "\"1,234\" is not a number");
 }
 
 #[test]
@@ -326,7 +266,7 @@ fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
             70 => 12,
             other => other,
         };
-        text += &[stamp.to_string(), row.to_string() + "\n"].join(",");
+        text += &format!("{stamp},{row}\n");
     }
     let (run, warnings) = mapped(&text, "time_s=t,current_a=i").unwrap();
     assert_eq!((run.rows(), run.rows_dropped), (97, 3));
@@ -336,12 +276,7 @@ fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
     // What goes to and fro all the time is no time; the first such row is named.
     let text = "t,i\n0,1\n1,2\n0.5,3\n1.5,1\n1.2,1\n";
     let error = mapped(text, "time_s=t,current_a=i").unwrap_err();
-    assert!(
-        error
-            .to_string()
-            .contains("row 3 (line 4): time 0.5 s is not after 1 s"),
-        "{error}"
-    );
+    says(&error, "row 3 (line 4): time 0.5 s is not after 1 s");
 }
 
 #[test]
@@ -350,18 +285,14 @@ fn a_quantity_may_be_a_product_of_columns_and_take_its_sign_from_a_command() {
                 0,0,100,2,1\n1,0.5,100,10,2\n2,0,100,8,3\n3,-0.5,90,10,4\n4,,90,20,5\n";
     let map = "time_s=t,voltage_v=duty*bus_v,speed_rad_s=rpm*0.5*sign(duty),current_a=a*b*2+1";
     let (run, _) = mapped(text, map).unwrap();
-    let volts: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
+    let volts = points(&run, Channel::Voltage);
     assert_eq!(volts, [(0.0, 0.0), (1.0, 50.0), (2.0, 0.0), (3.0, -45.0)]);
     // Where the command is zero or missing its last sign holds.
-    assert_eq!(
-        run.column(Channel::Speed).unwrap(),
-        &[1.0, 5.0, 4.0, -5.0, -10.0]
-    );
+    let speeds = run.column(Channel::Speed).unwrap();
+    assert_eq!(speeds, &[1.0, 5.0, 4.0, -5.0, -10.0]);
     // A header that holds a star is one column.
-    assert_eq!(
-        run.column(Channel::Current).unwrap(),
-        &[3.0, 5.0, 7.0, 9.0, 11.0]
-    );
+    let currents = run.column(Channel::Current).unwrap();
+    assert_eq!(currents, &[3.0, 5.0, 7.0, 9.0, 11.0]);
     let error = mapped(text, "time_s=t,voltage_v=duty*bus").unwrap_err();
-    assert!(error.to_string().contains("no column \"bus\""), "{error}");
+    says(&error, "no column \"bus\"");
 }

@@ -35,9 +35,8 @@ impl Row {
     }
 
     pub fn set(&mut self, channel: Channel, value: Option<f64>) {
-        self.cells[channel.index()] = value
-            .filter(|value| value.is_finite())
-            .map(|value| value + 0.0);
+        let finite = value.filter(|value| value.is_finite());
+        self.cells[channel.index()] = finite.map(|value| value + 0.0);
     }
 
     /// Adds one word about a channel.
@@ -48,10 +47,11 @@ impl Row {
 
     /// Whether a limit of the drive held the output.
     pub fn is_limited(&self) -> bool {
-        let remarks = self.quality.split(' ');
-        remarks
-            .filter_map(|remark| remark.split_once(':'))
-            .any(|(key, reason)| key == Channel::VoltageCmd.key() && reason == LIMITED)
+        let mut remarks = self
+            .quality
+            .split(' ')
+            .filter_map(|remark| remark.split_once(':'));
+        remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
     }
 }
 
@@ -76,11 +76,9 @@ impl Layout {
 
     /// Time and these channels only, as for a simulated run.
     pub fn plain(channels: &[Channel]) -> Self {
+        let all = Channel::ALL.into_iter();
         Self {
-            channels: Channel::ALL
-                .into_iter()
-                .filter(|channel| channels.contains(channel))
-                .collect(),
+            channels: all.filter(|channel| channels.contains(channel)).collect(),
             host_time: false,
             exchange: false,
         }
@@ -182,8 +180,8 @@ fn push_number(text: &mut String, value: f64) {
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
 pub fn write_run(run: &Run) -> String {
-    let there: Vec<Channel> = Channel::ALL
-        .into_iter()
+    let all = Channel::ALL.into_iter();
+    let there: Vec<Channel> = all
         .filter(|channel| run.column(*channel).is_some())
         .collect();
     let layout = Layout::plain(&there);

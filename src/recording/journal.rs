@@ -418,6 +418,13 @@ mod tests {
         room: usize,
     }
 
+    fn disk(room: usize) -> Disk {
+        Disk {
+            room,
+            ..Disk::default()
+        }
+    }
+
     impl Write for Disk {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             let count = bytes.len().min(self.room - self.bytes.len());
@@ -448,10 +455,6 @@ mod tests {
     #[test]
     fn a_full_disk_loses_nothing_and_is_reported() {
         let layout = Layout::plain(&[Channel::Current]);
-        let disk = |room| Disk {
-            room,
-            ..Disk::default()
-        };
         let lines = |room| Lines::new(disk(room), 100_000);
         let mut journal = Journal::new(layout.clone(), lines(30), lines(1000), 10);
         let mut expected = layout.header();
@@ -480,13 +483,7 @@ mod tests {
     #[test]
     fn what_neither_disk_nor_memory_holds_is_counted_and_told() {
         let layout = Layout::plain(&[Channel::Current]);
-        let lines = |disk_room, room| {
-            let disk = Disk {
-                room: disk_room,
-                ..Disk::default()
-            };
-            Lines::new(disk, room)
-        };
+        let lines = |disk_room, room| Lines::new(disk(disk_room), room);
         let row = |journal: &mut Journal<Disk>, value: f64| {
             journal.rows(&[of(value)]);
         };
@@ -504,11 +501,7 @@ mod tests {
         assert_eq!(status.news.len(), 2, "{status:?}");
         assert!(status.news[1].contains("rows are lost"), "{status:?}");
         // Another disk: a header, the rows that are left, and the new ones.
-        let disk = || Disk {
-            room: 10_000,
-            ..Disk::default()
-        };
-        journal.go_on_in(disk(), disk());
+        journal.go_on_in(disk(10_000), disk(10_000));
         row(&mut journal, 100.0);
         let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
         assert!(text.starts_with(&layout.header()), "{text}");

@@ -40,11 +40,8 @@ impl RunRows {
     /// Opens a run and reads its header. Without `map` the headers must be those of our own `samples.csv`.
     pub fn open(path: &Path, map: Option<&ColumnMap>) -> Result<Self, RecordingError> {
         let is_folder = path.is_dir();
-        let samples = if is_folder {
-            path.join(SAMPLES)
-        } else {
-            path.to_owned()
-        };
+        let inside = is_folder.then(|| path.join(SAMPLES));
+        let samples = inside.unwrap_or_else(|| path.to_owned());
         let mut warnings = Vec::new();
         let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
 
@@ -153,32 +150,25 @@ fn folder_of(
         return (None, None);
     }
     let path = RunFolder::existing(parent).file(RunFile::Manifest);
-    match std::fs::read_to_string(&path) {
-        Ok(text) => match serde_json::from_str(&text) {
-            Ok(manifest) => (Some(parent.to_owned()), Some(manifest)),
-            Err(error) => {
-                warnings.push(format!(
-                    "{}: cannot be read ({error}); where the signals come from is unknown",
-                    path.display()
-                ));
-                (Some(parent.to_owned()), None)
-            }
-        },
-        Err(_) if is_folder => {
-            warnings.push(format!(
-                "{}: there is no manifest; where the signals come from is unknown",
-                parent.display()
-            ));
-            (Some(parent.to_owned()), None)
-        }
-        Err(_) => {
-            warnings.push(format!(
-                "{}: it stands outside of its run folder: where its signals come from is unknown, and its commands and voltages are taken as sampled, each held until the next row",
-                samples.display()
-            ));
-            (None, None)
-        }
-    }
+    let read = std::fs::read_to_string(&path);
+    let is_inside = is_folder || read.is_ok();
+    let warning = match read.map(|text| serde_json::from_str(&text)) {
+        Ok(Ok(manifest)) => return (Some(parent.to_owned()), Some(manifest)),
+        Ok(Err(error)) => format!(
+            "{}: cannot be read ({error}); where the signals come from is unknown",
+            path.display()
+        ),
+        Err(_) if is_folder => format!(
+            "{}: there is no manifest; where the signals come from is unknown",
+            parent.display()
+        ),
+        Err(_) => format!(
+            "{}: it stands outside of its run folder: where its signals come from is unknown, and its commands and voltages are taken as sampled, each held until the next row",
+            samples.display()
+        ),
+    };
+    warnings.push(warning);
+    (is_inside.then(|| parent.to_owned()), None)
 }
 
 fn set_origins(run: &mut Run, manifest: &Manifest) {
@@ -220,11 +210,8 @@ mod tests {
         };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
         manifest.set_side(Channel::Voltage, Side::Terminal);
-        let folder = folder(
-            root.path(),
-            &manifest,
-            "time_s,voltage_cmd_v,voltage_v\n0,1,0.9\n1,,0.8\n",
-        );
+        let samples = "time_s,voltage_cmd_v,voltage_v\n0,1,0.9\n1,,0.8\n";
+        let folder = folder(root.path(), &manifest, samples);
         for path in [folder.path().to_owned(), folder.samples()] {
             let loaded = open_run(&path, None).unwrap();
             assert_eq!(loaded.run.rows(), 2);
@@ -241,11 +228,8 @@ mod tests {
     #[test]
     fn an_unfinished_run_is_read_to_its_last_whole_row() {
         let root = tempfile::tempdir().unwrap();
-        let folder = folder(
-            root.path(),
-            &Manifest::default(),
-            "time_s,current_a\n0,1\n1,2\n2,3.1",
-        );
+        let torn = "time_s,current_a\n0,1\n1,2\n2,3.1";
+        let folder = folder(root.path(), &Manifest::default(), torn);
         let loaded = open_run(folder.path(), None).unwrap();
         assert_eq!(loaded.run.column(Channel::Current).unwrap(), &[1.0, 2.0]);
         assert_eq!(loaded.run.rows_dropped, 1);

@@ -87,10 +87,8 @@ impl Recorder {
     }
 
     fn start(writer: Writer) -> Result<Self, RecordingError> {
-        let (folder, order) = (
-            writer.folder.clone(),
-            RowOrder::new(writer.journal.layout().clone()),
-        );
+        let folder = writer.folder.clone();
+        let order = RowOrder::new(writer.journal.layout().clone());
         let status = Arc::new(Mutex::new(writer.journal.status()));
         let (sender, receiver) = channel();
         let shared = Arc::clone(&status);
@@ -146,10 +144,8 @@ impl Recorder {
     }
 
     fn send(&self, message: Message) {
-        let sent = match &self.sender {
-            Some(sender) => sender.send(message).is_ok(),
-            None => false,
-        };
+        let sender = self.sender.as_ref();
+        let sent = sender.is_some_and(|sender| sender.send(message).is_ok());
         let mut status = lock(&self.status);
         if !sent && status.error.is_none() {
             let text = "the writer thread of the record is gone: nothing is recorded any more";

@@ -36,6 +36,10 @@ fn drive(recorder: &mut dyn Record, cycles: u32) {
     }
 }
 
+fn read(path: std::path::PathBuf) -> String {
+    fs::read_to_string(path).unwrap()
+}
+
 fn manifest() -> Manifest {
     let mut manifest = Manifest {
         name: "test".into(),
@@ -61,14 +65,9 @@ fn disk_and_memory_hold_the_same_bytes() {
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, 200);
     memory.finish();
-    assert_eq!(
-        fs::read_to_string(folder.samples()).unwrap(),
-        memory.samples_csv()
-    );
-    assert_eq!(
-        fs::read_to_string(folder.events()).unwrap(),
-        memory.events_jsonl()
-    );
+    let [samples, events] = [folder.samples(), folder.events()].map(read);
+    assert_eq!(samples, memory.samples_csv());
+    assert_eq!(events, memory.events_jsonl());
     assert_eq!(memory.events_jsonl().lines().count(), 4);
 
     let loaded = open_run(folder.path(), None).unwrap();
@@ -85,7 +84,7 @@ fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
     let root = tempfile::tempdir().unwrap();
     let mut disk = recorder(root.path());
     let path = disk.folder().path().to_owned();
-    let text = fs::read_to_string(path.join("manifest.json")).unwrap();
+    let text = read(path.join("manifest.json"));
     assert!(text.contains("\"finished\": false"));
     drive(&mut disk, 10);
     drop(disk);
@@ -106,7 +105,7 @@ fn the_file_grows_by_whole_lines() {
         let mut line = Row::at(row as f64);
         line.set(Channel::Current, Some(row as f64 / 3.0));
         journal.rows(&[line]);
-        let text = fs::read_to_string(folder.samples()).unwrap();
+        let text = read(folder.samples());
         assert!(text.ends_with('\n'));
         assert_eq!(text.lines().count(), row + 2);
     }
@@ -161,8 +160,8 @@ fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
         let loaded = open_run(kept.folder.path(), None).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
         let (samples, events) = expected(30);
-        assert_eq!(fs::read_to_string(kept.folder.samples()).unwrap(), samples);
-        assert_eq!(fs::read_to_string(kept.folder.events()).unwrap(), events);
+        assert_eq!(read(kept.folder.samples()), samples);
+        assert_eq!(read(kept.folder.events()), events);
         assert_eq!(kept.samples.as_deref(), Some(samples.as_bytes()));
     }
 }
@@ -176,10 +175,8 @@ fn a_folder_that_is_gone_when_the_run_ends_is_made_again_too() {
     drive(&mut disk, 3);
     let kept = disk.finish(&manifest());
     assert_eq!(kept.error, None);
-    assert_eq!(
-        open_run(kept.folder.path(), None).unwrap().warnings.len(),
-        0
-    );
+    let loaded = open_run(kept.folder.path(), None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
 }
 
 #[test]
@@ -193,10 +190,8 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let news = wait_for_news(&disk);
     assert!(news.contains("cannot be made again"), "{news:?}");
     let kept = disk.finish(&manifest());
-    assert!(
-        matches!(kept.error, Some(RecordingError::Io { .. })),
-        "{kept:?}"
-    );
+    let is_io = matches!(kept.error, Some(RecordingError::Io { .. }));
+    assert!(is_io, "{kept:?}");
     let samples = kept.samples.unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
     let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
@@ -224,11 +219,9 @@ fn a_killed_program_loses_no_whole_row() {
         return;
     }
     let root = tempfile::tempdir().unwrap();
+    let this = "recording::recorder::tests::a_killed_program_loses_no_whole_row";
     let mut child = std::process::Command::new(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "recording::recorder::tests::a_killed_program_loses_no_whole_row",
-        ])
+        .args(["--exact", this])
         .env(VICTIM_ROOT, root.path())
         .stdout(std::process::Stdio::null())
         .spawn()
@@ -236,11 +229,8 @@ fn a_killed_program_loses_no_whole_row() {
     let folder = RunFolder::existing(root.path().join("20260131T000000Z-test"));
     let size = || fs::metadata(folder.samples()).map_or(0, |data| data.len());
     while size() < 20_000 {
-        assert_eq!(
-            child.try_wait().unwrap(),
-            None,
-            "the victim ended by itself"
-        );
+        let ended = child.try_wait().unwrap();
+        assert_eq!(ended, None, "the victim ended by itself");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
     child.kill().unwrap();

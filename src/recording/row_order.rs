@@ -79,11 +79,8 @@ impl RowOrder {
         match sample.applied {
             Some(applied) => self.place_applied(applied, &mut own),
             None => {
-                while self
-                    .waiting
-                    .front()
-                    .is_some_and(|row| row.time_s <= own.time_s)
-                {
+                let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
+                while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
                     self.place_front(None, &mut own);
                 }
             }
@@ -186,10 +183,8 @@ impl RowOrder {
     }
 
     fn shows(&self, row: &Row) -> bool {
-        self.layout
-            .channels()
-            .iter()
-            .any(|channel| row.get(*channel).is_some())
+        let mut channels = self.layout.channels().iter();
+        channels.any(|channel| row.get(*channel).is_some())
     }
 
     /// Stale values are left out and said to be stale: the value would be a repeat of an older instant.
@@ -267,10 +262,8 @@ mod tests {
             assert_eq!(width(&read), width(row));
             assert_eq!(read.quality, row.quality);
         }
-        assert_eq!(
-            rows[1].quality, "",
-            "the drive's own stamp is not missing anything"
-        );
+        let why = "the drive's own stamp is not missing anything";
+        assert_eq!(rows[1].quality, "", "{why}");
         let plain = Layout::of_drive(&[Channel::Current]).header();
         assert!(!plain.contains("half_width"));
     }
@@ -354,11 +347,8 @@ mod tests {
                 text.extend(rows.iter().map(|row| layout.line(row)));
             }
             assert_eq!(text, expected, "{name}");
-            assert_eq!(
-                (order.repeats(), order.unconfirmed()),
-                (repeats, unconfirmed),
-                "{name}"
-            );
+            let counts = (order.repeats(), order.unconfirmed());
+            assert_eq!(counts, (repeats, unconfirmed), "{name}");
         }
     }
 

@@ -60,19 +60,12 @@ impl RunFolder {
 
     fn make(root: &Path, base: &str) -> Result<Self, RecordingError> {
         fs::create_dir_all(root).map_err(|error| RecordingError::io(root, "create", &error))?;
-        let mut count = 1_u32;
-        loop {
-            let path = root.join(if count == 1 {
-                base.to_owned()
-            } else {
-                format!("{base}-{count}")
-            });
-            match fs::create_dir(&path) {
-                Ok(()) => return Ok(Self { path }),
-                Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
-                Err(error) => return Err(RecordingError::io(&path, "create", &error)),
-            }
-        }
+        let name = |count| match count {
+            1 => root.join(base),
+            _ => root.join(format!("{base}-{count}")),
+        };
+        let ((), path) = first_free(name, |path| fs::create_dir(path))?;
+        Ok(Self { path })
     }
 
     /// A folder that cannot be made for now, under the name that it would have.
@@ -124,20 +117,12 @@ impl RunFolder {
 
     /// Writes the next `capture-NN.csv`, from 01.
     pub fn write_capture(&self, text: &str) -> Result<PathBuf, RecordingError> {
-        let mut count = 1_u32;
-        loop {
-            let path = self.path.join(format!("capture-{count:02}.csv"));
-            match create_new(&path) {
-                Ok(mut file) => {
-                    file.write_all(text.as_bytes())
-                        .and_then(|()| file.sync_data())
-                        .map_err(|error| RecordingError::io(&path, "write", &error))?;
-                    return Ok(path);
-                }
-                Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
-                Err(error) => return Err(RecordingError::io(&path, "create", &error)),
-            }
-        }
+        let name = |count| self.path.join(format!("capture-{count:02}.csv"));
+        let (mut file, path) = first_free(name, create_new)?;
+        let written = file.write_all(text.as_bytes());
+        let written = written.and_then(|()| file.sync_data());
+        written.map_err(|error| RecordingError::io(&path, "write", &error))?;
+        Ok(path)
     }
 
     /// The two files that grow during the run; an error where one is there already.
@@ -149,29 +134,34 @@ impl RunFolder {
     }
 }
 
+/// What is made under the first name, counted from 1, that is not taken.
+fn first_free<T>(
+    name: impl Fn(u32) -> PathBuf,
+    make: impl Fn(&Path) -> std::io::Result<T>,
+) -> Result<(T, PathBuf), RecordingError> {
+    let mut count = 1;
+    loop {
+        let path = name(count);
+        match make(&path) {
+            Ok(made) => return Ok((made, path)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
+            Err(error) => return Err(RecordingError::io(&path, "create", &error)),
+        }
+    }
+}
+
 fn create_new(path: &Path) -> std::io::Result<File> {
     OpenOptions::new().append(true).create_new(true).open(path)
 }
 
 /// Letters, digits, `-`, `_` and inner dots stay; everything else becomes `-`.
 fn file_safe(name: &str) -> String {
-    let safe: String = name
-        .trim()
-        .chars()
-        .map(|letter| {
-            if letter.is_alphanumeric() || matches!(letter, '-' | '_' | '.') {
-                letter
-            } else {
-                '-'
-            }
-        })
-        .take(100)
-        .collect();
-    let safe = safe.trim_matches('.');
-    if safe.is_empty() {
-        "run".to_owned()
-    } else {
-        safe.to_owned()
+    let is_safe = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
+    let safe = name.trim().replace(|letter: char| !is_safe(letter), "-");
+    let safe: String = safe.chars().take(100).collect();
+    match safe.trim_matches('.') {
+        "" => "run".to_owned(),
+        safe => safe.to_owned(),
     }
 }
 
@@ -183,26 +173,11 @@ mod tests {
     fn a_folder_is_never_taken_twice() {
         let root = tempfile::tempdir().unwrap();
         let runs = root.path().join("deep/runs");
-        let names: Vec<String> = (0..3)
-            .map(|_| RunFolder::create(&runs, "20260131T235959Z", "my run/1").unwrap())
-            .map(|folder| {
-                folder
-                    .path
-                    .file_name()
-                    .unwrap()
-                    .to_str()
-                    .unwrap()
-                    .to_owned()
-            })
-            .collect();
-        assert_eq!(
-            names,
-            [
-                "20260131T235959Z-my-run-1",
-                "20260131T235959Z-my-run-1-2",
-                "20260131T235959Z-my-run-1-3"
-            ]
-        );
+        for number in ["", "-2", "-3"] {
+            let folder = RunFolder::create(&runs, "20260131T235959Z", "my run/1").unwrap();
+            let name = format!("20260131T235959Z-my-run-1{number}");
+            assert_eq!(folder.path, runs.join(name));
+        }
     }
 
     #[test]
@@ -220,10 +195,8 @@ mod tests {
         let folder = RunFolder::create(root.path(), "s", "n").unwrap();
         folder.write(RunFile::Result, "{\"long\": 1}").unwrap();
         folder.write(RunFile::Result, "{}").unwrap();
-        assert_eq!(
-            fs::read_to_string(folder.file(RunFile::Result)).unwrap(),
-            "{}"
-        );
+        let text = fs::read_to_string(folder.file(RunFile::Result)).unwrap();
+        assert_eq!(text, "{}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

@@ -48,14 +48,22 @@ impl LoadSection {
         })
     }
 
-    /// The first key of the brake that a vertical load lacks.
-    pub fn missing(&self) -> Option<&'static str> {
-        let keys = [
+    /// Current that holds the load at rest, A: none where nothing pulls.
+    pub(in crate::bench) fn hold_a(&self) -> f64 {
+        self.brake().map_or(0.0, |brake| brake.hold_current_a)
+    }
+
+    const fn keys(&self) -> [(&'static str, Option<f64>); 3] {
+        [
             ("load.hold_current_a", self.hold_current_a),
             ("load.brake_release_s", self.brake_release_s),
             ("load.brake_apply_s", self.brake_apply_s),
-        ];
-        let lacking = keys.into_iter().find(|(_, value)| value.is_none());
+        ]
+    }
+
+    /// The first key of the brake that a vertical load lacks.
+    pub fn missing(&self) -> Option<&'static str> {
+        let lacking = self.keys().into_iter().find(|(_, value)| value.is_none());
         lacking.filter(|_| self.vertical).map(|(key, _)| key)
     }
 
@@ -64,12 +72,7 @@ impl LoadSection {
     }
 
     pub(super) fn refused(&self, current_limit_a: f64) -> Option<Refused> {
-        let given = [
-            ("load.hold_current_a", self.hold_current_a),
-            ("load.brake_release_s", self.brake_release_s),
-            ("load.brake_apply_s", self.brake_apply_s),
-        ];
-        for (key, value) in given {
+        for (key, value) in self.keys() {
             let Some(value) = value else { continue };
             let (good, allowed) = match key {
                 _ if !self.vertical => (false, "nothing without load.vertical = true"),
@@ -121,11 +124,8 @@ impl SupplySection {
         let watts = self.brake_power_w?;
         let key = "supply.brake_power_w";
         if self.regenerates {
-            return Some((
-                key,
-                watts.to_string(),
-                "nothing without supply.regenerates = false",
-            ));
+            let allowed = "nothing without supply.regenerates = false";
+            return Some((key, watts.to_string(), allowed));
         }
         let good = watts.is_finite() && watts >= 0.0;
         (!good).then_some((key, watts.to_string(), "0 or more"))

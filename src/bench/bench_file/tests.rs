@@ -91,13 +91,11 @@ fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
     let plate = ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1.0");
     let silence = ("link_silence_s = 0.45", "link_silence_s = 0.015");
     let port = ("port = \"emulator\"", "port = \"tcp:nowhere\"");
+    let slew = ("slew_v_per_s = ", "slew_v_per_s = 0.0 # ");
     for ((from, to), key) in [
         (("rate_hz = 100.0", "rate_hz = 0.0"), "link.rate_hz = 0"),
         (plate, "motor.inertia_kg_m2 = -1"),
-        (
-            ("slew_v_per_s = ", "slew_v_per_s = 0.0 # "),
-            "limits.slew_v_per_s = 0",
-        ),
+        (slew, "limits.slew_v_per_s = 0"),
         (silence, "limits.link_silence_s = 0.015"),
         (port, "link.port = \"tcp:nowhere\""),
         (("time_s = ", "time_s = inf # "), "limits.time_s = inf"),
@@ -196,40 +194,28 @@ fn a_speed_section_is_strict() {
 fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused() {
     let with = |sections: &str| changed("[runs]", &format!("{sections}\n[runs]"));
     let brake = "hold_current_a = 2.0\nbrake_release_s = 0.3\nbrake_apply_s = 0.2";
-    let bench = with(&format!(
-        "[load]\nvertical = true\n{brake}\n[supply]\nregenerates = false\nbrake_power_w = 40.0"
-    ))
-    .unwrap();
+    let supply = "[supply]\nregenerates = false\nbrake_power_w = 40.0";
+    let bench = with(&format!("[load]\nvertical = true\n{brake}\n{supply}")).unwrap();
     let limits = bench.limits();
     assert_eq!(limits.braking_w, Some(40.0));
     assert_eq!(limits.load.brake().map(|brake| brake.release_s), Some(0.3));
     is_read_back(bench);
-    for (sections, words) in [
-        (format!("[load]\n{brake}"), "nothing without load.vertical"),
-        (
-            "[load]\nvertical = true\nhold_current_a = 40.0".to_owned(),
-            "less than limits.current_a",
-        ),
-        (
-            "[load]\nvertical = true\nbrake_apply_s = -1.0".to_owned(),
-            "0 to 10 s",
-        ),
-        ("[load]\nvertikal = true".to_owned(), "vertikal"),
-        (
-            "[supply]\nbrake_power_w = 4.0".to_owned(),
-            "nothing without supply.regenerates",
-        ),
-        (
-            "[supply]\nregenerates = false\nbrake_power_w = nan".to_owned(),
-            "0 or more",
-        ),
+    let heavy = "load]\nvertical = true\nhold_current_a = 40.0";
+    let early = "load]\nvertical = true\nbrake_apply_s = -1.0";
+    let free = "supply]\nbrake_power_w = 4.0";
+    let none = "supply]\nregenerates = false\nbrake_power_w = nan";
+    for (section, words) in [
+        (&*format!("load]\n{brake}"), "nothing without load.vertical"),
+        (heavy, "less than limits.current_a"),
+        (early, "0 to 10 s"),
+        ("load]\nvertikal = true", "vertikal"),
+        (free, "nothing without supply.regenerates"),
+        (none, "0 or more"),
     ] {
-        has(with(&sections).unwrap_err(), words);
+        has(with(&format!("[{section}")).unwrap_err(), words);
     }
     let unknown = changed_text("# unknown = false", "unknown = true");
     let unknown = unknown.replacen("[runs]", "[load]\nvertical = true\n[runs]", 1);
-    has(
-        BenchFile::parse("b.toml", &unknown).unwrap_err(),
-        "a known motor",
-    );
+    let error = BenchFile::parse("b.toml", &unknown).unwrap_err();
+    has(error, "a known motor");
 }

@@ -88,15 +88,10 @@ impl Checker<'_> {
     ) -> Result<bool, LinkError> {
         let noise = &self.report.noise;
         let speed = floor(noise, Channel::Speed);
+        let zero = self.link.zero();
         let known = Known {
             plate: first.plate,
-            size: Size::of(
-                first.plate,
-                limits,
-                self.link.zero(),
-                speed.1,
-                self.period_s,
-            ),
+            size: Size::of(first.plate, limits, zero, speed.1, self.period_s),
             current: floor(noise, Channel::Current),
             speed,
             signed_current: has_signed_current(first.profile.registers.as_deref()),
@@ -110,9 +105,8 @@ impl Checker<'_> {
             return Err(error);
         }
         let gives_speed = self.report.signals.contains(&Channel::Speed);
-        let lost_speed = legs
-            .iter()
-            .any(|leg| gives_speed && leg.points.iter().all(|p| p.speed_rad_s.is_none()));
+        let is_blind = |leg: &Leg| leg.points.iter().all(|point| point.speed_rad_s.is_none());
+        let lost_speed = gives_speed && legs.iter().any(is_blind);
         let (figures, refusal) = judge::direction(&known, &legs);
         let (ratios, implausible) = judge::plausibility(&known, &legs);
         let way = if one_way {
@@ -241,9 +235,14 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         // With the torque that holds a load from the first cycle on: the drive opens its brake when it runs.
         let zero = self.checker.zero;
         let runs = |state| state == DriveState::Running;
+        let times = self.checker.times();
         match self.checker.until_still(zero, &mut self.still, runs)? {
             Reached::Yes => {}
-            Reached::Never => return Err(Cut::Trip(self.never_runs())),
+            Reached::Never => {
+                let state = DriveState::Disabled;
+                let trip = Trip::not_running(self.next_s, state, times.enable_s, times.enable_s);
+                return Err(Cut::Trip(trip));
+            }
             Reached::Moved(text) => return Err(Cut::Moved(text)),
         }
         let sample = self.checker.answer(zero)?;
@@ -266,13 +265,11 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         if let Some(brake) = self.brake {
             self.hold_for(brake.apply_s)?;
         }
-        if !self
-            .checker
-            .until(Demand::Disable, |state| state != DriveState::Running)?
-        {
-            return Err(Cut::Trip(self.never_stops()));
+        let stands = |state| state != DriveState::Running;
+        if self.checker.until(Demand::Disable, stands)? {
+            return Ok(());
         }
-        Ok(())
+        Err(Cut::Trip(Trip::unstopped(self.next_s, times.stop_s)))
     }
 
     fn one_way(&mut self, legs: &mut [Leg]) -> Result<(), Cut> {
@@ -301,9 +298,7 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         let mut rests = 0;
         while rests < REST_SAMPLES {
             let sample = self.hold()?;
-            let speed = sample
-                .as_ref()
-                .and_then(|sample| sample.get(Channel::Speed));
+            let speed = sample.as_ref().and_then(|s| s.get(Channel::Speed));
             // A lost reply shows no rest. Of a drive without a speed there is nothing to wait for but the time.
             rests = match (&sample, speed) {
                 (None, _) => 0,
@@ -312,11 +307,8 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             };
             let waited_s = self.next_s - begin_s;
             if waited_s > REST_S {
-                return Err(Cut::Trip(Trip::unrested(
-                    self.next_s,
-                    speed.unwrap_or(0.0),
-                    waited_s,
-                )));
+                let speed = speed.unwrap_or(0.0);
+                return Err(Cut::Trip(Trip::unrested(self.next_s, speed, waited_s)));
             }
         }
         Ok(())
@@ -368,16 +360,6 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         let trip = self.guard.watch(now_s, &sample, true).cloned();
         Ok((Some(sample), trip))
     }
-
-    fn never_runs(&self) -> Trip {
-        let patience_s = self.checker.times().enable_s;
-        Trip::not_running(self.next_s, DriveState::Disabled, patience_s, patience_s)
-    }
-
-    fn never_stops(&self) -> Trip {
-        let patience_s = self.checker.times().stop_s;
-        Trip::unstopped(self.next_s, patience_s)
-    }
 }
 
 /// A pulse ends with this share of the rated speed.
@@ -408,10 +390,7 @@ const SAMPLES_AT_GOAL: usize = 2;
 
 /// What holds a load at rest, in the unit of the quantity and as current.
 pub(super) fn hold(kind: Actuator, plate: &Nameplate, limits: &Limits) -> (f64, f64) {
-    let hold_a = limits
-        .load
-        .brake()
-        .map_or(0.0, |brake| brake.hold_current_a);
+    let hold_a = limits.load.hold_a();
     let hold = match kind {
         Actuator::Voltage => plate.resistance_ohm * hold_a,
         Actuator::Current => hold_a,
@@ -497,13 +476,9 @@ impl Size {
 
     /// It turns in this direction by voltage and current, and the encoder does not see it.
     fn is_unseen(&self, point: &Point, direction: f64) -> bool {
-        let unseen = point
-            .speed_rad_s
-            .is_some_and(|w| w.abs() < SEEN_SHARE * self.goal_rad_s);
-        let turns = self
-            .by_voltage_rad_s(point)
-            .is_some_and(|w| w * direction > UNSEEN_FACTOR * self.goal_rad_s);
-        unseen && turns
+        let stands = |w: f64| w.abs() < SEEN_SHARE * self.goal_rad_s;
+        let turns = |w: f64| w * direction > UNSEEN_FACTOR * self.goal_rad_s;
+        point.speed_rad_s.is_some_and(stands) && self.by_voltage_rad_s(point).is_some_and(turns)
     }
 }
 
@@ -538,19 +513,12 @@ impl Leg {
 
     /// What to ask `time_s` after its begin; `None`: it is over.
     pub(super) fn asked(&self, size: &Size, time_s: f64) -> Option<f64> {
-        let arrives = |point: &Point| {
-            point
-                .speed_rad_s
-                .is_some_and(|w| w.abs() >= size.goal_rad_s)
-        };
-        let latest = self.points.len().checked_sub(SAMPLES_AT_GOAL);
-        let arrived = latest.is_some_and(|from| {
-            let latest = &self.points[from..];
-            latest.iter().all(arrives)
-                || latest
-                    .iter()
-                    .all(|point| size.is_unseen(point, self.direction))
-        });
+        let at_goal = |w: f64| w.abs() >= size.goal_rad_s;
+        let arrives = |point: &Point| point.speed_rad_s.is_some_and(at_goal);
+        let is_unseen = |point: &Point| size.is_unseen(point, self.direction);
+        let latest = self.points.last_chunk::<SAMPLES_AT_GOAL>();
+        let arrived =
+            latest.is_some_and(|latest| latest.iter().all(arrives) || latest.iter().all(is_unseen));
         let first = self.points.first().and_then(|point| point.angle_rad);
         let last = self.points.last().and_then(|point| point.angle_rad);
         let travelled = first.zip(last).map_or(0.0, |(a, b)| (b - a).abs());
@@ -564,12 +532,11 @@ impl Leg {
 
     /// The drive was asked for a speed, and its last sample shows quite another.
     pub(super) fn is_astray(&self, size: &Size) -> bool {
-        size.kind == Actuator::Speed
-            && self.points.last().is_some_and(|point| {
-                point.speed_rad_s.is_some_and(|w| {
-                    w.abs() > (ASTRAY_FACTOR * point.asked.abs()).max(size.goal_rad_s)
-                })
-            })
+        let is_far = |point: &Point| {
+            let most_rad_s = (ASTRAY_FACTOR * point.asked.abs()).max(size.goal_rad_s);
+            point.speed_rad_s.is_some_and(|w| w.abs() > most_rad_s)
+        };
+        size.kind == Actuator::Speed && self.points.last().is_some_and(is_far)
     }
 
     /// One reply to what was asked.

@@ -64,31 +64,19 @@ struct Ends {
 
 impl Ends {
     fn of(known: &Known<'_>, leg: &Leg) -> Self {
-        let currents = leg
-            .points
-            .iter()
-            .filter_map(|point| Some(point.current_a? - known.current.0 - known.size.hold_a));
-        let speeds: Vec<f64> = leg
-            .points
-            .iter()
-            .rev()
-            .filter_map(|point| point.speed_rad_s)
-            .take(2)
-            .collect();
+        let points = || leg.points.iter();
+        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
+        let current = |point: &Point| Some(point.current_a? - known.current.0 - known.size.hold_a);
+        let speeds = points().rev().filter_map(|point| point.speed_rad_s);
+        let speeds: Vec<f64> = speeds.take(2).collect();
         let mean = speeds.iter().sum::<f64>() / speeds.len().max(1) as f64 - known.speed.0;
+        let last = points().last();
         Self {
-            asked: leg
-                .points
-                .iter()
-                .map(|p| p.asked)
-                .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a }),
-            current_a: currents.reduce(|a, b| if b.abs() > a.abs() { b } else { a }),
+            asked: points().map(|point| point.asked).fold(0.0, larger),
+            current_a: points().filter_map(current).reduce(larger),
             rise_a: rise_a(leg),
             speed_rad_s: (!speeds.is_empty()).then_some(mean),
-            by_voltage_rad_s: leg
-                .points
-                .last()
-                .and_then(|point| known.size.by_voltage_rad_s(point)),
+            by_voltage_rad_s: last.and_then(|point| known.size.by_voltage_rad_s(point)),
         }
     }
 
@@ -129,9 +117,8 @@ pub(super) fn direction(
         refusal = refusal.or_else(|| fault(known, leg.direction, seen));
     }
     let slack = |seen: &Ends| {
-        let flows = seen
-            .current_a
-            .is_none_or(|amps| amps.abs() > known.flowed_a());
+        let (current, least) = (seen.current_a, known.flowed_a());
+        let flows = current.is_none_or(|amps| amps.abs() > least);
         (!flows).then_some("; the current stays within its noise, so its sign cannot be told")
     };
     if refusal.is_none() {
@@ -274,24 +261,15 @@ impl Ratio {
     fn suspicion(&self) -> String {
         let ratio = self.interval.1;
         let rpm = rpm_from_rad_s(1.0);
+        let milli = "a current in A that is taken for mA, or milliohm on the nameplate";
+        let per_rpm = "V per r/min on the nameplate instead of V.s/rad, or a speed in rad/s that is taken for r/min";
+        let per_thousand = "V per 1000 r/min on the nameplate instead of V.s/rad";
         let mistakes: &[(f64, &str)] = match self.name {
-            RESISTANCE => &[
-                (
-                    1e3,
-                    "a current in A that is taken for mA, or milliohm on the nameplate",
-                ),
-                (1e-3, "a current in mA that is taken for A"),
-            ],
+            RESISTANCE => &[(1e3, milli), (1e-3, "a current in mA that is taken for A")],
             _ => &[
-                (
-                    rpm,
-                    "V per r/min on the nameplate instead of V.s/rad, or a speed in rad/s that is taken for r/min",
-                ),
+                (rpm, per_rpm),
                 (1.0 / rpm, "a speed in r/min that is taken for rad/s"),
-                (
-                    1e-3 * rpm,
-                    "V per 1000 r/min on the nameplate instead of V.s/rad",
-                ),
+                (1e-3 * rpm, per_thousand),
                 (1e3, "mV on the nameplate"),
             ],
         };
@@ -316,7 +294,7 @@ const RESISTANCE: &str = "resistance";
 const BACK_EMF: &str = "back-EMF constant";
 
 /// Means of some samples, magnitudes along the direction of the pulse.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Mean {
     voltage_v: f64,
     current_a: f64,
@@ -325,30 +303,15 @@ struct Mean {
     step_v: f64,
 }
 
-impl Mean {
-    const ZERO: Self = Self {
-        voltage_v: 0.0,
-        current_a: 0.0,
-        speed_rad_s: 0.0,
-        step_v: 0.0,
-    };
-}
-
-/// Voltage before a pulse, V.
-fn rest_v(known: &Known<'_>) -> f64 {
-    if known.size.kind == Actuator::Voltage {
-        known.size.hold
-    } else {
-        0.0
-    }
-}
-
 /// Of the last of the points.
 fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
     let from = points.len().saturating_sub(AVERAGED);
-    let before = |k: usize| {
-        k.checked_sub(1)
-            .map_or(Some(rest_v(known)), |k| points[k].voltage_v)
+    // Before a pulse over a voltage stands what holds a load.
+    let is_voltage = known.size.kind == Actuator::Voltage;
+    let rest_v = if is_voltage { known.size.hold } else { 0.0 };
+    let before = |k: usize| match k.checked_sub(1) {
+        Some(k) => points[k].voltage_v,
+        None => Some(rest_v),
     };
     let step_v = (from..points.len())
         .filter_map(|k| Some((points[k].voltage_v? - before(k)?).abs()))
@@ -362,14 +325,10 @@ fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
     let of =
         |value: fn(&(f64, f64, f64)) -> f64| direction * rows.iter().map(value).sum::<f64>() / n;
     // A current without a sign is a magnitude already.
-    let current_a = if known.signed_current {
-        of(|row| row.1)
-    } else {
-        direction * of(|row| row.1)
-    };
+    let sign = if known.signed_current { 1.0 } else { direction };
     (!rows.is_empty()).then(|| Mean {
         voltage_v: of(|row| row.0),
-        current_a,
+        current_a: sign * of(|row| row.1),
         speed_rad_s: of(|row| row.2) - direction * known.speed.0,
         step_v,
     })
@@ -377,11 +336,8 @@ fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
 
 /// The last samples at rest and the last ones in motion of one way.
 fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
-    let moves = |point: &Point| {
-        point
-            .speed_rad_s
-            .is_some_and(|w| (w - known.speed.0).abs() > known.moved_rad_s())
-    };
+    let has_moved = |w: f64| (w - known.speed.0).abs() > known.moved_rad_s();
+    let moves = |point: &Point| point.speed_rad_s.is_some_and(has_moved);
     let first = leg.points.iter().position(moves);
     let rest = &leg.points[..first.unwrap_or(leg.points.len())];
     let rest = mean(known, leg.direction, rest);
@@ -413,21 +369,19 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
     let mut ratios = Vec::new();
     if let Some(rest) = rest {
         let drop_v = DROP_SHARE * plate.rated_voltage_v;
+        let by_v = r * rest.current_a.abs();
         ratios.push(Ratio {
             name: RESISTANCE,
             unit: "ohm",
             plate: r,
-            interval: interval(
-                rest.voltage_v,
-                drop_v + rest.step_v,
-                r * rest.current_a.abs(),
-                r * noise_a,
-            ),
+            interval: interval(rest.voltage_v, drop_v + rest.step_v, by_v, r * noise_a),
         });
     }
     if let Some(motion) = motion {
-        let (from, share) = rest.map_or((Mean::ZERO, DROP_SHARE), |rest| (rest, DIFFERENCE_SHARE));
+        let share = rest.map_or(DROP_SHARE, |_| DIFFERENCE_SHARE);
+        let from = rest.unwrap_or_default();
         let change_a = motion.current_a - from.current_a;
+        let by_v = ke * (motion.speed_rad_s - from.speed_rad_s).abs();
         let emf_v = motion.voltage_v - from.voltage_v - r * change_a;
         let doubt_v = from.step_v
             + motion.step_v
@@ -437,12 +391,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
             name: BACK_EMF,
             unit: "V.s/rad",
             plate: ke,
-            interval: interval(
-                emf_v,
-                doubt_v,
-                ke * (motion.speed_rad_s - from.speed_rad_s).abs(),
-                ke * noise_rad_s,
-            ),
+            interval: interval(emf_v, doubt_v, by_v, ke * noise_rad_s),
         });
     }
     ratios
@@ -485,11 +434,8 @@ pub(super) fn plausibility(known: &Known<'_>, legs: &[Leg]) -> (String, Option<S
     let mut texts = Vec::new();
     let mut refusal = None;
     for leg in legs {
-        let way = if leg.direction > 0.0 {
-            "forward"
-        } else {
-            "back"
-        };
+        let is_forward = leg.direction > 0.0;
+        let way = if is_forward { "forward" } else { "back" };
         for ratio in ratios(known, leg) {
             let text = ratio.text();
             if ratio.is_refused() && refusal.is_none() {
@@ -674,11 +620,8 @@ mod tests {
             ..known(&plate, Demand::Speed(0.0))
         };
         let mut leg = Leg::new(1.0);
-        leg.push(
-            &known.size,
-            7.5,
-            &Sample::at(0.0).with(Channel::Speed, 32.8),
-        );
+        let reply = Sample::at(0.0).with(Channel::Speed, 32.8);
+        leg.push(&known.size, 7.5, &reply);
         let (_, refusal) = plausibility(&known, &[leg.clone()]);
         for text in [refusal.unwrap(), astray(&known, &[leg]).unwrap()] {
             has(&text, "asked 7.50 rad/s, got 32.80 rad/s");
@@ -695,10 +638,6 @@ mod tests {
             interval: interval(0.5, 1.6, 0.1, 0.09),
         };
         assert!(!ratio.is_refused());
-        assert!(
-            ratio.text().contains("cannot be told at this size"),
-            "{}",
-            ratio.text()
-        );
+        has(ratio.text(), "cannot be told at this size");
     }
 }

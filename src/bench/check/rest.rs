@@ -64,37 +64,33 @@ fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
 /// What one sample with the output off shows beyond rest; `settled`: as close as a mean has to be.
 pub(super) fn unrest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
     let factor = if settled { 1.0 } else { SINGLE_FACTOR };
-    watched(limits)
-        .into_iter()
-        .find_map(|(channel, limit, share)| {
-            let (value, most) = (sample.get(channel)?, factor * share * limit);
-            (value.abs() > most).then(|| figure(channel, "", value, most))
-        })
+    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
+        let (value, most) = (sample.get(channel)?, factor * share * limit);
+        (value.abs() > most).then(|| figure(channel, "", value, most))
+    };
+    watched(limits).into_iter().find_map(beyond)
 }
 
 /// What the mean or the spread of samples with the output off shows beyond rest.
 pub(super) fn unrest_of_all(noise: &[NoiseFloor], limits: &Limits) -> Option<String> {
-    watched(limits)
-        .into_iter()
-        .find_map(|(channel, limit, share)| {
-            let floor = noise.iter().find(|floor| floor.channel == channel)?;
-            let most = share * limit;
-            if floor.mean.abs() > most {
-                return Some(figure(channel, "mean ", floor.mean, most));
-            }
-            (floor.std > most).then(|| figure(channel, "spread ", floor.std, most))
-        })
+    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
+        let floor = noise.iter().find(|floor| floor.channel == channel)?;
+        let most = share * limit;
+        let found = [("mean ", floor.mean), ("spread ", floor.std)];
+        let found = found.into_iter().find(|(_, value)| value.abs() > most);
+        found.map(|(what, value)| figure(channel, what, value, most))
+    };
+    watched(limits).into_iter().find_map(beyond)
 }
 
 /// Speed, current and voltage of a sample in words.
 pub(super) fn told(sample: &Sample) -> String {
-    let figures: Vec<String> = [Channel::Speed, Channel::Current, Channel::Voltage]
-        .into_iter()
-        .filter_map(|channel| {
-            let value = sample.get(channel)?;
-            Some(format!("{} {value:.2} {}", channel.name(), channel.unit()))
-        })
-        .collect();
+    let figure = |channel: Channel| {
+        let value = sample.get(channel)?;
+        Some(format!("{} {value:.2} {}", channel.name(), channel.unit()))
+    };
+    let channels = [Channel::Speed, Channel::Current, Channel::Voltage];
+    let figures: Vec<String> = channels.into_iter().filter_map(figure).collect();
     if figures.is_empty() {
         "it tells no speed, current or voltage".to_owned()
     } else {
@@ -139,12 +135,14 @@ impl Still {
 
     /// What moves in this sample, or has moved since the first one.
     pub(super) fn moved(&mut self, sample: &Sample) -> Option<String> {
-        for (channel, mean, most) in self.bounds {
-            if let Some(value) = sample.get(channel)
-                && (value - mean).abs() > most
-            {
-                return Some(figure(channel, "", value, most));
-            }
+        let beyond = |(channel, mean, most): (Channel, f64, f64)| {
+            let value = sample
+                .get(channel)
+                .filter(|value| (value - mean).abs() > most)?;
+            Some(figure(channel, "", value, most))
+        };
+        if let Some(text) = self.bounds.into_iter().find_map(beyond) {
+            return Some(text);
         }
         let angle_rad = sample.get(Channel::Angle)?;
         let turned_rad = angle_rad - *self.angle_rad.get_or_insert(angle_rad);
@@ -163,12 +161,8 @@ impl Checker<'_> {
         let text = format!(
             "the line carries at most {most_hz:.0} Hz at its baud rate, asked {rate_hz} Hz"
         );
-        self.note(
-            RATE_CHECK,
-            false,
-            text,
-            "lower link.rate_hz, or raise the baud rate",
-        )
+        let help = "lower link.rate_hz, or raise the baud rate";
+        self.note(RATE_CHECK, false, text, help)
     }
 
     /// A drive that was running when it was found is somebody else's; nothing has been asked of it yet.
@@ -214,16 +208,13 @@ impl Checker<'_> {
 
     /// Set-points that the profile says can be read back, compared with the output off.
     pub(super) fn set_points(&mut self) -> Result<bool, LinkError> {
-        Ok(match self.link.compare_set_points()? {
-            None => true,
-            Some(Ok(text)) => self.note("set-points", true, text, ""),
-            Some(Err(text)) => self.note(
-                "set-points",
-                false,
-                text,
-                "check address, type and function of the set-point, and whether the drive lets the bus write it",
-            ),
-        })
+        let Some(compared) = self.link.compare_set_points()? else {
+            return Ok(true);
+        };
+        let help = "check address, type and function of the set-point, and whether the drive lets the bus write it";
+        let passed = compared.is_ok();
+        let (Ok(text) | Err(text)) = compared;
+        Ok(self.note("set-points", passed, text, help))
     }
 
     pub(super) fn probe(&mut self, limits: &Limits, rate_hz: f64) -> Result<bool, LinkError> {
@@ -282,13 +273,10 @@ impl Checker<'_> {
         self.report.reachable_rate_hz = reachable_hz;
         let lost = PROBES - samples.len() as u64;
         let line = self.link.line().unwrap_or_default();
-        let strays = if line.stale_frames + line.foreign_frames > 0 {
-            format!(
-                ", {} late and {} foreign frames on the line so far",
-                line.stale_frames, line.foreign_frames
-            )
-        } else {
-            String::new()
+        let (late, foreign) = (line.stale_frames, line.foreign_frames);
+        let strays = match late + foreign {
+            0 => String::new(),
+            _ => format!(", {late} late and {foreign} foreign frames on the line so far"),
         };
         let figures = format!(
             "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz{strays}",
@@ -296,12 +284,8 @@ impl Checker<'_> {
             1e3 * tail_s
         );
         let fast = reachable_hz >= rate_hz && lost as f64 <= LOST_SHARE * PROBES as f64;
-        if !self.note(
-            "link",
-            fast,
-            figures,
-            "lower link.rate_hz, raise the baud rate, or check what adapter and drive take to answer (`drivebench doctor --port PORT`)",
-        ) {
+        let help = "lower link.rate_hz, raise the baud rate, or check what adapter and drive take to answer (`drivebench doctor --port PORT`)";
+        if !self.note("link", fast, figures, help) {
             return Ok(false);
         }
         let rests = self.standstill(&samples, limits) && self.field(&samples, limits);
@@ -330,23 +314,15 @@ impl Checker<'_> {
             });
         }
         let wanted = [Channel::Current, Channel::Speed, Channel::Voltage];
-        let figures: Vec<String> = self
-            .report
-            .noise
-            .iter()
-            .filter(|floor| wanted.contains(&floor.channel))
-            .map(|floor| {
-                format!(
-                    "{} {} {}",
-                    floor.channel.name(),
-                    with_std(floor.mean, floor.std),
-                    floor.channel.unit()
-                )
-            })
-            .collect();
-        let fault = samples
-            .last()
-            .is_some_and(|sample| sample.state == Some(DriveState::Fault));
+        let figure = |floor: &NoiseFloor| {
+            let (name, unit) = (floor.channel.name(), floor.channel.unit());
+            format!("{name} {} {unit}", with_std(floor.mean, floor.std))
+        };
+        let floors = self.report.noise.iter();
+        let floors = floors.filter(|floor| wanted.contains(&floor.channel));
+        let figures: Vec<String> = floors.map(figure).collect();
+        let last = samples.last().and_then(|sample| sample.state);
+        let fault = last == Some(DriveState::Fault);
         let unrest = unrest_of_all(&self.report.noise, limits);
         let passed = !fault && unrest.is_none();
         let text = match unrest {
@@ -360,29 +336,20 @@ impl Checker<'_> {
     /// The field of a motor with a separate one: without it a motor at voltage runs away.
     fn field(&mut self, samples: &[Sample], limits: &Limits) -> bool {
         let field_a = samples.iter().rev().find_map(|sample| sample.field_a);
-        let (text, passed) = match (field_a, limits.field_min_a) {
+        let text = match (field_a, limits.field_min_a) {
             (None, None) => return true,
-            (None, Some(least_a)) => (
-                format!("the field current is not read, at least {least_a} A are needed"),
-                false,
+            (None, Some(least_a)) => {
+                format!("the field current is not read, at least {least_a} A are needed")
+            }
+            (Some(field_a), None) => format!(
+                "{field_a:.3} A; its loss is not watched: the drive's profile gives no limits.field_min_a"
             ),
-            (Some(field_a), None) => (
-                format!(
-                    "{field_a:.3} A; its loss is not watched: the drive's profile gives no limits.field_min_a"
-                ),
-                true,
-            ),
-            (Some(field_a), Some(least_a)) => (
-                format!("{field_a:.3} A, a trip below {least_a} A"),
-                field_a >= least_a,
-            ),
+            (Some(field_a), Some(least_a)) => format!("{field_a:.3} A, a trip below {least_a} A"),
         };
-        self.note(
-            "field",
-            passed,
-            text,
-            "switch the field supply on, check its fuse, and limits.field_min_a of the drive's profile",
-        )
+        let enough = |least_a: f64| field_a.is_some_and(|field_a| field_a >= least_a);
+        let passed = limits.field_min_a.is_none_or(enough);
+        let help = "switch the field supply on, check its fuse, and limits.field_min_a of the drive's profile";
+        self.note("field", passed, text, help)
     }
 
     /// Enables at zero, stops talking on purpose, and wants to hear that the drive gave up by itself.

@@ -11,8 +11,8 @@ use crate::bench::limits::Nameplate;
 use crate::bench::testing::{Fault, ScriptedDrive, Stalls, exact, has, in_memory, near, within};
 use crate::drive::{CommandTimes, ProfiledLink, RegisterBus};
 use crate::emulator::{
-    EmulatorConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive, VirtualClock,
-    mystery,
+    EmulatorConfig, FaultsConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive,
+    VirtualClock, mystery,
 };
 
 const NONE: Waivers = Waivers {
@@ -37,11 +37,14 @@ fn options() -> CheckOptions<'static> {
     }
 }
 
+fn asking(change: impl FnOnce(&mut CheckOptions<'static>)) -> CheckOptions<'static> {
+    let mut options = options();
+    change(&mut options);
+    options
+}
+
 fn waived() -> CheckOptions<'static> {
-    CheckOptions {
-        waivers: NO_WATCHDOG,
-        ..options()
-    }
+    asking(|options| options.waivers = NO_WATCHDOG)
 }
 
 fn limits() -> Limits {
@@ -55,14 +58,21 @@ fn plain() -> (Nameplate, DriveProfile) {
 }
 
 /// With the first move on this plate and drive.
-fn moving((plate, profile): &(Nameplate, DriveProfile)) -> CheckOptions<'_> {
-    let first = FirstMove {
-        plate,
-        profile,
-        stopped: &|| false,
-    };
+fn moving(first: &(Nameplate, DriveProfile)) -> CheckOptions<'_> {
+    stopped_by(&|| false, first)
+}
+
+/// The same with somebody who may ask to stop.
+fn stopped_by<'a>(
+    stopped: &'a (dyn Fn() -> bool + Send + Sync),
+    (plate, profile): &'a (Nameplate, DriveProfile),
+) -> CheckOptions<'a> {
     CheckOptions {
-        first_move: Some(first),
+        first_move: Some(FirstMove {
+            plate,
+            profile,
+            stopped,
+        }),
         ..options()
     }
 }
@@ -143,40 +153,25 @@ fn every_hidden_effect_of_every_mystery_passes_the_pulse() {
     for seed in 0..60 {
         let config = mystery::draw(seed).config;
         let (report, _) = moved(&config, &bench, NONE);
-        let refusal = report.refusal();
-        assert!(
-            report.passed(),
-            "seed {seed}, {:?}: {refusal:?}",
-            config.hidden
-        );
+        let (refusal, hidden) = (report.refusal(), &config.hidden);
+        assert!(report.passed(), "seed {seed}, {hidden:?}: {refusal:?}");
     }
 }
 
 #[test]
 fn a_broken_machine_is_refused_with_its_name() {
-    type Case = (fn(&mut EmulatorConfig), &'static str);
+    type Case = (fn(&mut FaultsConfig), &'static str);
+    let frozen = "encoder frozen or not connected";
     let bench = BenchFile::embedded_default();
     let cases: [Case; 4] = [
-        (
-            |config| config.faults.encoder_reversed = true,
-            "encoder reversed",
-        ),
-        (
-            |config| config.faults.encoder_frozen_from_s = Some(0.0),
-            "encoder frozen or not connected",
-        ),
-        (
-            |config| config.faults.locked_rotor = true,
-            "the shaft is held",
-        ),
-        (
-            |config| config.faults.open_phase = true,
-            "open armature circuit",
-        ),
+        (|faults| faults.encoder_reversed = true, "encoder reversed"),
+        (|faults| faults.encoder_frozen_from_s = Some(0.0), frozen),
+        (|faults| faults.locked_rotor = true, "the shaft is held"),
+        (|faults| faults.open_phase = true, "open armature circuit"),
     ];
     for (fault, words) in cases {
         let mut config = emulator("zk-22fc-plain");
-        fault(&mut config);
+        fault(&mut config.faults);
         let (report, link) = moved(&config, &bench, NONE);
         refuses(&report, "direction", words);
         assert!(report.refusal().unwrap().help.is_some());
@@ -253,21 +248,14 @@ fn real_hardware_is_moved_only_after_the_word() {
 
 #[test]
 fn a_panic_within_the_pulse_leaves_the_output_off() {
-    let (plate, profile) = plain();
+    let first = plain();
     let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
     let cycles = AtomicU32::new(0);
     let bomb = || {
         assert!(cycles.fetch_add(1, Ordering::Relaxed) < 30, "boom");
         false
     };
-    let asked = CheckOptions {
-        first_move: Some(FirstMove {
-            plate: &plate,
-            profile: &profile,
-            stopped: &bomb,
-        }),
-        ..options()
-    };
+    let asked = stopped_by(&bomb, &first);
     let checked = AssertUnwindSafe(|| check(&mut link, &mut clock, &limits(), asked).map(|_| ()));
     let result = catch_unwind(checked);
     assert!(result.is_err(), "the pulse has more than 30 cycles");
@@ -279,16 +267,9 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
 
 #[test]
 fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_it() {
-    let (plate, profile) = plain();
+    let first = plain();
     let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
-    let asked = CheckOptions {
-        first_move: Some(FirstMove {
-            plate: &plate,
-            profile: &profile,
-            stopped: &|| true,
-        }),
-        ..options()
-    };
+    let asked = stopped_by(&|| true, &first);
     let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
     assert_eq!(report.refusal().unwrap().text, "stopped by the user");
     turned_less(&link, 1e-12);
@@ -408,15 +389,10 @@ fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_w
         let report = checked(&mut drive, waived());
         let refusal = report.refusal().expect(&words);
         assert_eq!(refusal.name, "watchdog");
-        let says = refusal
-            .text
-            .starts_with("the shaft moved at zero reference");
-        assert!(says, "{words}: {}", refusal.text);
-        assert_eq!(
-            drive.demands.len(),
-            at + 1,
-            "{words}: nothing was sent after it"
-        );
+        let (says, sent) = (&refusal.text, drive.demands.len());
+        let is_named = says.starts_with("the shaft moved at zero reference");
+        assert!(is_named, "{words}: {says}");
+        assert_eq!(sent, at + 1, "{words}: nothing was sent after it");
         assert_eq!(drive.stops, 1);
     }
 }
@@ -426,11 +402,8 @@ fn a_rate_that_the_line_cannot_carry_is_refused_without_asking_anything() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.shortest_cycle_s = Some(0.02);
     let report = checked(&mut drive, options());
-    refuses(
-        &report,
-        RATE_CHECK,
-        "at most 50 Hz at its baud rate, asked 100 Hz",
-    );
+    let words = "at most 50 Hz at its baud rate, asked 100 Hz";
+    refuses(&report, RATE_CHECK, words);
     assert!(drive.demands.is_empty());
 }
 
@@ -439,10 +412,7 @@ fn hardware_needs_to_be_allowed() {
     for hardware_allowed in [false, true] {
         let mut drive = ScriptedDrive::new(0.01);
         drive.is_emulator = false;
-        let asked = CheckOptions {
-            hardware_allowed,
-            ..options()
-        };
+        let asked = asking(|options| options.hardware_allowed = hardware_allowed);
         let report = scripted(drive, asked).unwrap();
         let is_by_identity = report.refusal().unwrap().name == "identity";
         assert_eq!(is_by_identity, !hardware_allowed);
@@ -462,10 +432,7 @@ fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
 fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
-    let asked = CheckOptions {
-        reset_fault: true,
-        ..options()
-    };
+    let asked = asking(|options| options.reset_fault = true);
     refuses(&checked(&mut drive, asked), "identity", "");
     assert!(drive.demands.is_empty() && drive.stops == 0);
 }
@@ -481,10 +448,7 @@ fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
         };
         link.exchange(left).unwrap();
         clock.set_time_s(1.0);
-        let asked = CheckOptions {
-            reset_fault,
-            ..options()
-        };
+        let asked = asking(|options| options.reset_fault = reset_fault);
         let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
         if reset_fault {
             passes(&report);
@@ -626,11 +590,8 @@ fn a_set_point_that_is_right_is_compared_at_rest_and_passes_the_pulse() {
 
 #[test]
 fn a_speed_of_another_word_order_or_scale_is_stopped_in_the_pulse_and_asked_about() {
-    for (order, scale) in [
-        ("low_first", "0.1"),
-        ("high_first", "0.01"),
-        ("high_first", "1.0"),
-    ] {
+    let high = "high_first";
+    for (order, scale) in [("low_first", "0.1"), (high, "0.01"), (high, "1.0")] {
         let mut table = Table::new(servo(order, scale));
         let report = table.check(false);
         let refusal = &report.refusal().unwrap().text;

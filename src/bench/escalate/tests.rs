@@ -62,10 +62,7 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
         let session = stage_session(bench, stage).unwrap_or_else(|error| {
             panic!("seed {seed}: {error}: {stage:?} {:?}", escalation.history())
         });
-        let course = Course {
-            rate_hz: bench.link.rate_hz,
-            ..Course::default()
-        };
+        let course = Course::at(bench.link.rate_hz);
         let (summary, recorder) = course.run(session.after_seq(seq), &mut watched, &mut clock);
         seq = summary.link.sent + 1;
         let ended = summary.outcome == RunOutcome::Done;

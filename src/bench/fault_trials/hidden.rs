@@ -99,10 +99,8 @@ fn on_a_line_with_spoilt_replies_the_hidden_effect_is_named_and_no_parameter_mov
     let outcomes: Vec<Outcome> = std::thread::scope(|scope| {
         let half = |first: u64| (first..MACHINES).step_by(2).map(machine).collect();
         let halves: [_; 2] = [0, 1].map(|first| scope.spawn(move || half(first)));
-        halves
-            .into_iter()
-            .flat_map(|half| -> Vec<Outcome> { half.join().unwrap() })
-            .collect()
+        let joined = |half: std::thread::ScopedJoinHandle<'_, Vec<Outcome>>| half.join().unwrap();
+        halves.into_iter().flat_map(joined).collect()
     });
     let wrong: Vec<&str> = outcomes.iter().filter_map(|o| o.wrong.as_deref()).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -367,11 +367,9 @@ fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
         _ => there.drive.seen_s(),
     };
     let mut wrong = judge(&there.drive, fault.act, fault.class, from_s);
-    if !fault.statuses.contains(&trial.status) {
-        wrong.push(format!(
-            "status {} instead of {:?}",
-            trial.status, fault.statuses
-        ));
+    let (status, allowed) = (trial.status, &fault.statuses);
+    if !allowed.contains(&status) {
+        wrong.push(format!("status {status} instead of {allowed:?}"));
     }
     wrong.extend(fault.untold(&trial.said));
     if fault.class == Class::GoesOn && matches!(way, Way::Run | Way::RunScreen) {
@@ -425,13 +423,8 @@ fn expect(wanted: impl Fn(&Fault) -> bool) {
     });
     let mut failed = failed.into_inner().unwrap();
     failed.sort();
-    assert!(
-        failed.is_empty(),
-        "{} of {} trials failed:\n{}",
-        failed.len(),
-        cases.len(),
-        failed.join("\n")
-    );
+    let (count, all, texts) = (failed.len(), cases.len(), failed.join("\n"));
+    assert!(count == 0, "{count} of {all} trials failed:\n{texts}");
 }
 
 fn is_about_the_line(fault: &Fault) -> bool {

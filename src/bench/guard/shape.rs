@@ -163,12 +163,9 @@ impl Shaper {
     fn may_slow(&self, now_s: f64, is_believed: bool) -> bool {
         let fresh_s = self.fresh_s.min(FRESH_STOP_S);
         let is_fresh = self.speed_at_s.is_some_and(|at_s| now_s - at_s <= fresh_s);
-        let falls = self
-            .speeds
-            .front()
-            .zip(self.speeds.back())
-            .is_some_and(|(old, new)| new.abs() < old.abs() && new * old > 0.0);
-        is_believed && is_fresh && falls
+        let falls = |(old, new): (&f64, &f64)| new.abs() < old.abs() && new * old > 0.0;
+        let ends = self.speeds.front().zip(self.speeds.back());
+        is_believed && is_fresh && ends.is_some_and(falls)
     }
 
     /// The next output while stopping: between the one before and the wanted one, and there in time.
@@ -213,15 +210,12 @@ impl Shaper {
             let least = if causes.quadrant { 0.0 } else { -limit };
             (finite.clamp(least, limit), causes)
         };
-        match wanted {
+        let (demand, causes) = match wanted {
             Demand::Voltage(volts) => {
                 let (volts, mut causes) = bounded(volts, limits.voltage_v, 2);
                 let bound = self.stop_by_s.is_none() || self.may_slow(now_s, is_believed);
                 let volts = self.voltage(now_s, volts, limits.voltage_v, bound, &mut causes);
-                Shaped {
-                    demand: Demand::Voltage(volts),
-                    causes,
-                }
+                (Demand::Voltage(volts), causes)
             }
             Demand::Current(amps) => {
                 let (wanted_a, mut causes) = bounded(amps, limits.current_a, 4);
@@ -229,24 +223,19 @@ impl Shaper {
                     braking.current(self.speed_rad_s, wanted_a)
                 });
                 causes.supply = (amps - wanted_a).abs() > 1e-9 * limits.current_a;
-                Shaped {
-                    demand: Demand::Current(amps),
-                    causes,
-                }
+                (Demand::Current(amps), causes)
             }
             Demand::Speed(speed) => {
                 let (speed, mut causes) = bounded(speed, limits.speed_rad_s, 2);
                 let speed = self.speed(now_s, speed, limits.speed_rad_s, &mut causes);
-                Shaped {
-                    demand: Demand::Speed(speed),
-                    causes,
-                }
+                (Demand::Speed(speed), causes)
             }
             off => {
                 self.rest(now_s);
-                Shaped::unchanged(off)
+                return Shaped::unchanged(off);
             }
-        }
+        };
+        Shaped { demand, causes }
     }
 
     /// `bound`: winding and supply have a say.
@@ -309,10 +298,8 @@ impl Shaper {
     fn speed(&mut self, now_s: f64, wanted: f64, limit: f64, causes: &mut Causes) -> f64 {
         let step_s = (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let mut next = wanted;
-        let fall = self
-            .braking
-            .and_then(|braking| braking.deceleration(self.asked_rad_s));
-        if let Some(fall) = fall {
+        let asked = self.asked_rad_s;
+        if let Some(fall) = self.braking.and_then(|braking| braking.deceleration(asked)) {
             // Towards the speed that is asked, and not through zero in one step.
             let least = (self.asked_rad_s.abs() - fall * step_s).max(0.0);
             if next * self.asked_rad_s.signum() < least {

@@ -14,6 +14,12 @@ fn limits() -> Limits {
     }
 }
 
+fn with(change: impl FnOnce(&mut Limits)) -> Limits {
+    let mut limits = limits();
+    change(&mut limits);
+    limits
+}
+
 fn guard_of(limits: Limits) -> Guard {
     Guard::new(limits, &Nameplate::zk_22fc(), None)
 }
@@ -178,10 +184,7 @@ fn silence_of_the_link_and_of_the_host_are_told_apart() {
 
 #[test]
 fn the_time_limit_counts_the_time_with_the_output_on_only() {
-    let mut guard = guard_of(Limits {
-        time_s: 1.0,
-        ..limits()
-    });
+    let mut guard = guard_of(with(|limits| limits.time_s = 1.0));
     guard.begin(0.0, &sample(0.0));
     let mut on_cycles = 0;
     for cycle in 1..1000 {
@@ -192,12 +195,8 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
         // On for half of the time.
         let on = cycle % 2 == 0;
         on_cycles += u32::from(on);
-        let demand = if on {
-            Demand::Voltage(1.0)
-        } else {
-            Demand::Disable
-        };
-        guard.shape(now_s, demand);
+        let volts = Demand::Voltage(1.0);
+        guard.shape(now_s, if on { volts } else { Demand::Disable });
         guard.watch(now_s, &sample(now_s), true);
     }
     assert_eq!(guard.tripped().unwrap().kind, TripKind::TimeLimit);
@@ -208,10 +207,7 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
 fn a_voltage_step_is_capped_at_current_limit_times_resistance_unless_the_drive_limits_itself() {
     // 22.8 A times 1.1 ohm.
     for (drive_limit_a, first_v) in [(None, 25.08), (Some(100.0), 25.08), (Some(20.0), 60.0)] {
-        let fast = Limits {
-            slew_v_per_s: 1e9,
-            ..limits()
-        };
+        let fast = with(|limits| limits.slew_v_per_s = 1e9);
         let mut guard = Guard::new(fast, &Nameplate::zk_22fc(), drive_limit_a);
         guard.begin(0.0, &sample(0.0));
         guard.watch(0.0, &at_rad_s(0.0, 0.0), true);
@@ -418,11 +414,7 @@ proptest! {
 
 #[test]
 fn a_heavy_load_is_braked_no_harder_than_the_limit_allows_while_it_is_seen_to_slow_down() {
-    let limits = Limits {
-        current_a: 10.0,
-        slew_v_per_s: 400.0,
-        ..limits()
-    };
+    let limits = with(|limits| (limits.current_a, limits.slew_v_per_s) = (10.0, 400.0));
     let mut guard = guard_of(limits).with_period(PERIOD_S);
     guard.begin(0.0, &sample(0.0));
     let (mut now_s, mut speed) = (0.0, 150.0);
@@ -459,10 +451,7 @@ fn at_speed(limits: Limits, speed_rad_s: f64) -> Guard {
 
 #[test]
 fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
-    let one_way = Limits {
-        braking_w: Some(0.0),
-        ..limits()
-    };
+    let one_way = with(|limits| limits.braking_w = Some(0.0));
     let mut guard = at_speed(one_way.clone(), 200.0);
     let emf = 0.3538 * 200.0;
     let shaped = guard.shape(0.01, Demand::Voltage(0.0));
@@ -484,10 +473,7 @@ fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
 fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
     use Demand::{Current, Speed, Voltage};
     let of = |quadrants, demand| {
-        let few = Limits {
-            quadrants,
-            ..limits()
-        };
+        let few = with(|limits| limits.quadrants = quadrants);
         let shaped = at_speed(few, 0.0).shape(0.04, demand);
         (shaped.demand, shaped.causes.quadrant)
     };
@@ -504,11 +490,8 @@ fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
 
 #[test]
 fn a_lost_field_is_a_trip_of_its_own_even_where_the_drive_only_reports_a_fault() {
-    let watched = Limits {
-        field_min_a: Some(0.3),
-        ..limits()
-    };
-    let with = |field_a, state| {
+    let watched = with(|limits| limits.field_min_a = Some(0.3));
+    let found = |field_a, state| {
         let mut sample = sample(0.01);
         (sample.field_a, sample.state) = (field_a, Some(state));
         let mut guard = at_speed(watched.clone(), 10.0);
@@ -523,6 +506,6 @@ fn a_lost_field_is_a_trip_of_its_own_even_where_the_drive_only_reports_a_fault()
         // A slow reading that is to come.
         (None, DriveState::Running, None),
     ] {
-        assert_eq!(with(field_a, state), trip, "{field_a:?} {state:?}");
+        assert_eq!(found(field_a, state), trip, "{field_a:?} {state:?}");
     }
 }

@@ -135,17 +135,13 @@ fn bus(request: &InitRequest<'_>) -> [Reasoned; 2] {
 }
 
 fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
-    let least_s = if request.profile.registers.is_some() {
-        LEAST_MAPPED_SILENCE_S
-    } else {
-        LEAST_SILENCE_S
-    };
+    let mapped = request.profile.registers.as_ref();
+    let least_s = mapped.map_or(LEAST_SILENCE_S, |_| LEAST_MAPPED_SILENCE_S);
     // A lost reply that is asked for again is no lost link.
     let lost_s = LostReply::of(request.profile).map_or(0.0, |lost| lost.total_s());
     let least_s = least_s.max((100.0 * lost_s).ceil() * 0.01);
     let cycles_s = (3.0 * bench.period_s()).max(least_s);
-    let set_s = request.profile.registers.as_ref();
-    let set_s = set_s.and_then(|map| map.watchdog.set_s());
+    let set_s = mapped.and_then(|map| map.watchdog.set_s());
     let default_ms = request.profile.watchdog.default_ms;
     // What the profile sets is in force whenever anything is energised, whatever the drive holds now.
     let (source, watchdog_s) = match (set_s, request.told.watchdog_s, default_ms) {
@@ -154,6 +150,7 @@ fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
         (None, None, Some(default_ms)) => ("as delivered, not read back", Some(1e-3 * default_ms)),
         (None, None, None) => ("", None),
     };
+    let cycles = format!("three cycles, at least {least_s} s");
     let (value, reason) = match watchdog_s.filter(|time_s| *time_s > 0.0) {
         Some(watchdog_s) if OF_WATCHDOG * watchdog_s >= cycles_s => (
             (OF_WATCHDOG * watchdog_s).min(LONGEST_SILENCE_S),
@@ -161,18 +158,16 @@ fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
                 "below the drive's watchdog of {watchdog_s} s ({source}): the host ends a run before the drive has to"
             ),
         ),
-        Some(watchdog_s) => (
-            cycles_s,
-            format!(
-                "three cycles, at least {least_s} s; the drive's watchdog of {watchdog_s} s ({source}) stops the motor before that"
-            ),
-        ),
-        None => (
-            cycles_s,
-            format!(
-                "three cycles, at least {least_s} s; no time of a watchdog is known to compare with"
-            ),
-        ),
+        Some(watchdog_s) => {
+            let why = format!(
+                "the drive's watchdog of {watchdog_s} s ({source}) stops the motor before that"
+            );
+            (cycles_s, format!("{cycles}; {why}"))
+        }
+        None => {
+            let why = "no time of a watchdog is known to compare with";
+            (cycles_s, format!("{cycles}; {why}"))
+        }
     };
     Reasoned::new("limits.link_silence_s", Some(short(value)), reason)
 }
@@ -259,25 +254,19 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
                 .to_owned(),
         ),
     };
-    let mut rate = (carried_hz, why);
+    let (mut hz, mut why) = (carried_hz, why);
     if let Some(map) = &profile.registers
-        && map.rates.fast_hz < rate.0
+        && map.rates.fast_hz < hz
     {
-        rate = (
-            map.rates.fast_hz,
-            format!(
-                "the profile's rates.fast_hz, below the {:.0} Hz that the line would carry",
-                rate.0
-            ),
-        );
+        why =
+            format!("the profile's rates.fast_hz, below the {hz:.0} Hz that the line would carry");
+        hz = map.rates.fast_hz;
     }
-    if rate.0 > HOST_HZ {
-        rate = (
-            HOST_HZ,
-            format!("{}; no more than a computer of every day keeps", rate.1),
-        );
+    if hz > HOST_HZ {
+        hz = HOST_HZ;
+        why += "; no more than a computer of every day keeps";
     }
-    let rate_hz = nice(rate.0);
+    let rate_hz = nice(hz);
     let mut remarks: Vec<String> = reply.into_iter().collect();
     if rate_hz < 50.0 && request.motor.is_unknown() {
         remarks.push(format!(
@@ -286,7 +275,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
     }
     Rate {
         hz: rate_hz,
-        reason: Reasoned::new("link.rate_hz", Some(rate_hz), rate.1),
+        reason: Reasoned::new("link.rate_hz", Some(rate_hz), why),
         remarks,
     }
 }
@@ -308,14 +297,7 @@ mod tests {
 
     #[test]
     fn rates_are_round_and_never_above() {
-        for (from, to) in [
-            (483.0, 480.0),
-            (79.4, 75.0),
-            (19.9, 19.0),
-            (3.9, 3.5),
-            (0.4, 1.0),
-        ] {
-            assert!((nice(from) - to).abs() < 1e-9, "{from}: {}", nice(from));
-        }
+        let rates = [483.0, 79.4, 19.9, 3.9, 0.4].map(|hz| nice(hz).to_string());
+        assert_eq!(rates, ["480", "75", "19", "3.5", "1"]);
     }
 }

@@ -109,19 +109,14 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         KickedBy::Write => "any write counts",
         KickedBy::Any => "any message counts, reading too",
     };
-    let set_s = profile
-        .registers
-        .as_deref()
-        .and_then(|map| map.watchdog.set_s());
-    let time = match (told.watchdog_s, profile.watchdog.default_ms) {
-        _ if set_s.is_some() => format!(
-            "{} s (set at connect by the profile)",
-            set_s.unwrap_or_default()
-        ),
-        (Some(time_s), _) if time_s > 0.0 => format!("{time_s} s (read back)"),
-        (Some(_), _) => "off (read back)".to_owned(),
-        (None, Some(default_ms)) => format!("{default_ms} ms as delivered, not read back"),
-        (None, None) => "not known".to_owned(),
+    let map = profile.registers.as_deref();
+    let set_s = map.and_then(|map| map.watchdog.set_s());
+    let time = match (set_s, told.watchdog_s, profile.watchdog.default_ms) {
+        (Some(set_s), ..) => format!("{set_s} s (set at connect by the profile)"),
+        (_, Some(time_s), _) if time_s > 0.0 => format!("{time_s} s (read back)"),
+        (_, Some(_), _) => "off (read back)".to_owned(),
+        (_, None, Some(default_ms)) => format!("{default_ms} ms as delivered, not read back"),
+        (_, None, None) => "not known".to_owned(),
     };
     page.comment(&format!(
         "Its watchdog: {time}; {kick}. It is proven at zero output before anything moves, or needs --waive-watchdog."
@@ -139,27 +134,16 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
         (Port::Tcp(_) | Port::Serial(_), _) => "as given with --port",
     };
     page.value("port", &format!("{:?}", bench.link.port), reason);
-    page.value(
-        "protocol",
-        &format!("\"{}\"", bench.link.protocol),
-        "what the profile speaks over such a port",
-    );
-    page.value(
-        "baud",
-        &bench.baud().to_string(),
-        "bit/s; the profile's, unless --baud was given",
-    );
-    page.value(
-        "unit",
-        &bench.link.unit.to_string(),
-        "the profile's, unless --unit was given",
-    );
+    let protocol = format!("\"{}\"", bench.link.protocol);
+    let why = "what the profile speaks over such a port";
+    page.value("protocol", &protocol, why);
+    let why = "bit/s; the profile's, unless --baud was given";
+    page.value("baud", &bench.baud().to_string(), why);
+    let why = "the profile's, unless --unit was given";
+    page.value("unit", &bench.link.unit.to_string(), why);
     if let Some(rate) = reasons.iter().find(|reason| reason.key == "link.rate_hz") {
-        page.value(
-            "rate_hz",
-            &number(bench.link.rate_hz),
-            &format!("Hz: {}", rate.reason),
-        );
+        let why = format!("Hz: {}", rate.reason);
+        page.value("rate_hz", &number(bench.link.rate_hz), &why);
     }
     page.left_out(
         "deadline_ms",
@@ -170,10 +154,8 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
 fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     let motor = &bench.motor;
     page.line("");
-    page.comment(&format!(
-        "The nameplate, taken over from {}.",
-        request.motor_file
-    ));
+    let file = request.motor_file;
+    page.comment(&format!("The nameplate, taken over from {file}."));
     page.line("[motor]");
     page.line(&format!("name = {:?}", motor.name));
     if motor.unknown {
@@ -227,12 +209,12 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
             "s in which the drive's own loop follows its reference. Not measured: a cautious guess, put in what you measure",
         );
     }
+    let reason = reasons
+        .iter()
+        .find(|reason| reason.key == "speed.reference");
     for part in &speed.reference {
         page.line("");
-        if let Some(reason) = reasons
-            .iter()
-            .find(|reason| reason.key == "speed.reference")
-        {
+        if let Some(reason) = reason {
             page.comment(&format!("Speeds in rad/s: {}.", reason.reason));
         }
         page.line("[[speed.reference]]");
@@ -280,10 +262,8 @@ fn inline<T: serde::Serialize>(part: &T) -> String {
     let value = toml::Value::try_from(part).ok();
     let table = value.as_ref().and_then(toml::Value::as_table);
     let entries = table.into_iter().flatten();
-    let lines: Vec<String> = entries
-        .map(|(key, value)| format!("{key} = {value}"))
-        .collect();
-    lines.join("\n")
+    let lines = entries.map(|(key, value)| format!("{key} = {value}"));
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 /// A number as TOML wants a float.

@@ -61,18 +61,14 @@ pub(super) fn fit(
     }
     if let Some(plate) = &plate {
         let speed = speed_section(bench, request, plate, purpose);
-        let why = format!(
-            "of what the limits reach; a level lasts {} s",
-            match speed.reference.first() {
-                Some(ReferencePart::Steps { hold_s, .. }) => *hold_s,
-                _ => LEVEL_S,
-            }
-        );
-        fitted.reasons.push(Reasoned::new(
-            "speed.reference",
-            None,
-            format!("{LEVELS:?} {why}"),
-        ));
+        let hold_s = match speed.reference.first() {
+            Some(ReferencePart::Steps { hold_s, .. }) => *hold_s,
+            _ => LEVEL_S,
+        };
+        let why = format!("{LEVELS:?} of what the limits reach; a level lasts {hold_s} s");
+        fitted
+            .reasons
+            .push(Reasoned::new("speed.reference", None, why));
         bench.speed = Some(speed);
     } else {
         fitted.remarks.push(
@@ -138,26 +134,20 @@ fn voltages(
     bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
     let program = bench.program(bench.runs.fit)?;
-    let planned = plan(
-        &program,
-        plate,
-        &bench.limits(),
-        bench.link.rate_hz,
-        own_limit_a,
-    )
-    .map_err(|error| broken(error.to_string()))?;
+    let (limits_now, rate_hz) = (bench.limits(), bench.link.rate_hz);
+    let planned = plan(&program, plate, &limits_now, rate_hz, own_limit_a);
+    let planned = planned.map_err(|error| broken(error.to_string()))?;
     fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
             "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
             load_a + spare_a,
             100.0 * (load_a + spare_a) / limits.current_a
         )));
     if scaled.factor < 1.0 {
+        let why = scaled.refusal.map(|refusal| refusal.to_string());
         fitted.remarks.push(format!(
             "the sequence was made smaller ({:.0} % of the voltages): {}",
             100.0 * scaled.factor,
-            scaled
-                .refusal
-                .map_or_else(|| "limits".to_owned(), |refusal| refusal.to_string())
+            why.as_deref().unwrap_or("limits")
         ));
     }
     fitted.plan = Some(planned);
@@ -170,17 +160,15 @@ fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
     if !one_way {
         return all;
     }
-    let dither_v = 0.1 * voltage_v;
+    let levels_v = [0.9, 0.3, 0.6, 0.15, 0.45].map(|share| share * voltage_v);
     let hold_s = (voltage_v / slew_v_per_s + 0.15).max(0.5);
     vec![
         Segment::Standstill(Standstill { seconds: 0.5 }),
         Segment::Steps(Steps {
-            levels_v: [0.9, 0.3, 0.6, 0.15, 0.45]
-                .map(|share| share * voltage_v)
-                .to_vec(),
+            levels_v: levels_v.to_vec(),
             hold_s,
             dither: Some(Dither {
-                amplitude_v: dither_v,
+                amplitude_v: 0.1 * voltage_v,
                 clock_s: 0.05,
                 seed: 1,
             }),
@@ -248,16 +236,14 @@ fn speed_section(
     if purpose == InitUse::Voltages {
         top = top.min(OF_BACK_EMF * limits.voltage_v / plate.back_emf_v_s_per_rad);
     }
-    let takes_voltage = request.profile.capabilities.voltage_command;
-    let takes_current = request.profile.capabilities.current_command;
-    let is_outer = !takes_voltage && !takes_current;
-    let controller = if takes_voltage {
-        ControllerKind::Addc
-    } else {
-        ControllerKind::Pi
-    };
+    let takes = &request.profile.capabilities;
+    let is_outer = !takes.voltage_command && !takes.current_command;
     SpeedSection {
-        controller,
+        controller: if takes.voltage_command {
+            ControllerKind::Addc
+        } else {
+            ControllerKind::Pi
+        },
         drive_lag_s: is_outer.then_some(UNKNOWN_LAG_S),
         reference: vec![ReferencePart::Steps {
             levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),

@@ -17,6 +17,12 @@ fn told() -> Told {
     }
 }
 
+fn told_but(change: impl FnOnce(&mut Told)) -> Told {
+    let mut told = told();
+    change(&mut told);
+    told
+}
+
 fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -> InitRequest<'a> {
     InitRequest {
         profile,
@@ -35,10 +41,8 @@ fn made(profile: &str, motor: &MotorSection, told: Told) -> Result<InitFile, Ini
 }
 
 fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
-    file.reasons
-        .iter()
-        .find(|reason| reason.key == key)
-        .unwrap()
+    let mut reasons = file.reasons.iter();
+    reasons.find(|reason| reason.key == key).unwrap()
 }
 
 #[test]
@@ -80,11 +84,7 @@ fn the_sequence_is_planned_and_stays_below_the_drive_s_own_limit() {
     let plan = file.plan.as_ref().unwrap();
     assert!(!plan.is_refused());
     within(plan.peak_current_a, 3.0..9.0);
-    assert!(
-        plan.peak_speed_rad_s > 150.0,
-        "{} rad/s",
-        plan.peak_speed_rad_s
-    );
+    within(plan.peak_speed_rad_s, 150.0..);
     assert!(file.bench.sequence.len() >= 5);
     assert_eq!(
         file.next("b.toml"),
@@ -105,23 +105,15 @@ fn what_was_not_read_back_is_said() {
     let file = made("own", &plate(), offline).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(11.4));
-    assert!(
-        current
-            .reason
-            .ends_with("its own current limit was not read back (--offline)")
-    );
+    let unread = "its own current limit was not read back (--offline)";
+    assert!(current.reason.ends_with(unread));
     assert!(file.bench.limits().bus_max_v.is_none());
-    assert!(file.text.contains("none of its own limits is known here"));
-    assert!(file.text.contains("# bus_min_v: none. "), "{}", file.text);
-    let mute = Told {
-        current_limit_a: None,
-        ..told()
-    };
+    has(&file.text, "none of its own limits is known here");
+    has(&file.text, "# bus_min_v: none. ");
+    let mute = told_but(|told| told.current_limit_a = None);
     let file = made("own", &plate(), mute).unwrap();
-    has(
-        &reason(&file, "limits.current_a").reason,
-        "does not tell its own current limit",
-    );
+    let current = &reason(&file, "limits.current_a").reason;
+    has(current, "does not tell its own current limit");
 }
 
 #[test]
@@ -132,10 +124,8 @@ fn an_unknown_motor_is_left_to_be_found() {
     assert!(file.bench.motor.is_unknown() && file.plan.is_none());
     assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
     has(&file.text, "# resistance_ohm: none. ");
-    assert_eq!(
-        file.next("b.toml"),
-        ["drivebench run b.toml --hardware --headless"]
-    );
+    let run = "drivebench run b.toml --hardware --headless";
+    assert_eq!(file.next("b.toml"), [run]);
     // A drive that takes no voltage has no small steps.
     let error = made("epulse50-dc", &motor, told()).unwrap_err();
     has(&error.reason, "resistance_ohm is left out");
@@ -149,24 +139,14 @@ fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
     let speed = file.bench.speed.as_ref().unwrap();
     assert_eq!(speed.controller.id(), "pi");
     assert!(speed.drive_lag_s.is_some());
-    assert_eq!(
-        file.next("b.toml"),
-        ["drivebench speed b.toml --hardware --headless"]
-    );
-    let unknown = Told {
-        watchdog_s: None,
-        ..told()
-    };
+    let speed = "drivebench speed b.toml --hardware --headless";
+    assert_eq!(file.next("b.toml"), [speed]);
+    let unknown = told_but(|told| told.watchdog_s = None);
     let remarks = made("epulse50-dc", &plate(), unknown).unwrap().remarks;
-    assert!(
-        remarks.iter().any(|r| r.contains("--waive-watchdog")),
-        "{remarks:?}"
-    );
+    has(remarks.join("\n"), "--waive-watchdog");
     // Its reference takes 3000 rpm.
-    has(
-        &reason(&file, "limits.speed_rad_s").reason,
-        "314.2 rad/s (profile)",
-    );
+    let speed = &reason(&file, "limits.speed_rad_s").reason;
+    has(speed, "314.2 rad/s (profile)");
     let error = made("siemens-v20", &plate(), told()).unwrap_err();
     has(&error.reason, "takes no armature voltage");
     has(&error.reason, "no speed loop");
@@ -187,11 +167,7 @@ fn every_line_gets_a_rate_that_it_carries() {
     slow.link.baud = 9600;
     let motor = plate();
     let file = init_file(&request(&slow, &motor, told())).unwrap();
-    assert!(
-        file.bench.link.rate_hz < 20.0,
-        "{}",
-        file.bench.link.rate_hz
-    );
+    within(file.bench.link.rate_hz, ..20.0);
 }
 
 #[test]
@@ -229,12 +205,8 @@ fn motors_of_other_sizes_get_a_sequence_of_their_own() {
         let file = made("own", &motor, free).unwrap();
         let plan = file.plan.as_ref().unwrap();
         assert!(!plan.is_refused(), "{}: {:?}", plate.name, plan.refusals);
-        assert!(
-            plan.peak_current_ratio > 0.5,
-            "{}: {}",
-            plate.name,
-            plan.peak_current_ratio
-        );
+        let ratio = plan.peak_current_ratio;
+        assert!(ratio > 0.5, "{}: {ratio}", plate.name);
     }
 }
 
@@ -251,20 +223,9 @@ fn a_plate_that_no_motor_has_is_refused_with_its_file() {
 fn names_and_numbers_are_plain() {
     assert_eq!(name("ZK-22FC", "own"), "zk-22fc-own");
     assert_eq!(name("Motor Nr. 7/b", "abb"), "motor-nr-7-b-abb");
-    for (from, to) in [
-        (11.4, 11.4),
-        (366.5, 366.5),
-        (2.0 * 5.7, 11.4),
-        (0.45, 0.45),
-        (123_456.0, 123_400.0),
-    ] {
-        assert!(
-            (short(from) - to).abs() < 1e-9 * to,
-            "{from}: {}",
-            short(from)
-        );
-        assert_eq!(format!("{:?}", short(from)), format!("{to:?}"));
-    }
+    let short = [11.4, 366.5, 2.0 * 5.7, 0.45, 123_456.0].map(short);
+    let texts = short.map(|value| format!("{value:?}"));
+    assert_eq!(texts, ["11.4", "366.5", "11.4", "0.45", "123400.0"]);
 }
 
 #[test]
@@ -273,10 +234,7 @@ fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
     let mut map = (*profile.registers.clone().unwrap()).clone();
     map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
-    let silent = Told {
-        watchdog_s: Some(0.0),
-        ..told()
-    };
+    let silent = told_but(|told| told.watchdog_s = Some(0.0));
     let motor = plate();
     let file = init_file(&request(&profile, &motor, silent)).unwrap();
     let silence = reason(&file, "limits.link_silence_s");
@@ -289,7 +247,6 @@ fn a_plate_in_revolutions_per_minute_is_remarked_before_anything_else() {
     let mut motor = plate();
     motor.rated_speed_rad_s = 2800.0;
     let file = made("own", &motor, told()).unwrap();
-    let remark = &file.remarks[0];
-    assert!(remark.contains("given in r/min"), "{remark}");
-    assert!(file.text.contains("contradicts itself"), "{}", file.text);
+    has(&file.remarks[0], "given in r/min");
+    has(&file.text, "contradicts itself");
 }

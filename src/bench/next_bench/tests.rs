@@ -47,14 +47,8 @@ fn runs_without_a_bench_get_one_with_the_motor_and_the_limits_that_they_show() {
         let read = BenchFile::parse("next.toml", &text).unwrap();
         let plate = read.nameplate().unwrap();
         assert!((plate.resistance_ohm - 1.7).abs() < 1e-12);
-        let plan = plan(
-            &read.program(1).unwrap(),
-            &plate,
-            &read.limits(),
-            1000.0,
-            None,
-        )
-        .unwrap();
+        let program = read.program(1).unwrap();
+        let plan = plan(&program, &plate, &read.limits(), 1000.0, None).unwrap();
         assert!(!plan.is_refused(), "{}: {:?}", recipe.id, plan.refusals);
         assert!(plan.peak_voltage_v <= 55.0, "{}", plan.peak_voltage_v);
     }

@@ -225,9 +225,8 @@ impl Factor {
         let current_v = sign * plate.current_v(row);
         let speed_v = plate.back_emf * row.speed_rad_s;
         let dynamic_v = plate.doubt_v(row);
-        let noise = (FLOOR_V * scale.volts)
-            .hypot(0.5 * volts.width())
-            .hypot(dynamic_v);
+        let floor_v = (FLOOR_V * scale.volts).hypot(0.5 * volts.width());
+        let noise = floor_v.hypot(dynamic_v);
         let factors = [current_v, speed_v, sign * row.current_a.signum()];
         self.voltage.add(keep, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > TURNS * scale.rad_s {
@@ -236,8 +235,8 @@ impl Factor {
             let floor = FLOOR_TORQUE * plate.back_emf * scale.amps;
             let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
             let torque = sign * plate.back_emf * row.current_a;
-            self.torque
-                .add(keep, [acceleration, friction], torque, noise);
+            let factors = [acceleration, friction];
+            self.torque.add(keep, factors, torque, noise);
         }
         let (r, r_std) = self.voltage.first()?;
         let (j, j_std) = self.torque.first()?;

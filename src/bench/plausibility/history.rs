@@ -2,6 +2,7 @@
 //! the terms of the voltage balance.
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 
 use super::balance::Scale;
 use crate::sample::{Channel, Command, Demand, Sample};
@@ -173,19 +174,17 @@ impl History {
         (rows > 0).then(|| all_s / rows as f64)
     }
 
-    /// Cycles that an answer may be late: none that matters where the drive stamps itself.
-    fn lag(exact: bool) -> u64 {
-        if exact { 1 } else { 2 }
-    }
-
     /// Demands that may have been in force from `lag` commands before the first sample's until the last one's.
     fn in_force(&self, first: &Seen, last: &Seen, lag: u64) -> impl Iterator<Item = Demand> {
         let keys = first.key.zip(last.key);
         let (from, to) = keys.map_or((u64::MAX, 0), |(from, to)| (from.saturating_sub(lag), to));
-        self.commands
-            .iter()
-            .filter(move |(seq, _)| (from..=to).contains(seq))
-            .map(|(_, demand)| *demand)
+        self.sent_in(from..=to)
+    }
+
+    /// Demands with these numbers.
+    fn sent_in(&self, seqs: RangeInclusive<u64>) -> impl Iterator<Item = Demand> {
+        let sent = self.commands.iter();
+        sent.filter_map(move |(seq, demand)| seqs.contains(seq).then_some(*demand))
     }
 
     /// The demands that the newest sample may answer to; `None` where it answers to none.
@@ -237,14 +236,14 @@ impl History {
                 && asked.width() <= STEADY_COMMAND * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
-        let lag = Self::lag(now.exact);
+        // Cycles that an answer may be late: none that matters where the drive stamps itself.
+        let lag = if now.exact { 1 } else { 2 };
         let keys = last.key.zip(now.key)?;
         // Where the drive stamps itself, what the newest sample came with is not in force before it.
         let to = keys.1.saturating_sub(u64::from(now.exact));
         let from = keys.0.saturating_sub(lag);
-        let sent = self.commands.iter();
-        let sent = sent.filter(|(seq, _)| (from..=to).contains(seq));
-        let range = Range::of_known(sent.map(|(_, demand)| demand.voltage_v()))?;
+        let sent = self.sent_in(from..=to);
+        let range = Range::of_known(sent.map(Demand::voltage_v))?;
         Some(match measured {
             Some((a, _)) if now.exact => range.with(a),
             Some((a, b)) => range.with(a).with(b),
@@ -270,10 +269,8 @@ impl History {
             limited: sample.limited,
             demand,
         };
-        let row = self
-            .samples
-            .back()
-            .and_then(|last| self.row(last, &now, scale));
+        let last = self.samples.back();
+        let row = last.and_then(|last| self.row(last, &now, scale));
         if row.is_none() {
             self.clear();
         }
@@ -295,16 +292,14 @@ impl History {
         let seconds = now.time_s - last.time_s;
         let (from_a, to_a) = last.current_a.zip(now.current_a)?;
         let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
+        let angles = last.angle_rad.zip(now.angle_rad);
         (seconds > 0.0 && seconds < LONGEST_ROW_S).then(|| Row {
             seconds,
             current_a: 0.5 * (from_a + to_a),
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),
             current_change_a: to_a - from_a,
             speed_change_rad_s: to_rad_s - from_rad_s,
-            turned_rad: last
-                .angle_rad
-                .zip(now.angle_rad)
-                .map(|(from, to)| to - from),
+            turned_rad: angles.map(|(from, to)| to - from),
             volts: self.volts(last, now, scale),
             exact: now.exact,
             limited: last.limited || now.limited,

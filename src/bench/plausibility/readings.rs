@@ -2,7 +2,7 @@
 //! against the speed, and a speed that grows beyond its reference.
 
 use super::balance::negative;
-use super::history::Range;
+use super::history::{Range, Row};
 use super::{
     ANY, CHECK_ENCODER, CHECK_SET_POINT, CONFIRM, IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S,
     LONGEST_WINDOW, Plausibility, REST_SPEED, SAME, WINDOW,
@@ -52,13 +52,9 @@ impl Plausibility {
             (self.history.asked(self.cycles()), last.voltage_v)
             && !last.limited
         {
-            let near = |value: f64| {
-                asked
-                    .times(Range::new(0.9, 1.1))
-                    .wider(0.02 * self.scale.volts)
-                    .gap(Range::at(value))
-                    <= 0.0
-            };
+            let about = asked.times(Range::new(0.9, 1.1));
+            let about = about.wider(0.02 * self.scale.volts);
+            let near = |value: f64| about.gap(Range::at(value)) <= 0.0;
             let far = asked.middle().abs() > 0.05 * self.scale.volts;
             if near(current) && !near(volts) && far {
                 let what = format!(
@@ -73,20 +69,16 @@ impl Plausibility {
         }
         let floor = 0.03 * self.scale.volts;
         let last_rows = self.history.rows().iter().rev().take(LONGEST_WINDOW);
-        let misfits: Vec<(f64, f64)> = last_rows
-            .map_while(|row| {
-                let volts = row.volts?;
-                let misfit = |current_a: f64, speed_rad_s: f64| {
-                    let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
-                    volts.gap(Range::at(needed))
-                };
-                let (current_a, speed_rad_s) = row.ends();
-                Some((
-                    misfit(current_a, speed_rad_s),
-                    misfit(speed_rad_s, current_a),
-                ))
-            })
-            .collect();
+        let both_ways = |row: &Row| {
+            let volts = row.volts?;
+            let misfit = |current_a: f64, speed_rad_s: f64| {
+                let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
+                volts.gap(Range::at(needed))
+            };
+            let (a, b) = row.ends();
+            Some((misfit(a, b), misfit(b, a)))
+        };
+        let misfits: Vec<(f64, f64)> = last_rows.map_while(both_ways).collect();
         let (as_read, exchanged) = *misfits.first()?;
         // Every row that does not fit as it was read has to fit when exchanged.
         let all = misfits
@@ -218,10 +210,8 @@ impl Plausibility {
             let tells = KNOWN_SCALE.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
             self.scale_seen |= is_steady && tells;
         }
-        let is_limited = last.limited
-            || last
-                .current_a
-                .is_some_and(|current| current.abs() > self.limits_from_a);
+        let beyond = |current: f64| current.abs() > self.limits_from_a;
+        let is_limited = last.limited || last.current_a.is_some_and(beyond);
         let stays = self.agreed.is_some_and(|(asked_v, value_v)| {
             let moved = asked.gap(Range::at(asked_v));
             moved > STAYS_V * self.scale.volts && (value - value_v).abs() < STAYS_SHARE * moved
@@ -346,19 +336,15 @@ impl Plausibility {
             return None;
         }
         // Seen by a reversed encoder the shaft runs away as soon as it moves.
-        let window = self
-            .plate
-            .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
-        Some(match window {
-            Some((plate, window)) if window.misfit(-1.0) < window.misfit(1.0) => {
-                self.misread(TripKind::EncoderReversed, &plate, &window)
-            }
-            _ => {
-                let what = format!(
-                    "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"
-                );
-                self.doubt(TripKind::Runaway, (speed, reference), &what)
-            }
-        })
+        if let Some(plate) = self.plate
+            && let Some(window) = self.window(&plate, WINDOW)
+            && window.misfit(-1.0) < window.misfit(1.0)
+        {
+            return Some(self.misread(TripKind::EncoderReversed, &plate, &window));
+        }
+        let what = format!(
+            "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"
+        );
+        Some(self.doubt(TripKind::Runaway, (speed, reference), &what))
     }
 }

@@ -71,11 +71,8 @@ impl Broken {
                 sample.set(channel, raw(held, channel));
             }
         }
-        let (volts, amps, speed) = (
-            raw(&sample, Channel::Voltage),
-            raw(&sample, Channel::Current),
-            raw(&sample, Channel::Speed),
-        );
+        let read = [Channel::Voltage, Channel::Current, Channel::Speed];
+        let [volts, amps, speed] = read.map(|channel| raw(&sample, channel));
         if self.clock.time_s() >= self.odd.from_s {
             let still = self.held.get_or_insert_with(|| sample.clone()).clone();
             match self.odd.wrong {
@@ -141,11 +138,8 @@ impl Tamper<MemoryLink> for Broken {
         if let (true, Demand::Voltage(volts)) = (broken, command.demand) {
             match self.odd.wrong {
                 Wrong::Deaf { .. } => {
-                    let volts = match self.last {
-                        Demand::Voltage(volts) => volts,
-                        _ => 0.0,
-                    };
-                    command.demand = *self.deaf.get_or_insert(Demand::Voltage(volts));
+                    let before = Demand::Voltage(self.last.voltage_v().unwrap_or(0.0));
+                    command.demand = *self.deaf.get_or_insert(before);
                 }
                 Wrong::SetPointTimes(factor) => command.demand = Demand::Voltage(factor * volts),
                 _ => {}
@@ -215,11 +209,7 @@ impl Trial {
         if self.waived {
             session = session.with_waivers(vec!["plausibility".to_owned()]);
         }
-        let course = Course {
-            rate_hz: self.rate_hz,
-            ..Course::default()
-        };
-        let (summary, _) = course.run(session, &mut link, &mut clock);
+        let (summary, _) = Course::at(self.rate_hz).run(session, &mut link, &mut clock);
         let last = link.by.last;
         assert!(matches!(last, Demand::Stop | Demand::Disable), "{last:?}");
         summary.outcome
@@ -264,64 +254,37 @@ fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
     const START: (f64, f64) = (0.0, 1.0);
     const FAST: (f64, f64) = (1.2, 1.4);
     const BACK: (f64, f64) = (2.0, 2.2);
+    const SCALED: &[TripKind] = &[SpeedImplausible, OverSpeed];
+    const LARGE: &[TripKind] = &[CurrentImplausible, OverCurrent, SignalsSwapped];
+    const DEAF: &[(f64, f64)] = &[START, (1.2, 1.85), (2.0, 2.5)];
+    const SMALL: &[TripKind] = &[CurrentImplausible];
+    const IGNORED: &[TripKind] = &[SetPointIgnored];
+    const AMPS: &[TripKind] = &[CurrentReversed];
+    const LATE: (f64, f64) = (1.2, 3.6);
+    const SWAPPED: &[TripKind] = &[SignalsSwapped];
+    const ANGLE: &[TripKind] = &[AngleImplausible];
     type Case = (Wrong, &'static [(f64, f64)], &'static [TripKind]);
     let cases: [Case; 16] = [
         (Wrong::Frozen, &[REST, FAST, BACK], &[EncoderFrozen]),
         (Wrong::Reversed, &[REST, FAST, BACK], &[EncoderReversed]),
         // From rest a third or three times the speed shows from some 60 rad/s on, that is from 0.8 s.
-        (
-            Wrong::SpeedTimes(0.3),
-            &[START, FAST],
-            &[SpeedImplausible, OverSpeed],
-        ),
-        (
-            Wrong::SpeedTimes(3.0),
-            &[START, FAST],
-            &[SpeedImplausible, OverSpeed],
-        ),
+        (Wrong::SpeedTimes(0.3), &[START, FAST], SCALED),
+        (Wrong::SpeedTimes(3.0), &[START, FAST], SCALED),
         (Wrong::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
         (Wrong::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
         // At a steady 1.3 A nothing shows, and little while it is only braked; it shows at the latest when it accelerates
         // again.
-        (
-            Wrong::CurrentTimes(-1.0),
-            &[REST, (1.2, 3.6), BACK],
-            &[CurrentReversed],
-        ),
+        (Wrong::CurrentTimes(-1.0), &[REST, LATE, BACK], AMPS),
         // Three times as much is beyond the current limit first; a third of it shows in no single row.
-        (
-            Wrong::CurrentTimes(3.0),
-            &[REST, BACK],
-            &[CurrentImplausible, OverCurrent, SignalsSwapped],
-        ),
-        (
-            Wrong::CurrentTimes(0.3),
-            &[(0.0, 4.0)],
-            &[CurrentImplausible],
-        ),
-        (
-            Wrong::Deaf { tells: true },
-            &[START, (1.2, 1.85), (2.0, 2.5)],
-            &[SetPointIgnored],
-        ),
-        (
-            Wrong::Deaf { tells: false },
-            &[START, (1.2, 1.85), (2.0, 2.5)],
-            &[SetPointIgnored],
-        ),
-        (Wrong::SetPointTimes(0.3), &[START], &[SetPointIgnored]),
+        (Wrong::CurrentTimes(3.0), &[REST, BACK], LARGE),
+        (Wrong::CurrentTimes(0.3), &[(0.0, 4.0)], SMALL),
+        (Wrong::Deaf { tells: true }, DEAF, IGNORED),
+        (Wrong::Deaf { tells: false }, DEAF, IGNORED),
+        (Wrong::SetPointTimes(0.3), &[START], IGNORED),
         (Wrong::VoltageTimes(0.3), &[START], &[VoltageImplausible]),
-        (Wrong::SwappedCurrentSpeed, &[REST], &[SignalsSwapped]),
-        (
-            Wrong::SwappedVoltageCurrent,
-            &[REST, FAST],
-            &[SignalsSwapped],
-        ),
-        (
-            Wrong::AngleStays,
-            &[START, (1.2, 1.45)],
-            &[AngleImplausible],
-        ),
+        (Wrong::SwappedCurrentSpeed, &[REST], SWAPPED),
+        (Wrong::SwappedVoltageCurrent, &[REST, FAST], SWAPPED),
+        (Wrong::AngleStays, &[START, (1.2, 1.45)], ANGLE),
     ];
     for (wrong, times, kinds) in cases {
         for &(from_s, latest_s) in times {
@@ -410,17 +373,16 @@ fn slow_steps() -> Box<dyn Program> {
 #[test]
 fn a_slow_coarse_and_stale_drive_is_believed() {
     let mut false_alarms = Vec::new();
-    for (rate_hz, stale) in [
-        (50.0, 1),
-        (50.0, 4),
-        (33.0, 3),
+    let slow = [
         (20.0, 2),
         (20.0, 3),
         (10.0, 1),
         (10.0, 2),
         (8.0, 1),
         (8.0, 3),
-    ] {
+    ];
+    let fast = [(50.0, 1), (50.0, 4), (33.0, 3)];
+    for (rate_hz, stale) in fast.into_iter().chain(slow) {
         for seed in 1..=3 {
             for foreign in [false, true] {
                 let mut trial = Trial::slow(Wrong::Nothing, 0.0, seed, rate_hz);

@@ -37,6 +37,13 @@ struct Outcome {
     shown: Arc<crate::bench::Snapshot>,
 }
 
+/// What came of the usual case but for one thing.
+fn done(change: impl FnOnce(&mut Case)) -> Outcome {
+    let mut case = Case::default();
+    change(&mut case);
+    case.go()
+}
+
 impl Case {
     fn go(&self) -> Outcome {
         let mut clock = VirtualClock::new();
@@ -81,10 +88,8 @@ impl Case {
             &mut || {
                 tries += 1;
                 if tries < self.there_at {
-                    return Err(LinkError::Open(
-                        "x".to_owned(),
-                        "it does not exist".to_owned(),
-                    ));
+                    let reason = "it does not exist".to_owned();
+                    return Err(LinkError::Open("x".to_owned(), reason));
                 }
                 let mut drive = ScriptedDrive::new(0.01);
                 drive.faults.extend(self.faults.iter().cloned());
@@ -125,10 +130,8 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
     assert_eq!(done.events[0]["watchdog_s"], 0.3);
     assert_eq!(done.events[0]["time_s"], 15.0);
     let last = &done.events[2];
-    assert_eq!(
-        (&last["ending"], &last["identity"]["serial_number"]),
-        (&"stopped".into(), &"7".into())
-    );
+    assert_eq!(last["ending"], "stopped");
+    assert_eq!(last["identity"]["serial_number"], "7");
     assert_eq!(done.shown.phase, Some(Phase::Safe));
     let shown = done.shown.reopening.as_deref().unwrap();
     has(shown, "stop confirmed; nothing is armed");
@@ -136,11 +139,7 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
 
 #[test]
 fn another_drive_is_only_read() {
-    let done = Case {
-        serial_number: "8",
-        ..Case::default()
-    }
-    .go();
+    let done = done(|case| case.serial_number = "8");
     assert_eq!(done.reopened.ending, ReopenEnding::AnotherDrive);
     assert!(!done.has_link);
     assert_eq!(done.asked, ["identify"]);
@@ -151,11 +150,7 @@ fn another_drive_is_only_read() {
 
 #[test]
 fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
-    let done = Case {
-        confirms: false,
-        ..Case::default()
-    }
-    .go();
+    let done = done(|case| case.confirms = false);
     assert_eq!(done.reopened.ending, ReopenEnding::StopUnconfirmed);
     assert!(!done.reopened.is_safe() && done.reopened.state.is_none());
     has(&done.reopened.text, "not confirmed");
@@ -163,27 +158,14 @@ fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
 
 #[test]
 fn a_drive_that_never_comes_is_given_up_after_the_time_and_one_that_is_mute_as_well() {
-    let absent = Case {
-        there_at: u32::MAX,
-        limit_s: Some(3.0),
-        ..Case::default()
-    }
-    .go();
+    let absent = done(|case| (case.there_at, case.limit_s) = (u32::MAX, Some(3.0)));
     assert_eq!(absent.reopened.ending, ReopenEnding::GivenUp);
     within(absent.reopened.downtime_s, 1.5..=3.2);
     has(&absent.reopened.text, "it does not exist");
-    let mute = Case {
-        faults: vec![(0, u64::MAX, Fault::Timeout)],
-        ..Case::default()
-    }
-    .go();
+    let mute = done(|case| case.faults = vec![(0, u64::MAX, Fault::Timeout)]);
     assert_eq!(mute.reopened.ending, ReopenEnding::GivenUp);
     assert!(!mute.has_link);
-    let off = Case {
-        limit_s: Some(0.0),
-        ..Case::default()
-    }
-    .go();
+    let off = done(|case| case.limit_s = Some(0.0));
     assert_eq!((off.reopened.attempts, off.asked.len()), (0, 0));
 }
 

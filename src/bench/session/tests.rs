@@ -65,10 +65,8 @@ fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Event> {
 fn a_healthy_run_goes_through_every_phase_and_ends_done_with_the_output_off() {
     let bench = run_with(0, 0, Fault::Timeout);
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
-    let phases: Vec<&Value> = events(&bench, "phase")
-        .iter()
-        .map(|e| &e.details["to"])
-        .collect();
+    let phases = events(&bench, "phase");
+    let phases: Vec<&Value> = phases.iter().map(|e| &e.details["to"]).collect();
     let all = ["safe", "armed", "running", "ramp_down", "stopping", "done"];
     assert_eq!(phases, all);
     assert_eq!(events(&bench, "segment").len(), 2);
@@ -82,14 +80,11 @@ fn a_healthy_run_goes_through_every_phase_and_ends_done_with_the_output_off() {
 /// After the fault no command energises, the outcome is the expected one, and the reaction is within two cycles.
 #[test]
 fn every_fault_ends_at_zero_output_with_its_own_reason() {
+    let beyond = Fault::Set(Channel::Voltage, 130.0);
     for (fault, kind, reaction) in [
         (Fault::Set(Channel::Current, 23.0), TripKind::OverCurrent, 1),
         (Fault::Set(Channel::Speed, -400.0), TripKind::OverSpeed, 1),
-        (
-            Fault::Set(Channel::Voltage, 130.0),
-            TripKind::OverVoltage,
-            1,
-        ),
+        (beyond, TripKind::OverVoltage, 1),
         (Fault::TripWith(7), TripKind::DriveFault, 1),
         (Fault::Missing(Channel::Current), TripKind::SignalMissing, 3),
         (Fault::ClockStops, TripKind::ClockStuck, 3),

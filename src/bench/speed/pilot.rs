@@ -83,11 +83,10 @@ impl SpeedPilot {
     /// One step of the controller on a sample with a speed.
     fn answer(&mut self, sample: &Sample, speed_rad_s: f64, elapsed_s: f64) {
         let timing = &self.regulator.timing;
+        let shortest_s = SHORTEST_PERIODS * timing.period_s;
+        let longest_s = LONGEST_PERIODS * timing.period_s;
         let period_s = match self.answered {
-            Some((before_s, _)) => (sample.time_s - before_s).clamp(
-                SHORTEST_PERIODS * timing.period_s,
-                LONGEST_PERIODS * timing.period_s,
-            ),
+            Some((before_s, _)) => (sample.time_s - before_s).clamp(shortest_s, longest_s),
             None => timing.period_s,
         };
         // The first reference after a start is the speed that is there.
@@ -95,9 +94,8 @@ impl SpeedPilot {
             Some(_) => self.reference.value_at(elapsed_s),
             None => speed_rad_s,
         };
-        let acceleration = self
-            .answered
-            .map_or(0.0, |(_, before)| (speed_rad_s - before) / period_s);
+        let gained_rad_s = self.answered.map(|(_, before)| speed_rad_s - before);
+        let acceleration = gained_rad_s.map_or(0.0, |gained| gained / period_s);
         let now = Measured {
             speed_rad_s,
             current_a: sample.get(Channel::Current),
@@ -155,11 +153,10 @@ impl Pilot for SpeedPilot {
     }
 
     fn begin(&mut self, now_s: f64, sample: Option<&Sample>) {
-        let speed_rad_s = sample
-            .and_then(|sample| sample.get(Channel::Speed))
-            .unwrap_or(0.0);
+        let read = |channel| sample.and_then(|sample| sample.get(channel));
+        let speed_rad_s = read(Channel::Speed).unwrap_or(0.0);
         let now = Measured {
-            current_a: sample.and_then(|sample| sample.get(Channel::Current)),
+            current_a: read(Channel::Current),
             ..Measured::at(speed_rad_s)
         };
         let output = self.regulator.holding.output(speed_rad_s) + self.settings.hold;
@@ -187,13 +184,9 @@ impl Pilot for SpeedPilot {
             self.reference_rad_s = Some(self.reference.value_at(elapsed_s));
             let silent_s = now_s - self.heard_s;
             if silent_s > self.settings.silence_s {
-                let times_s = (silent_s, self.settings.silence_s);
-                return Err(Trip::after(
-                    TripKind::SignalMissing,
-                    now_s,
-                    times_s,
-                    "no speed",
-                ));
+                let (kind, times_s) =
+                    (TripKind::SignalMissing, (silent_s, self.settings.silence_s));
+                return Err(Trip::after(kind, now_s, times_s, "no speed"));
             }
         }
         Ok(self.regulator.actuator.demand(self.output))
@@ -251,13 +244,9 @@ impl Pilot for SpeedPilot {
     fn report(&self) -> Option<SpeedReport> {
         let timing = self.regulator.timing;
         let (_, controller) = &self.regulator.passes[self.pass];
-        let compensated = self
-            .regulator
-            .passes
-            .iter()
-            .map(|(is_compensated, _)| *is_compensated);
-        let passes: Vec<_> = compensated
-            .zip(self.reference.passes().iter().copied())
+        let passes = self.regulator.passes.iter().zip(self.reference.passes());
+        let passes: Vec<_> = passes
+            .map(|((forward, _), pass)| (*forward, *pass))
             .collect();
         Some(SpeedReport {
             controller: controller.id(),

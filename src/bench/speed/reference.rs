@@ -99,10 +99,10 @@ impl ReferencePart {
     fn speeds(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::Constant { speed_rad_s, .. } => vec![("speed_rad_s", *speed_rad_s)],
-            Self::Steps { levels_rad_s, .. } => levels_rad_s
-                .iter()
-                .map(|level| ("levels_rad_s", *level))
-                .collect(),
+            Self::Steps { levels_rad_s, .. } => {
+                let levels = levels_rad_s.iter();
+                levels.map(|level| ("levels_rad_s", *level)).collect()
+            }
             Self::Square {
                 low_rad_s,
                 high_rad_s,
@@ -148,9 +148,8 @@ impl ReferencePart {
                 .or_else(|| count("periods", *periods as usize, 1)),
             Self::Polyline { points } => {
                 let start = points.first().map_or(0.0, |first| first[0]);
-                let back = points
-                    .windows(2)
-                    .find(|pair| pair[1][0].is_nan() || pair[1][0] <= pair[0][0]);
+                let is_back = |pair: &&[[f64; 2]]| pair[1][0].is_nan() || pair[1][0] <= pair[0][0];
+                let back = points.windows(2).find(is_back);
                 let last = points.last().map_or(0.0, |last| last[0]);
                 count("number of points", points.len(), 2)
                     .or_else(|| (start != 0.0).then_some(("points", start, "0 as the first time")))
@@ -162,36 +161,37 @@ impl ReferencePart {
 
     /// Lines `(length, from, to)`.
     fn lines(&self) -> Vec<(f64, f64, f64)> {
+        let held = |level: &f64, seconds: f64| (seconds, *level, *level);
         match self {
             Self::Constant {
                 speed_rad_s,
                 seconds,
-            } => vec![(*seconds, *speed_rad_s, *speed_rad_s)],
+            } => vec![held(speed_rad_s, *seconds)],
             Self::Steps {
                 levels_rad_s,
                 hold_s,
             } => levels_rad_s
                 .iter()
-                .map(|level| (*hold_s, *level, *level))
+                .map(|level| held(level, *hold_s))
                 .collect(),
             Self::Square {
                 low_rad_s,
                 high_rad_s,
                 half_period_s,
                 periods,
-            } => (0..*periods)
-                .flat_map(|_| [*high_rad_s, *low_rad_s])
-                .map(|level| (*half_period_s, level, level))
-                .collect(),
+            } => {
+                let period = [high_rad_s, low_rad_s].map(|level| held(level, *half_period_s));
+                period.repeat(*periods as usize)
+            }
             Self::Ramp {
                 from_rad_s,
                 to_rad_s,
                 seconds,
             } => vec![(*seconds, *from_rad_s, *to_rad_s)],
-            Self::Polyline { points } => points
-                .windows(2)
-                .map(|pair| (pair[1][0] - pair[0][0], pair[0][1], pair[1][1]))
-                .collect(),
+            Self::Polyline { points } => {
+                let line = |pair: &[[f64; 2]]| (pair[1][0] - pair[0][0], pair[0][1], pair[1][1]);
+                points.windows(2).map(line).collect()
+            }
         }
     }
 }
@@ -314,9 +314,8 @@ impl Reference {
     }
 
     pub fn part_at(&self, time_s: f64) -> usize {
-        self.parts
-            .partition_point(|(_, end_s)| *end_s <= time_s)
-            .min(self.parts.len().saturating_sub(1))
+        let after = self.parts.partition_point(|(_, end_s)| *end_s <= time_s);
+        after.min(self.parts.len().saturating_sub(1))
     }
 
     pub fn part_name(&self, index: usize) -> &str {
@@ -350,62 +349,37 @@ impl Reference {
     }
 
     fn start_of(&self, index: usize) -> f64 {
-        index
-            .checked_sub(1)
-            .map_or(0.0, |before| self.lines[before].end_s)
+        let before = index.checked_sub(1);
+        before.map_or(0.0, |before| self.lines[before].end_s)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::bench::testing::{has, near};
 
-    fn constant(speed_rad_s: f64) -> ReferencePart {
-        ReferencePart::Constant {
-            speed_rad_s,
-            seconds: 1.0,
-        }
-    }
-
-    fn square(low_rad_s: f64, high_rad_s: f64, half_period_s: f64, periods: u32) -> ReferencePart {
-        ReferencePart::Square {
-            low_rad_s,
-            high_rad_s,
-            half_period_s,
-            periods,
-        }
-    }
-
-    fn ramp(from_rad_s: f64, to_rad_s: f64, seconds: f64) -> ReferencePart {
-        ReferencePart::Ramp {
-            from_rad_s,
-            to_rad_s,
-            seconds,
-        }
-    }
-
-    fn polyline(points: &[[f64; 2]]) -> ReferencePart {
-        let points = points.to_vec();
-        ReferencePart::Polyline { points }
-    }
-
-    fn steps(levels_rad_s: &[f64], hold_s: f64) -> ReferencePart {
-        let levels_rad_s = levels_rad_s.to_vec();
-        ReferencePart::Steps {
-            levels_rad_s,
-            hold_s,
-        }
+    /// A part as it stands in a bench file.
+    fn part(kind: &str, keys: &str) -> ReferencePart {
+        let text = format!("part.{kind} = {{ {keys} }}");
+        let file: BTreeMap<String, ReferencePart> = toml::from_str(&text).unwrap();
+        file["part"].clone()
     }
 
     fn parts() -> Vec<ReferencePart> {
+        let square = "low_rad_s = -10.0, high_rad_s = 10.0, half_period_s = 0.5, periods = 2";
         vec![
-            constant(50.0),
-            constant(50.0),
-            square(-10.0, 10.0, 0.5, 2),
-            ramp(-10.0, 30.0, 4.0),
-            polyline(&[[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]),
-            steps(&[5.0, 6.0], 1.0),
+            part("constant", "speed_rad_s = 50.0, seconds = 1.0"),
+            part("constant", "speed_rad_s = 50.0, seconds = 1.0"),
+            part("square", square),
+            part("ramp", "from_rad_s = -10.0, to_rad_s = 30.0, seconds = 4.0"),
+            part(
+                "polyline",
+                "points = [[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]",
+            ),
+            part("steps", "levels_rad_s = [5.0, 6.0], hold_s = 1.0"),
         ]
     }
 
@@ -432,11 +406,9 @@ mod tests {
         near(reference.peak_rad_s(), 50.0, 1e-12);
         assert_eq!(reference.part_name(reference.part_at(1.5)), "constant 2");
         assert_eq!(reference.part_name(reference.part_at(99.0)), "steps");
-        let steps = reference.steps();
-        let found: Vec<[f64; 4]> = steps
-            .iter()
-            .map(|step| [step.at_s, step.until_s, step.from_rad_s, step.to_rad_s])
-            .collect();
+        let steps = reference.steps().into_iter();
+        let steps = steps.map(|step| [step.at_s, step.until_s, step.from_rad_s, step.to_rad_s]);
+        let found: Vec<[f64; 4]> = steps.collect();
         assert_eq!(
             found,
             [
@@ -461,16 +433,25 @@ mod tests {
         };
         let beyond = "part 2 (constant): speed_rad_s = 120 is not allowed (expected -100.0000 to 100.0000 rad/s: limits.speed_rad_s)";
         let back = "points = 1 is not allowed (expected times that grow)";
-        for (part, expected) in [
-            (constant(120.0), beyond),
-            (constant(f64::NAN), "speed_rad_s = NaN"),
-            (ramp(0.0, 1.0, 0.0), "seconds = 0"),
-            (steps(&[], 1.0), "number of levels_rad_s = 0"),
-            (square(0.0, 1.0, 1.0, 0), "periods = 0"),
-            (polyline(&[[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]), back),
-            (polyline(&[[0.5, 0.0], [1.0, 0.0]]), "points = 0.5"),
+        let ramp = "from_rad_s = 0.0, to_rad_s = 1.0, seconds = 0.0";
+        let square = "low_rad_s = 0.0, high_rad_s = 1.0, half_period_s = 1.0, periods = 0";
+        let corners = "points = [[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]";
+        let late = "points = [[0.5, 0.0], [1.0, 0.0]]";
+        let none = "levels_rad_s = [], hold_s = 1.0";
+        for (kind, keys, expected) in [
+            ("constant", "speed_rad_s = 120.0, seconds = 1.0", beyond),
+            (
+                "constant",
+                "speed_rad_s = nan, seconds = 1.0",
+                "speed_rad_s = NaN",
+            ),
+            ("ramp", ramp, "seconds = 0"),
+            ("steps", none, "number of levels_rad_s = 0"),
+            ("square", square, "periods = 0"),
+            ("polyline", corners, back),
+            ("polyline", late, "points = 0.5"),
         ] {
-            has(refused(part), expected);
+            has(refused(part(kind, keys)), expected);
         }
         assert!(Reference::new(&[], 100.0, "limits").is_err());
     }

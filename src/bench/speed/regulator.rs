@@ -5,7 +5,7 @@ use thiserror::Error;
 use super::section::{ControllerKind, GainsSection, SpeedSection};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::timing::whole;
-use crate::control::tuning::{Request, Rule, TuningError, tune};
+use crate::control::tuning::{Request, TuningError, tune};
 use crate::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
     Holding, Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming,
@@ -161,17 +161,10 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
             bench: motor.name.clone(),
         });
     }
+    let (resistance, back_emf) = (motor.resistance_ohm, motor.back_emf_v_s_per_rad);
     for (key, plate, factor) in [
-        (
-            MotorKey::Resistance,
-            motor.resistance_ohm,
-            RESISTANCE_FACTOR,
-        ),
-        (
-            MotorKey::BackEmf,
-            motor.back_emf_v_s_per_rad,
-            BACK_EMF_FACTOR,
-        ),
+        (MotorKey::Resistance, resistance, RESISTANCE_FACTOR),
+        (MotorKey::BackEmf, back_emf, BACK_EMF_FACTOR),
     ] {
         let (low, high) = (plate / factor, plate * factor);
         // What is missing or not physical is for the plant to say.
@@ -200,9 +193,8 @@ fn viscous(model: &Model) -> Result<f64, RegulatorError> {
 /// The first value of an effect of the model; 0 without the effect.
 fn effect_value(model: &Model, id: &str) -> f64 {
     let effect = model.effects.iter().find(|effect| effect.id() == id);
-    effect
-        .and_then(|effect| effect.values.first().copied().flatten())
-        .unwrap_or(0.0)
+    let first = effect.and_then(|effect| effect.values.first().copied().flatten());
+    first.unwrap_or(0.0)
 }
 
 /// The loop's timing: what was measured on the link, and what the model knows to lie behind it.
@@ -231,10 +223,9 @@ impl Design<'_> {
             if passes.is_empty() {
                 reasons.extend(why);
             }
-            if matches!(
-                self.section.controller,
-                ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac
-            ) {
+            if let ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac =
+                self.section.controller
+            {
                 // No rule with margins stands behind these.
                 self.rehearse(controller.as_mut(), &limiter, viscous)?;
                 controller = self.controller(&plant, holding)?.0;
@@ -263,11 +254,11 @@ impl Design<'_> {
         Ok(match self.actuator {
             Actuator::Voltage => (LinearPlant::voltage(self.model, viscous)?, Vec::new()),
             Actuator::Current => {
-                let plant =
-                    LinearPlant::current(self.model, viscous, lag_s.unwrap_or(CURRENT_LAG_S))?;
+                let taken_s = lag_s.unwrap_or(CURRENT_LAG_S);
+                let plant = LinearPlant::current(self.model, viscous, taken_s)?;
                 let reason = format!(
                     "the drive's current loop is taken for a lag of {:.1} ms ({})",
-                    1e3 * lag_s.unwrap_or(CURRENT_LAG_S),
+                    1e3 * taken_s,
                     lag_s.map_or("speed.drive_lag_s is not given", |_| "speed.drive_lag_s")
                 );
                 (plant, vec![reason])
@@ -322,7 +313,7 @@ impl Design<'_> {
         holding: Holding,
     ) -> Result<(Box<dyn SpeedController>, Vec<String>), RegulatorError> {
         let request = Request {
-            rule: self.rule(),
+            rule: self.section.rule(self.actuator),
             bandwidth_rad_s: self.section.bandwidth_rad_s,
         };
         let refused = |error| RegulatorError::Tuning {
@@ -364,9 +355,8 @@ impl Design<'_> {
             }
             ControllerKind::PaperB => {
                 let motor = &self.model.motor;
-                let times = motor
-                    .electrical_time_constant_s()
-                    .zip(motor.mechanical_time_constant_s());
+                let electrical_s = motor.electrical_time_constant_s();
+                let times = electrical_s.zip(motor.mechanical_time_constant_s());
                 let (electrical_s, mechanical_s) = times.unwrap_or((f64::NAN, f64::NAN));
                 let ke = value(MotorKey::BackEmf);
                 let plant = PaperBPlant::new(self.timing.period_s, electrical_s, mechanical_s, ke);
@@ -379,10 +369,8 @@ impl Design<'_> {
                     ..LoadObservingSettings::default()
                 };
                 let made = LoadObserving::new(self.model, plant, &self.timing, &settings);
-                (
-                    Box::new(made.map_err(RegulatorError::LoadObserver)?),
-                    Vec::new(),
-                )
+                let made = made.map_err(RegulatorError::LoadObserver)?;
+                (Box::new(made), Vec::new())
             }
         })
     }
@@ -413,10 +401,6 @@ impl Design<'_> {
             });
         }
         Ok(gains)
-    }
-
-    fn rule(&self) -> Rule {
-        self.section.rule(self.actuator)
     }
 
     fn current_limit_a(&self) -> f64 {

@@ -138,24 +138,19 @@ mod tests {
             to_rad_s,
         });
         // A lag of 0.1 s, and 20 % beyond at one instant of the second step; the third is cut short.
-        let record: Vec<Cycle> = (0..250)
-            .map(|n| {
-                let time_s = f64::from(n) * 0.01;
-                let (from, to) = if time_s < 1.0 {
-                    (0.0, 10.0)
-                } else {
-                    (10.0, 20.0)
-                };
-                let lag = to + (from - to) * (-(time_s % 1.0) / 0.1).exp();
-                Cycle {
-                    time_s,
-                    speed_rad_s: if n == 150 { 22.0 } else { lag },
-                    output: f64::from(n),
-                    reference_rad_s: to,
-                    limited: n < 25,
-                }
-            })
-            .collect();
+        let cycle = |n: i32| {
+            let time_s = f64::from(n) * 0.01;
+            let to = if time_s < 1.0 { 10.0 } else { 20.0 };
+            let lag = to - 10.0 * (-(time_s % 1.0) / 0.1).exp();
+            Cycle {
+                time_s,
+                speed_rad_s: if n == 150 { 22.0 } else { lag },
+                output: f64::from(n),
+                reference_rad_s: to,
+                limited: n < 25,
+            }
+        };
+        let record: Vec<Cycle> = (0..250).map(cycle).collect();
         let found = figures(&record, &steps);
         assert_eq!(found.len(), 2);
         assert!(found[0].response.overshoot_percent < 1e-9);

@@ -285,12 +285,9 @@ mod tests {
         let reference = section.reference(&limits, Some(&motor)).unwrap();
         near(reference.duration_s(), 8.0, 1e-12);
         assert_eq!(reference.passes(), [(1.0, 4.0), (5.0, 8.0)]);
+        let at = |time_s| reference.value_at(time_s);
         for time_s in [1.0, 2.5, 3.9] {
-            near(
-                reference.value_at(time_s + 4.0),
-                reference.value_at(time_s),
-                1e-9,
-            );
+            near(at(time_s + 4.0), at(time_s), 1e-9);
         }
         near(reference.value_at(0.3), 20.0, 1e-12);
         near(reference.value_at(4.3), 20.0, 1e-12);

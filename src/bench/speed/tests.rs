@@ -199,12 +199,9 @@ fn a_loop_whose_signals_are_broken_under_way_is_stopped_with_the_signal_s_name()
     }
     use TripKind::{CurrentStuck, EncoderReversed, SignalsSwapped, SpeedImplausible};
     type Case = (fn(&mut Sample), &'static [TripKind], usize);
+    let idle = |sample: &mut Sample| sample.set(Channel::Current, 0.0);
     let cases: [Case; 4] = [
-        (
-            |sample| sample.set(Channel::Current, 0.0),
-            &[CurrentStuck],
-            235,
-        ),
+        (idle, &[CurrentStuck], 235),
         (|sample| scale(sample, 0.3), &[SpeedImplausible], 172),
         // The loop reverses its voltage within a cycle: whether sign or scale is wrong may not be told from so few.
         (
@@ -281,20 +278,14 @@ fn models_that_would_not_be_stable_are_refused_by_name() {
     use MotorKey::{BackEmf, Inertia, Resistance};
     let bench = bench();
     assert!(refusal(&bench, &baseline(&bench), 1.0).is_none());
+    let high = "resistance_ohm = 2.3 is that of another motor (expected 0.6875 to 1.7600";
+    let low = "back_emf_v_s_per_rad = 0.2 is that of another motor";
     for (key, value, expected) in [
         (Inertia, -0.004, "inertia_kg_m2 = -0.004 is not physical"),
         (Inertia, f64::NAN, "inertia_kg_m2 = NaN is not physical"),
         (Resistance, 0.0, "resistance_ohm = 0 is not physical"),
-        (
-            Resistance,
-            2.3,
-            "resistance_ohm = 2.3 is that of another motor (expected 0.6875 to 1.7600",
-        ),
-        (
-            BackEmf,
-            0.2,
-            "back_emf_v_s_per_rad = 0.2 is that of another motor",
-        ),
+        (Resistance, 2.3, high),
+        (BackEmf, 0.2, low),
     ] {
         let mut model = baseline(&bench);
         model.motor.set(key, value);
@@ -399,31 +390,21 @@ fn a_drive_that_takes_a_current_is_regulated_and_one_that_takes_a_speed_is_trimm
 #[test]
 fn what_an_actuator_does_not_allow_is_refused_by_name() {
     type Case = (Actuator, fn(&mut SpeedSection), &'static str);
+    use ControllerKind::{PaperB, Pi};
+    let lagless = "speed.drive_lag_s is missing";
+    let of_speed = "\"addc\" does not act with a speed (expected one of voltage, current)";
+    let of_current = "\"paper-b\" does not act with a current";
+    let nothing = "nothing can be given forward with a speed command";
+    let forward = |section: &mut SpeedSection| {
+        section.controller = Pi;
+        section.drive_lag_s = Some(0.05);
+        section.feed_forward = ForwardUse::On;
+    };
     let cases: [Case; 4] = [
-        (
-            Actuator::Speed,
-            |section| section.controller = ControllerKind::Pi,
-            "speed.drive_lag_s is missing",
-        ),
-        (
-            Actuator::Speed,
-            |section| section.drive_lag_s = Some(0.05),
-            "\"addc\" does not act with a speed (expected one of voltage, current)",
-        ),
-        (
-            Actuator::Current,
-            |section| section.controller = ControllerKind::PaperB,
-            "\"paper-b\" does not act with a current",
-        ),
-        (
-            Actuator::Speed,
-            |section| {
-                section.controller = ControllerKind::Pi;
-                section.drive_lag_s = Some(0.05);
-                section.feed_forward = ForwardUse::On;
-            },
-            "nothing can be given forward with a speed command",
-        ),
+        (Actuator::Speed, |s| s.controller = Pi, lagless),
+        (Actuator::Speed, |s| s.drive_lag_s = Some(0.05), of_speed),
+        (Actuator::Current, |s| s.controller = PaperB, of_current),
+        (Actuator::Speed, forward, nothing),
     ];
     for (actuator, change, words) in cases {
         let bench = over(actuator, change);
@@ -509,11 +490,8 @@ fn fare(seed: u64) -> Fate {
     plate.motor.resistance_ohm = Some(specimen.resistance_ohm * doubt);
     plate.motor.inductance_h = Some(specimen.inductance_h / doubt);
     plate.motor.back_emf_v_s_per_rad = Some(specimen.back_emf_v_s_per_rad * (2.0 - doubt).sqrt());
-    let hidden = config
-        .hidden
-        .first()
-        .map_or("nothing", |effect| effect.id());
-    let hidden = hidden.to_owned();
+    let hidden = config.hidden.first();
+    let hidden = hidden.map_or("nothing", |effect| effect.id()).to_owned();
     let session = session(&plate, &baseline(&plate));
     let lab = Lab::new(session, in_memory(&config, seed), unspoilt).started(1600);
     let end: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
@@ -521,9 +499,8 @@ fn fare(seed: u64) -> Fate {
     // On the first level a loop that swings may still be made softer.
     let swings = (1..6_u32).map(|level| {
         let until_s = begin_s + 2.0 * f64::from(level + 1);
-        let rows = end
-            .iter()
-            .filter(|row| (until_s - 0.4..until_s).contains(&row.0));
+        let last = until_s - 0.4..until_s;
+        let rows = end.iter().filter(|row| last.contains(&row.0));
         let (low, high) = rows.fold((f64::MAX, f64::MIN), |(low, high), row| {
             (low.min(row.1), high.max(row.1))
         });
@@ -553,8 +530,9 @@ fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() 
     let (started, refused): (Vec<Fate>, Vec<Fate>) =
         fates.into_iter().partition(|fate| fate.largest_v > 0.0);
     assert!(started.len() >= 190, "{refused:?}");
+    let mut hidden = refused.iter().map(|fate| &fate.hidden);
     assert!(
-        refused.iter().all(|fate| fate.hidden == "current_offset"),
+        hidden.all(|hidden| hidden == "current_offset"),
         "{refused:?}"
     );
     for fate in &started {

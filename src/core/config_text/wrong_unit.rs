@@ -122,11 +122,9 @@ mod tests {
             "inductance_h",
             "reply_ms",
         ];
+        let speed = "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s";
         for (given, said) in [
-            (
-                "rated_speed_rpm",
-                "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s",
-            ),
+            ("rated_speed_rpm", speed),
             ("rated_current_ma", "give rated_current_a: 1 mA is 0.001 A"),
             ("inductance_mh", "give inductance_h: 1 mH is 0.001 H"),
             ("reply_s", "give reply_ms: 1 s is 1000 ms"),

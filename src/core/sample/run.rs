@@ -219,12 +219,9 @@ impl Run {
 
     /// `(time, value)` of the cells that are there.
     pub fn points(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> + '_ {
-        let values = self.column(channel).unwrap_or_default();
-        self.time_s
-            .iter()
-            .copied()
-            .zip(values.iter().copied())
-            .filter(|(_, value)| value.is_finite())
+        let values = self.column(channel).unwrap_or_default().iter().copied();
+        let points = self.time_s.iter().copied().zip(values);
+        points.filter(|(_, value)| value.is_finite())
     }
 
     /// Every row as a sample with the channels that it has; a missing cell is unset.
@@ -303,18 +300,17 @@ mod tests {
 
     fn run() -> Run {
         let mut run = Run::new("r", vec![0.0, 0.1, 0.25, 0.3]).unwrap();
-        run.set_column(
-            Channel::VoltageCmd,
-            vec![1.0, f64::NAN, f64::NAN, 2.0],
-            Origin::Commanded,
-        )
-        .unwrap();
-        run.set_column(
-            Channel::Current,
-            vec![f64::NAN, 0.5, 0.6, 0.7],
-            Origin::Measured,
-        )
-        .unwrap();
+        let none = f64::NAN;
+        for (channel, column, origin) in [
+            (
+                Channel::VoltageCmd,
+                [1.0, none, none, 2.0],
+                Origin::Commanded,
+            ),
+            (Channel::Current, [none, 0.5, 0.6, 0.7], Origin::Measured),
+        ] {
+            run.set_column(channel, column.into(), origin).unwrap();
+        }
         run
     }
 
@@ -335,23 +331,16 @@ mod tests {
             vec![f64::NEG_INFINITY, 0.0],
             vec![0.0, 1e15],
         ] {
-            assert!(matches!(
-                Run::new("r", times),
-                Err(RunError::Absurd {
-                    column: "time_s",
-                    ..
-                })
-            ));
+            let error = Run::new("r", times).unwrap_err();
+            let is_of_time = matches!(error, RunError::Absurd { column, .. } if column == "time_s");
+            assert!(is_of_time, "{error}");
         }
         let mut run = run();
         let wild = vec![0.0, f64::NAN, 1e300, 0.0];
-        let error = run
-            .set_column(Channel::Speed, wild, Origin::Unknown)
-            .unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)"
-        );
+        let error = run.set_column(Channel::Speed, wild, Origin::Unknown);
+        let said =
+            "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)";
+        assert_eq!(error.unwrap_err().to_string(), said);
     }
 
     #[test]
@@ -379,12 +368,8 @@ mod tests {
         assert_eq!(samples[0].get(Channel::VoltageCmd), Some(1.0));
         assert_eq!(samples[0].get(Channel::Current), None);
         assert_eq!(samples[1].get(Channel::VoltageCmd), None);
-        assert_eq!(
-            samples[3],
-            Sample::at(0.3)
-                .with(Channel::VoltageCmd, 2.0)
-                .with(Channel::Current, 0.7)
-        );
+        let last = Sample::at(0.3).with(Channel::VoltageCmd, 2.0);
+        assert_eq!(samples[3], last.with(Channel::Current, 0.7));
     }
 
     #[test]
