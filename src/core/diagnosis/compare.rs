@@ -145,8 +145,8 @@ pub fn compare(
     let [current_one_step, speed_one_step] = one_step_rmse(model, evidence)?;
     let known =
         |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
-    let signal = |here: Option<SignalScore>, there: Option<SignalScore>, level, one_step_rmse| {
-        let (here, there) = (here?, there?);
+    let signal = |of: fn(&Score) -> Option<SignalScore>, level, one_step_rmse| {
+        let (here, there) = (of(&training)?, of(&holdout)?);
         Some(SignalComparison {
             fit_percent: here.fit_percent,
             rmse: here.rmse,
@@ -155,32 +155,20 @@ pub fn compare(
             holdout: there,
         })
     };
-    let judged = |residual: Vec<(f64, f64)>, level: f64| {
-        let residual = if level.is_finite() { residual } else { vec![] };
-        with_input(&residual, &evidence.holdout)
+    let judged = |residual: &[(f64, f64)], level: f64| {
+        let residual = if level.is_finite() { residual } else { &[] };
+        with_input(residual, &evidence.holdout)
     };
-    let speed = signal(
-        training.speed,
-        holdout.speed,
-        noise.speed_rad_s,
-        speed_one_step,
-    );
-    let current = signal(
-        training.current,
-        holdout.current,
-        noise.current_a,
-        current_one_step,
-    );
     let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
-            speed_rad_s: speed,
-            current_a: current,
+            speed_rad_s: signal(|score| score.speed, noise.speed_rad_s, speed_one_step),
+            current_a: signal(|score| score.current, noise.current_a, current_one_step),
             ..Signals::default()
         },
         residual: ResidualLights::of(
-            &judged(holdout.current_residual(), noise.current_a),
-            &judged(holdout.speed_residual(), noise.speed_rad_s),
+            &judged(&holdout.current_residual, noise.current_a),
+            &judged(&holdout.speed_residual, noise.speed_rad_s),
         ),
         noise_floor_from: noise.source,
         noise: *noise,
@@ -282,8 +270,8 @@ impl Balance {
             notes,
         } = locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
         let torques = self.sides.holdout.left.iter().copied();
-        let left = holdout.torque_residual().into_iter();
-        let with_torque: Vec<(f64, f64)> = left.map(|(_, left)| left).zip(torques).collect();
+        let left = holdout.torque_residual.iter().map(|point| point.1);
+        let with_torque: Vec<(f64, f64)> = left.zip(torques).collect();
         Comparison {
             signals: Signals {
                 speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),

@@ -286,7 +286,7 @@ fn verdict(
 }
 
 /// The answer on a run that had no part in it: neither fitted, nor selected by, nor asked for the noise.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Confirmation {
     /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where
     /// nothing is missing the error is at the floor; where something unexplained is missing it is above. Null where the
@@ -380,14 +380,10 @@ fn confirmed(
         })
     };
     let refused = |error: FitError| Confirmation {
-        confirmed: None,
-        error_before: None,
-        error_after: None,
-        z: None,
-        explained_percent: None,
         sentence: format!(
             "the confirming run cannot be judged, so that nothing is confirmed: {error}"
         ),
+        ..Confirmation::default()
     };
     Some(repeated().unwrap_or_else(refused))
 }

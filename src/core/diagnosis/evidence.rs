@@ -270,8 +270,8 @@ pub(super) fn not_repeated(
             .then(|| (mean_square / 2.0).sqrt())
     };
     Ok([
-        differs(&a.current_residual(), &b.current_residual()),
-        differs(&a.speed_residual(), &b.speed_residual()),
+        differs(&a.current_residual, &b.current_residual),
+        differs(&a.speed_residual, &b.speed_residual),
     ])
 }
 

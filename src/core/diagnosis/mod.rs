@@ -21,7 +21,6 @@ mod candidates;
 mod compare;
 mod diagnose;
 mod evidence;
-mod family;
 mod fingerprint;
 mod floor;
 mod joint;

@@ -37,41 +37,32 @@ pub struct Score {
     /// Root of the mean over the signals of `(rmse / noise)^2`. A signal whose noise is not known has figures of its own and
     /// no part in this.
     pub nrms: f64,
-    residuals: Residuals,
-}
-
-/// Current in A, speed in rad/s and torque in N.m at each time, NaN where missing; empty where it is not judged.
-#[derive(Clone, Debug)]
-struct Residuals {
-    time_s: Vec<f64>,
-    current_a: Vec<f64>,
-    speed_rad_s: Vec<f64>,
-    torque_n_m: Vec<f64>,
+    /// Time and residual of the current, A, the speed, rad/s, and the torque, N.m; empty where it is not judged.
+    pub(super) current_residual: Vec<(f64, f64)>,
+    pub(super) speed_residual: Vec<(f64, f64)>,
+    pub(super) torque_residual: Vec<(f64, f64)>,
 }
 
 impl Score {
     /// Simulates a complete model over the scenario; only the initial state is fitted, where the run starts in motion.
     pub fn of(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Self, FitError> {
         let trajectory = output_error::predict(model, scenario, noise)?.trajectory;
-        let residual = |simulated: &[f64], measured: &[f64]| -> Vec<f64> {
-            let scored = scenario.scored.clone();
-            if !varies(measured) {
-                // A dead sensor shows nothing to be met.
-                return vec![f64::NAN; scored.len()];
+        let scored = &scenario.scored;
+        let judged = |simulated: &[f64], measured: &[f64], counts: bool| {
+            // A dead sensor shows nothing to be met.
+            if !counts || !varies(measured) {
+                return (None, Vec::new());
             }
-            scored
-                .map(|sample| simulated[sample] - measured[sample])
-                .collect()
+            let residual = scored.clone().map(|k| simulated[k] - measured[k]);
+            let residual: Vec<f64> = residual.collect();
+            let score = signal_score(&residual, &measured[scored.clone()]);
+            let times = &scenario.sample_time_s[scored.clone()];
+            (score, finite_points(times, &residual))
         };
-        let current_a = if scenario.input == Input::Voltage {
-            residual(&trajectory.current_a, &scenario.current_a)
-        } else {
-            vec![f64::NAN; scenario.scored.len()]
-        };
-        let speed_rad_s = residual(&trajectory.speed_rad_s, &scenario.speed_rad_s);
-        let times = &scenario.sample_time_s[scenario.scored.clone()];
-        let current = signal_score(&current_a, &scenario.current_a[scenario.scored.clone()]);
-        let speed = signal_score(&speed_rad_s, &scenario.speed_rad_s[scenario.scored.clone()]);
+        let by_voltage = scenario.input == Input::Voltage;
+        let (current, current_residual) =
+            judged(&trajectory.current_a, &scenario.current_a, by_voltage);
+        let (speed, speed_residual) = judged(&trajectory.speed_rad_s, &scenario.speed_rad_s, true);
         let rms = [current, speed].map(|signal| signal.map(|signal| signal.rmse));
         // Where no signal can be judged no error is known: not one of zero, which would pass for a perfect model.
         let nrms = in_noise(rms, noise).unwrap_or(f64::NAN);
@@ -80,31 +71,25 @@ impl Score {
             speed,
             torque: None,
             nrms,
-            residuals: Residuals {
-                time_s: times.to_vec(),
-                current_a,
-                speed_rad_s,
-                torque_n_m: Vec::new(),
-            },
+            current_residual,
+            speed_residual,
+            torque_residual: Vec::new(),
         })
     }
 
     /// Of a balance of torques with this sum of its terms; `unit_n_m` is what noise leaves in a row.
     pub(super) fn of_balance(rows: &TorqueRows, predicted: &[f64], unit_n_m: f64) -> Self {
         let pairs = rows.left.iter().zip(predicted);
-        let torque_n_m: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
-        let torque = signal_score(&torque_n_m, &rows.left);
+        let residual: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
+        let torque = signal_score(&residual, &rows.left);
         Self {
             current: None,
             speed: None,
             torque,
             nrms: torque.map_or(f64::NAN, |torque| torque.rmse / unit_n_m),
-            residuals: Residuals {
-                time_s: rows.time_s.clone(),
-                current_a: Vec::new(),
-                speed_rad_s: Vec::new(),
-                torque_n_m,
-            },
+            current_residual: Vec::new(),
+            speed_residual: Vec::new(),
+            torque_residual: finite_points(&rows.time_s, &residual),
         }
     }
 
@@ -113,21 +98,6 @@ impl Score {
         let signals = [self.current, self.speed, self.torque];
         let samples: usize = signals.iter().flatten().map(|own| own.samples).sum();
         samples as f64 * self.nrms * self.nrms
-    }
-
-    /// `(time, residual)` of the current, A.
-    pub fn current_residual(&self) -> Vec<(f64, f64)> {
-        finite_points(&self.residuals.time_s, &self.residuals.current_a)
-    }
-
-    /// `(time, residual)` of the speed, rad/s.
-    pub fn speed_residual(&self) -> Vec<(f64, f64)> {
-        finite_points(&self.residuals.time_s, &self.residuals.speed_rad_s)
-    }
-
-    /// `(time, residual)` of the torque, N.m.
-    pub(super) fn torque_residual(&self) -> Vec<(f64, f64)> {
-        finite_points(&self.residuals.time_s, &self.residuals.torque_n_m)
     }
 }
 

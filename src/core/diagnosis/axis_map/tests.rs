@@ -61,6 +61,26 @@ fn r2(maps: &[AxisMap], equation: &str, axis: &str) -> f64 {
         .r2
 }
 
+/// What explains most: on this axis of this equation, and more than so much.
+fn leading<'a>(
+    found: &'a [AxisMap],
+    (equation, axis, least): (&str, &str, f64),
+    case: &str,
+) -> &'a AxisMap {
+    let first = &found[0];
+    let place = (first.equation, first.axis);
+    assert_eq!(place, (equation, axis), "{case}: {found:#?}");
+    assert!(first.r2 > least, "{case}: {first:?}");
+    first
+}
+
+/// The knot of its largest value.
+fn peak(map: &AxisMap) -> usize {
+    let size = |knot: &usize| map.values[*knot].abs();
+    let knots = 0..map.values.len();
+    knots.max_by(|a, b| size(a).total_cmp(&size(b))).unwrap()
+}
+
 #[test]
 fn a_true_model_leaves_nothing_that_follows_an_axis() {
     let mut all = Vec::new();
@@ -84,12 +104,8 @@ fn a_true_model_leaves_nothing_that_follows_an_axis() {
 fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
     let scenario = run(&torque("a*exp(-((w-118)/15)^2)"), &[0.18], 7, 0.001, 12.0);
     let found = maps(&scenario);
-    let first = &found[0];
-    assert_eq!((first.equation, first.axis), ("torque", "speed_rad_s"));
-    assert!(first.r2 > 0.85, "{first:?}");
-    let peak = (0..first.values.len())
-        .max_by(|a, b| first.values[*a].total_cmp(&first.values[*b]))
-        .unwrap();
+    let first = leading(&found, ("torque", "speed_rad_s", 0.85), "a bump");
+    let peak = peak(first);
     assert!((first.knots[peak] - 118.0).abs() < 8.0, "{first:?}");
     assert!((first.values[peak] - 0.18).abs() < 0.04, "{first:?}");
     assert!(first.std[peak] < 0.02 && first.error_over_noise.unwrap() > 2.0);
@@ -111,13 +127,7 @@ fn each_error_is_put_on_its_own_axis() {
         (torque("a*(1+sgn(t-6))/2"), 0.1, "torque", "time_s", 0.73),
     ] {
         let found = maps(&run(&settings, &[size], 7, 0.001, 12.0));
-        let first = &found[0];
-        assert_eq!(
-            (first.equation, first.axis),
-            (equation, axis),
-            "{settings}: {found:#?}"
-        );
-        assert!(first.r2 > least, "{settings}: {first:?}");
+        let first = leading(&found, (equation, axis, least), &settings);
         if axis == "frequency_hz" {
             assert!((first.knots[0] - 4.625).abs() < 0.01, "{first:?}");
             assert!((first.values[0] / 0.1 - 1.0).abs() < 0.05, "{first:?}");
@@ -133,13 +143,7 @@ fn at_ten_milliseconds_short_free_runs_take_over_and_say_so() {
         (voltage("a*tanh(i/0.05)"), 1.0, "voltage", "current_a", 0.7),
     ] {
         let found = maps(&run(&settings, &[size], 7, 0.01, 12.0));
-        let first = &found[0];
-        assert_eq!(
-            (first.equation, first.axis),
-            (equation, axis),
-            "{settings}: {found:#?}"
-        );
-        assert!(first.r2 > least, "{settings}: {first:?}");
+        let first = leading(&found, (equation, axis, least), &settings);
         assert_eq!(first.method, "windowed_free_run");
         assert!(first.sentence.contains("too far apart"), "{first:?}");
     }

@@ -11,17 +11,19 @@ use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances, unknown_curves};
-use super::slopes;
-use super::tangent::{LANES, Step, Tangent, carry};
+use super::tangent::{self, LANES, Step, Tangent, carry};
 use super::whitened::Whitened;
-use crate::diagnosis::family::{LEAST_BOUNDARY_A, curve_of, related, takes_power};
+use crate::plant::effect::Axis;
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
+    ActiveEffect, Balance, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
     ShaftAngle, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
 pub(super) const SLAB: f64 = 2.0;
+
+/// Currents from which on gaps, not brushes, bend the voltage, A: the drop of brushes has built up at a tenth of it.
+pub(super) const LEAST_BOUNDARY_A: f64 = 0.9;
 
 /// Mean square of the innovations above which a linear solution is not believed, and refutes nothing.
 pub(super) const FAR_MEAN_SQUARE: f64 = 3.0;
@@ -426,7 +428,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     part.candidate.in_model = true;
     let mut effects = model.effects.iter();
     let values = effects.find(|active| active.id() == id)?.values_or_guess();
-    let along = slopes::are_tangents(model, scenario);
+    let along = tangent::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
         form.whole(model.without_effect(id).ok()?, -1.0, 1.0 / WHOLE);
@@ -448,9 +450,10 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             };
             (unit, 0.0, 0.01 * unit)
         };
-        form.variant.positive |= spec.is_coefficient() && (spec.min >= 0.0 || takes_power(id));
+        let takes_power = spec.min >= 0.0 || effect.card().takes_power;
+        form.variant.positive |= spec.is_coefficient() && takes_power;
         let change = (step, step / unit);
-        let tangent = along.then(|| slopes::of_effect(effect, &values, index, unit, change));
+        let tangent = along.then(|| tangent::of_effect(effect, &values, index, unit, change));
         let source = tangent.flatten().map_or_else(
             || {
                 let mut moved = model.clone();
@@ -507,7 +510,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             }
             values[*index] = *slab;
             form.variant.values[*index] = *slab;
-            form.variant.positive |= specs[*index].min >= 0.0 || takes_power(id);
+            form.variant.positive |= specs[*index].min >= 0.0 || effect.card().takes_power;
             let source = alone(model, effect, &values, *index);
             form.column(source, Column::of(Some(*index), *slab, 0.0));
         }
@@ -544,7 +547,7 @@ fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
 /// What one coefficient of an effect adds, all others at zero.
 fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
     const PROBE: f64 = 0.25;
-    if let Some(tangent) = slopes::alone_at(effect, values, index) {
+    if let Some(tangent) = tangent::alone_at(effect, values, index) {
         return Source::Tangent(tangent);
     }
     let mut with = model.clone();
@@ -728,13 +731,21 @@ fn assemble(
 /// A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
 fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
-        "torque over speed" => Some(("torque", "speed_rad_s")),
-        "torque over angle" => Some(("torque", "angle_rad")),
-        "voltage over current" => Some(("voltage", "current_a")),
-        id => curve_of(id),
+        "torque over speed" => Some((Balance::Torque, Axis::Speed)),
+        "torque over angle" => Some((Balance::Torque, Axis::Angle)),
+        "voltage over current" => Some((Balance::Voltage, Axis::Current)),
+        _ => c.effect.and_then(|effect| effect.card().curve),
+    };
+    // A model with one effect of a family does not get the other too.
+    let names = |a: &Candidate, b: &Candidate| {
+        let others = a
+            .effect
+            .map_or(&[][..], |effect| effect.card().alternatives);
+        others.contains(&b.id)
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
-        related(a.id, b.id)
+        names(a, b)
+            || names(b, a)
             || (input == Input::Voltage
                 && a.is_unknown() != b.is_unknown()
                 && curve(a).is_some()

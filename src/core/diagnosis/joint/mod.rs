@@ -3,12 +3,12 @@
 //! ```text
 //! model, run --(follow: Kalman filter)--> innovations, gains
 //!                 |-> columns   what each effect at its slab would add to the whitened innovations: Gram matrix
-//!                 |             (nuisances: what is in beside them; tangent: eight side by side; forms: the few worth a
+//!                 |             (nuisances: what is in beside them; tangent: eight side by side, and slopes; forms: the few worth a
 //!                 |             column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
 //! asked:    which effects a run can be asked about, and what of it is fit to be asked
-//! acting:   what effects do at an instant; slopes: what is free in a model, along a run
+//! acting:   what effects do at an instant
 //! events:   what happens in one run, at a moment of its own
 //! solution: the model at the linear solution of a set --> prediction_error: its refit
 //! refits:   what refits refute of a set;  approach: far from the data, effects that join one by one
@@ -32,7 +32,6 @@ mod prediction_error;
 mod refits;
 mod search;
 mod select;
-mod slopes;
 mod solution;
 mod tangent;
 mod whitened;

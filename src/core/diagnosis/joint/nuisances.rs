@@ -5,8 +5,7 @@ use nalgebra::DVector;
 
 use super::acting::constants;
 use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
-use super::slopes::are_tangents;
-use super::tangent::{Axis, Tangent, Wave};
+use super::tangent::{Axis, Tangent, Wave, are_tangents};
 use crate::numerics::statistics::largest;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,

@@ -4,15 +4,13 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::asked::why_not;
-use super::columns::{Around, SLAB, Source, columns_of};
+use super::columns::{Around, LEAST_BOUNDARY_A, SLAB, Source, columns_of};
 use super::events::{Event, Hypothesis};
 use super::follow::follow;
 use super::free_run::excess;
 use super::nuisances::{MotorPrior, left_beyond_ohm, motor_prior, of_equations};
-use super::slopes;
-use super::tangent::Tangent;
+use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
-use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{
@@ -77,7 +75,7 @@ impl Coordinate {
             return None;
         }
         Some(if spec.is_coefficient() {
-            let takes_power = takes_power(effect.card().id);
+            let takes_power = effect.card().takes_power;
             let least = if takes_power { 0.0 } else { spec.min };
             let unit = SLAB * typical_size(effect, parameter, model, scenario);
             Self::linear(unit, (least, spec.max), 0.0)
@@ -266,7 +264,7 @@ impl<'a> Innovations<'a> {
             free,
             sizes,
             runs,
-            along: slopes::are_tangents(model, runs[0].scenario),
+            along: tangent::are_tangents(model, runs[0].scenario),
             vague: None,
         }
     }
@@ -300,7 +298,7 @@ impl<'a> Innovations<'a> {
                 let step = unit.to_value(x[parameter] + over) - value;
                 let unit = unit.slope(value);
                 let values = own.values_or_guess();
-                let tangent = slopes::of_effect(own.effect, &values, *place, unit, (step, over));
+                let tangent = tangent::of_effect(own.effect, &values, *place, unit, (step, over));
                 tangent.map(Source::Tangent)
             }
         }

@@ -3,12 +3,11 @@
 
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Linear};
+use super::columns::{Around, Candidate, LEAST_BOUNDARY_A, Linear};
 use super::events::Hypothesis;
 use super::prediction_error::{Refit, fit};
 use super::select::{Posterior, Reduced, Set};
 use super::solution::{placed, present};
-use crate::diagnosis::family::LEAST_BOUNDARY_A;
 use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
 /// Log of the odds beforehand of an effect that a refit has refuted, and what is added to that of one without which a refit

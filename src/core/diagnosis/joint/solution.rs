@@ -6,7 +6,6 @@ use super::columns::{Around, Candidate, Column, Linear};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::follow::Noise;
 use super::select::{Reduced, Set};
-use crate::diagnosis::family::takes_power;
 use crate::plant::{ActiveEffect, Scenario, State};
 
 /// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
@@ -109,7 +108,7 @@ pub(super) fn at_solution(
                     let parameter = column.parameter.filter(|k| specs[*k].is_coefficient());
                     let Some(parameter) = parameter else { continue };
                     let mut x = size(column.at)?;
-                    if specs[parameter].min >= 0.0 || takes_power(candidate.id) {
+                    if specs[parameter].min >= 0.0 || effect.card().takes_power {
                         x = x.max(LEAST_START_SHARE);
                     }
                     values[parameter] = x * column.unit;

@@ -1,9 +1,13 @@
-//! Tangents of a followed run: what small forcings along its trajectory do to the innovations, eight side by side.
+//! Tangents of a followed run: what small forcings along its trajectory do to the innovations, eight side by side; and which
+//! of them are the slopes over what is free in its model.
 
 use super::columns::Around;
 use super::follow::{Dynamics, Passage, Update};
 use crate::numerics::count::whole;
-use crate::plant::{Instant, MotorKey, Sums, Terms};
+use crate::numerics::statistics::median_step;
+use crate::plant::{
+    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Path, Scenario, Sums, Terms,
+};
 
 /// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
 pub(super) const LANES: usize = 8;
@@ -320,9 +324,15 @@ impl<'a> Traveller<'a> {
         if lag > 0.0 { mean_v } else { behind_v }
     }
 
-    /// What terms of another form do at an instant.
-    fn other_form(&mut self, at: &Instant, interval_s: f64) -> Sums {
+    /// What terms, or others in their place, do at an instant of an interval.
+    fn sums(&mut self, at: &Instant, interval_s: f64) -> Sums {
         match self.tangent {
+            Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
+                self.terms(&**terms, at, interval_s)
+            }
+            Tangent::Change { from, to, over } => {
+                change(&from.sums(at, &[]), &to.sums(at, &[]), *over)
+            }
             Tangent::Bent {
                 terms,
                 power,
@@ -489,13 +499,6 @@ fn force(
     let passages = &run.follower.passages[range.clone()];
     let inductance = run.dynamics.inverse_inductance;
     let inertia = run.dynamics.inverse_inertia;
-    let of = |sums: &Sums, direction: f64, inductive_v: f64, acceleration: f64| {
-        [
-            (sums.current_rate_gain * inductive_v - sums.voltage_v) * inductance,
-            -(sums.torque_n_m + direction * sums.friction_n_m) * inertia
-                - sums.inertia_gain * acceleration,
-        ]
-    };
     let followed = &run.followed;
     let start = range.start;
     let mean_rate = |signal: usize, k: usize, interval_s: f64| {
@@ -505,7 +508,7 @@ fn force(
         }
         (followed.before[sample][signal] - followed.after[sample - 1][signal]) / interval_s
     };
-    let acceleration = |k: usize, interval_s: f64| mean_rate(1, k, interval_s);
+    let along = || instants.iter().zip(passages).enumerate();
     match traveller.tangent {
         Tangent::Offset(_) | Tangent::LateReadings(_) => {}
         Tangent::LateCommands(_) => {
@@ -514,39 +517,16 @@ fn force(
             }
         }
         Tangent::Motor(key, by) => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+            for (k, (at, passage)) in along() {
                 let rates = [0, 1].map(|signal| mean_rate(signal, k, passage.interval_s));
                 let forcing = of_motor(run, *key, at, passage.direction, rates);
                 put(k, forcing.map(|forcing| by * forcing));
             }
         }
-        Tangent::Change { from, to, over } => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let change = change(&from.sums(at, &[]), &to.sums(at, &[]), *over);
-                let inductive_v = inductive_v(run, at);
-                let acceleration = acceleration(k, passage.interval_s);
-                put(k, of(&change, passage.direction, inductive_v, acceleration));
-            }
-        }
-        Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let sums = traveller.terms(&**terms, at, passage.interval_s);
-                let inductive_v = inductive_v(run, at);
-                let acceleration = acceleration(k, passage.interval_s);
-                put(k, of(&sums, passage.direction, inductive_v, acceleration));
-            }
-        }
-        Tangent::Bent { .. } | Tangent::Slow { .. } | Tangent::Lagging { .. } => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let sums = traveller.other_form(at, passage.interval_s);
-                put(k, of(&sums, passage.direction, 0.0, 0.0));
-            }
-        }
         Tangent::Wave(wave) => {
             waves.to(wave.order, instants);
-            let along = instants.iter().zip(&waves.each).zip(passages);
-            for (k, ((at, each), passage)) in along.enumerate() {
-                let torque = wave_torque(wave, at, passage.interval_s, each);
+            for (k, (at, passage)) in along() {
+                let torque = wave_torque(wave, at, passage.interval_s, &waves.each[k]);
                 put(k, [0.0, -torque * inertia]);
             }
         }
@@ -569,6 +549,21 @@ fn force(
                     Axis::Current => [-hat(at.current_a) * inductance, 0.0],
                 };
                 put(k, forcing);
+            }
+        }
+        _ => {
+            for (k, (at, passage)) in along() {
+                let sums = traveller.sums(at, passage.interval_s);
+                let inductive_v = sums.current_rate_gain * inductive_v(run, at);
+                let acceleration = sums.inertia_gain * mean_rate(1, k, passage.interval_s);
+                let torque_n_m = sums.torque_n_m + passage.direction * sums.friction_n_m;
+                put(
+                    k,
+                    [
+                        (inductive_v - sums.voltage_v) * inductance,
+                        -torque_n_m * inertia - acceleration,
+                    ],
+                );
             }
         }
     }
@@ -629,13 +624,128 @@ fn change(from: &Sums, to: &Sums, over: f64) -> Sums {
     }
 }
 
+// Slopes of a run's innovations over what is free in its model: tangents along the run where they hold, without a simulation.
+
+/// Share of the armature's time constant up to which a current's rate counts as the same over an interval between samples.
+const SHORT_SHARE: f64 = 0.5;
+
+/// Whether tangents are slopes of the whole model: what lies between motion and measurement, a second inertia and a current
+/// that settles between two samples are none of theirs.
+pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
+    let path = path_of(model);
+    let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
+    let effects = model.effects.iter();
+    let mut terms = effects.map(|active| active.effect.terms(&active.values_or_guess()));
+    lags_s <= 0.0 && terms.all(|terms| terms.coupling().is_none()) && is_short(model, scenario)
+}
+
+fn path_of(model: &Model) -> Path {
+    let effects = model.effects.iter();
+    effects.fold(Path::default(), |path, active| {
+        path.plus(active.effect.terms(&active.values_or_guess()).path())
+    })
+}
+
+fn only_offsets(path: Path) -> bool {
+    let Path {
+        current_offset_a,
+        speed_offset_rad_s,
+        ..
+    } = path;
+    let offsets = Path {
+        current_offset_a,
+        speed_offset_rad_s,
+        ..Path::default()
+    };
+    path == offsets
+}
+
+fn is_short(model: &Model, scenario: &Scenario) -> bool {
+    if scenario.input != Input::Voltage {
+        return true;
+    }
+    let interval_s = median_step(&scenario.sample_time_s);
+    let constant_s = model.motor.electrical_time_constant_s();
+    constant_s.is_some_and(|constant_s| interval_s < SHORT_SHARE * constant_s)
+}
+
+/// The slope over a parameter of an effect with these values, for each `unit` of a coefficient; of a shape from a step of
+/// `step`, which is `over` of its units. `None` where the effect remembers.
+pub(super) fn of_effect(
+    effect: &'static dyn Effect,
+    values: &[f64],
+    index: usize,
+    unit: f64,
+    (step, over): (f64, f64),
+) -> Option<Tangent> {
+    let specs = effect.parameters();
+    if specs[index].is_coefficient() {
+        let mut alone = values.to_vec();
+        let coefficients = alone.iter_mut().zip(specs);
+        for (value, _) in coefficients.filter(|(_, spec)| spec.is_coefficient()) {
+            *value = 0.0;
+        }
+        alone[index] = unit;
+        let late_s = effect.terms(&alone).path().command_delay_s;
+        if late_s > 0.0 {
+            return Some(Tangent::LateCommands(late_s));
+        }
+        return alone_at(effect, &alone, index);
+    }
+    let mut moved = values.to_vec();
+    moved[index] += step;
+    let (from, to) = (effect.terms(values), effect.terms(&moved));
+    let is_wave = wave_of_current(effect).is_some();
+    let acts_on_path = from.path() != Path::default();
+    (from.states() == 0 && !is_wave && !acts_on_path).then_some(Tangent::Change { from, to, over })
+}
+
+/// Whether the effect is a wave over the angle, and then whether in proportion to the current.
+fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
+    match effect.card().id {
+        "cogging" => Some(false),
+        "torque_ripple" => Some(true),
+        _ => None,
+    }
+}
+
+/// What one coefficient of an effect does by itself, all others at zero; `None` where that is no small forcing.
+pub(super) fn alone_at(
+    effect: &'static dyn Effect,
+    values: &[f64],
+    index: usize,
+) -> Option<Tangent> {
+    if let Some(of_current) = wave_of_current(effect) {
+        let order = effect.parameters().iter().position(is_order)?;
+        return Some(Tangent::Wave(Wave {
+            order: values[order],
+            sine: index == 0,
+            size: values[index],
+            of_current,
+        }));
+    }
+    let terms = effect.terms(values);
+    let path = terms.path();
+    if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
+        return Some(Tangent::Terms(terms));
+    }
+    only_offsets(path).then_some(Tangent::Offset([
+        path.current_offset_a,
+        path.speed_offset_rad_s,
+    ]))
+}
+
+fn is_order(spec: &ParameterSpec) -> bool {
+    spec.key == "order"
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::diagnosis::joint::follow::{WANDERING, hole};
     use crate::diagnosis::kit::{nameplate, truth};
+    use crate::plant::State;
     use crate::plant::testing::record;
-    use crate::plant::{Model, Scenario, State};
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.
     fn run(period_s: f64) -> Scenario {

@@ -42,6 +42,14 @@ fn located(truth: &Model, period_s: f64, error_of: ErrorOf) -> Located {
     .unwrap()
 }
 
+/// Where the error lies first: in this equation, along this variable.
+fn first<'a>(found: &'a Located, place: (&str, &str), case: &str) -> &'a FailureLocation {
+    let first = &found.locations[0];
+    let there = (first.equation, first.variable);
+    assert_eq!(there, place, "{case}: {found:#?}");
+    first
+}
+
 #[test]
 fn a_right_model_has_balances_at_the_noise_and_no_place() {
     for period_s in [0.001, 0.01] {
@@ -81,13 +89,8 @@ fn the_first_place_names_equation_and_axis() {
     ];
     for (id, values, period_s, equation, variable) in cases {
         let found = located(&truth(id, values), period_s, ErrorOf::Model);
-        let first = &found.locations[0];
-        let place = (first.equation, first.variable);
-        assert_eq!(
-            place,
-            (equation, variable),
-            "{id} at {period_s} s: {found:#?}"
-        );
+        let case = format!("{id} at {period_s} s");
+        let first = first(&found, (equation, variable), &case);
         assert_eq!(found.balances[0].equation, equation);
         assert!(found.balances[0].nres.unwrap() > 1.3 && found.balances[0].fails);
         assert!(
@@ -124,12 +127,7 @@ fn a_wrong_value_of_the_motor_is_told_as_one() {
         let value = wrong.motor.get(key).unwrap();
         wrong.motor.set(key, factor * value);
         let found = locate(&wrong, &run, &floor(&run), ErrorOf::Model).unwrap();
-        let first = &found.locations[0];
-        assert_eq!(
-            (first.equation, first.variable),
-            (equation, variable),
-            "{first:?}"
-        );
+        first(&found, (equation, variable), key.key());
         let mut changes = found.balances[0].own_changes.iter();
         let change = changes.find(|change| change.key == key.key()).unwrap();
         let off = change.by / ((1.0 - factor) * value) - 1.0;

@@ -327,14 +327,13 @@ impl<'a> Windows<'a> {
                 (Balance::Voltage, _) => window.input,
             };
             windows += 1;
-            power += window.error(equation) * window.error(equation);
-            floor += window.floor(equation) * window.floor(equation);
+            power += window.error(equation).powi(2);
+            floor += window.floor(equation).powi(2);
             drive += own_drive * own_drive;
             if window.speed_rad_s.abs() > self.dead_zone_rad_s {
                 let forward = usize::from(window.speed_rad_s > 0.0);
                 turning[forward] += 1.0;
-                turning_power[forward] += window.error(equation) * window.error(equation)
-                    - window.floor(equation) * window.floor(equation);
+                turning_power[forward] += window.beyond(equation);
             }
         }
         let n = windows as f64;

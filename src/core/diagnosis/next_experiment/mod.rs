@@ -13,7 +13,6 @@
 
 mod plan;
 mod recommend;
-mod sentences;
 mod separation;
 
 use std::path::Path;
