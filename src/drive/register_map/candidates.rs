@@ -28,9 +28,13 @@ const SUPPLY_V: [f64; 2] = [8.0, 1500.0];
 
 /// Where the value of a signal lies while the drive is powered and the shaft stands still, in the signal's unit; `None`:
 /// anything may be true.
-fn expected_at_rest(signal: &Signal, rated_current_a: Option<f64>) -> Option<[f64; 2]> {
+pub(in crate::drive) fn expected_at_rest(
+    quantity: Quantity,
+    unit: Unit,
+    rated_current_a: Option<f64>,
+) -> Option<[f64; 2]> {
     let around_zero = |most: f64| Some([-most, most]);
-    match (signal.keys.quantity, signal.numbers.unit) {
+    match (quantity, unit) {
         (Quantity::ShaftSpeed | Quantity::OutputSpeed, unit) => match unit {
             Unit::Rpm => around_zero(SPEED_RPM),
             Unit::RadS => around_zero(SPEED_RAD_S),
@@ -57,7 +61,7 @@ fn expected_at_rest(signal: &Signal, rated_current_a: Option<f64>) -> Option<[f6
 }
 
 /// Whether a reading within its range also confirms address and order: a register that is not there reads zero as well.
-fn confirms(range: [f64; 2], value: f64) -> bool {
+pub(in crate::drive) fn confirms(range: [f64; 2], value: f64) -> bool {
     let [low, high] = range;
     (low..=high).contains(&value) && !(low..=high).contains(&0.0)
 }
@@ -247,7 +251,12 @@ impl Picture<'_> {
 
     /// Where the profile's own reading should lie at rest; `None`: it cannot be judged.
     pub fn expected(&self, index: usize) -> Option<[f64; 2]> {
-        expected_at_rest(&self.map.signals[index], self.rated_current_a)
+        let signal = &self.map.signals[index];
+        expected_at_rest(
+            signal.keys.quantity,
+            signal.numbers.unit,
+            self.rated_current_a,
+        )
     }
 
     /// Whether a reading fits a drive at rest; `None` where that cannot be told.
@@ -677,7 +686,8 @@ mod tests {
 
     fn expected(profile: &str, signal: &str, rated_a: Option<f64>) -> Option<[f64; 2]> {
         let map = DriveProfile::named(profile).unwrap().registers.unwrap();
-        expected_at_rest(map.signal(signal).unwrap(), rated_a)
+        let signal = map.signal(signal).unwrap();
+        expected_at_rest(signal.keys.quantity, signal.numbers.unit, rated_a)
     }
 
     #[test]

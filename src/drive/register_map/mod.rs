@@ -19,6 +19,7 @@ mod schema;
 mod value;
 
 pub use candidates::{Candidate, Hypothesis, Picture, Reading, Window};
+pub(in crate::drive) use candidates::{confirms, expected_at_rest};
 pub use facts::{
     Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
     Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
