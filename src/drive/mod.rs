@@ -10,8 +10,8 @@
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
 //!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps)
-//!                  +-- tap.rs (capture file) <- raw.rs (registers of any unit), serial_ports.rs (what is plugged in)
-//!                                              '-- probe/ (read-only: who is it, and is its profile right?)
+//!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
+//!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: who is it, and is its profile right?)
 //!                  +-- timeline.rs (drive time in seconds since connect)
 //!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)
 //!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
