@@ -58,7 +58,7 @@ fn longest_s(steps: &[Step]) -> f64 {
     steps
         .iter()
         .map(|step| match step {
-            Step::Write { .. } => 0.0,
+            Step::Write(_) => 0.0,
             Step::Delay { seconds } => *seconds,
             Step::Wait { within_s, .. } => *within_s,
         })

@@ -29,12 +29,8 @@ pub(super) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
 
 /// The drive's end of a fresh pseudo-terminal that changes no byte and never blocks, and where its other end is.
 pub(super) fn raw_pty() -> (File, super::Target) {
-    pty(OFlag::O_NONBLOCK)
-}
-
-/// The same with a choice of flags.
-pub(super) fn pty(flags: OFlag) -> (File, super::Target) {
-    let master = posix_openpt(flags | OFlag::O_RDWR | OFlag::O_NOCTTY).unwrap();
+    let flags = OFlag::O_NONBLOCK | OFlag::O_RDWR | OFlag::O_NOCTTY;
+    let master = posix_openpt(flags).unwrap();
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let mut termios = tcgetattr(&master).unwrap();

@@ -8,8 +8,8 @@ use firmware_protocol::{DriveCommand, Telemetry};
 
 use super::guard::now;
 use super::link::LinkError;
+use super::link::Tally;
 use super::register_bus::Span;
-use super::tally::Tally;
 use super::timeline::{Timeline, control, low_word};
 use super::timing::LineTiming;
 use super::transaction::Bound;

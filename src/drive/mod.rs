@@ -9,10 +9,10 @@
 //!              guard.rs      port.rs        bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
-//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps), tally.rs (counts, round trips)
-//!                  +-- tap.rs (capture file) <- raw.rs (registers of any unit), serial_ports.rs (what is plugged in)
-//!                                              '-- probe/ (read-only: who is it, and is its profile right?)
-//!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
+//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps)
+//!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
+//!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: who is it, and is its profile right?)
+//!                  +-- timeline.rs (drive time in seconds since connect)
 //!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)
 //!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
 //! ```
@@ -22,7 +22,6 @@
 
 mod budget;
 pub mod burst;
-mod clock_map;
 mod command_times;
 #[cfg(test)]
 mod fake;
@@ -49,7 +48,6 @@ mod reply;
 pub mod serial_ports;
 mod settings;
 mod stream;
-mod tally;
 mod tap;
 pub mod timeline;
 mod timing;
@@ -59,9 +57,8 @@ pub(crate) mod virtual_line;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
-pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;
-pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
     read_batch,
@@ -80,7 +77,7 @@ pub use register_bus::{
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
 pub use stream::StreamLink;
-pub use tally::RoundTrips;
 pub use tap::TapFile;
+pub use timeline::{ClockMap, DriveClock, signed_difference};
 pub use timing::standard_gap_s;
 pub use transaction::{CutIn, LineCounts};

@@ -29,8 +29,8 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
-use super::clock_map::{ClockMap, signed_difference};
 use super::guard::{Guard, Port, now};
+use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
 use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
@@ -39,7 +39,7 @@ use super::register_bus::{
     WRITTEN_BYTES, exception_name, registers,
 };
 use super::reply::{Echo, FrameKind};
-use super::tally::RoundTrips;
+use super::timeline::{ClockMap, signed_difference};
 use super::timeline::{identity, identity_error};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, out_of_step, restless};

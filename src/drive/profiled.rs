@@ -7,7 +7,6 @@
 //!
 //! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
 
-mod halt;
 mod points;
 mod readings;
 mod sequence;
@@ -19,14 +18,14 @@ use self::points::Points;
 use self::readings::{Clock, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
-use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
+use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::{RegisterBus, Span};
-use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step};
+use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
-use super::tally::RoundTrips;
+use super::timeline::ClockMap;
 use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
@@ -281,16 +280,22 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// The same where the reason counts more than how the stop goes.
     fn ended(&mut self, reason: String) -> LinkError {
         let _ = self.give_up(self.bus.now_s());
-        self.broken_off("run", reason)
+        self.broken_off("run", (1, 1), reason)
     }
 
-    /// A command of one step that its drive did not follow.
-    fn broken_off(&self, command: &'static str, reason: String) -> LinkError {
+    /// A command that its drive did not follow: at which step of how many, and why.
+    fn broken_off(
+        &self,
+        command: &'static str,
+        (step, steps): (usize, usize),
+        reason: String,
+    ) -> LinkError {
+        let link = self.bus.name().0;
         LinkError::Sequence {
-            link: self.name().0,
+            link,
             command,
-            step: 1,
-            steps: 1,
+            step,
+            steps,
             reason,
         }
     }
@@ -308,7 +313,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let reason = format!(
             "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
         );
-        Err(self.broken_off("run", reason))
+        Err(self.broken_off("run", (1, 1), reason))
     }
 
     fn decide(&mut self, wanted: &Wanted<'_>, now_s: f64) {
@@ -344,10 +349,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
     fn all_to_zero(&self) -> Vec<Step> {
         let references = self.map.set_points.iter().filter(|p| p.is_reference());
         references
-            .map(|point| Step::Write {
-                set_point: point.name.clone(),
-                value: 0.0,
-                mask: None,
+            .map(|point| {
+                Step::Write(Write {
+                    set_point: point.name.clone(),
+                    value: 0.0,
+                    mask: None,
+                })
             })
             .collect()
     }
@@ -376,7 +383,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 };
             }
             Next::Failed { step, reason } => return Err(self.failed(&sequence, step, reason)),
-            Next::Wait | Next::Write { .. } => {}
+            Next::Wait | Next::Write(_) => {}
         }
         unheard.map_or(Ok(()), Err)
     }
@@ -399,20 +406,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
         loop {
             let readings = &self.readings;
             let next = sequence.next(self.bus.now_s(), |name| readings.status(name));
-            let mut written = Ok(());
-            if let Next::Write {
-                set_point,
-                value,
-                mask,
-            } = &next
-            {
-                let (points, readings) = (&mut self.points, &self.readings);
-                written = points.write(&mut self.bus, readings, set_point, *value, *mask);
-            }
+            let written = match &next {
+                Next::Write(write) => self.points.carry(&mut self.bus, &self.readings, write),
+                _ => Ok(()),
+            };
             let now_s = self.bus.now_s();
             let mut given_up = None;
             match &written {
-                Ok(()) if matches!(next, Next::Write { .. }) => {
+                Ok(()) if matches!(next, Next::Write(_)) => {
                     self.kicked_s = now_s;
                     sequence.go_on(now_s);
                 }
@@ -431,7 +432,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return Err(self.failed(&sequence, step, reason));
             }
             written?;
-            if !matches!(next, Next::Write { .. }) {
+            if !matches!(next, Next::Write(_)) {
                 return Ok(Some((next, sequence, None)));
             }
         }
@@ -444,13 +445,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let _ = self.readings.read_now(&mut self.bus, Quantity::FaultCode);
         }
         let now_s = self.bus.now_s();
-        let error = LinkError::Sequence {
-            link: self.bus.name().0,
-            command: sequence.command,
-            step,
-            steps: sequence.steps(),
-            reason: reason + &self.in_fault_text(now_s),
-        };
+        let reason = reason + &self.in_fault_text(now_s);
+        let error = self.broken_off(sequence.command, (step, sequence.steps()), reason);
         self.latched = true;
         self.mode = match &self.mode {
             Mode::Enabling(_) => {
@@ -725,7 +721,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
                 let before = first.map(|error| format!("; before that {error}"));
                 let before = before.unwrap_or_default();
                 let reason = format!("the drive still reports that it runs{before}");
-                Err(self.broken_off("stop", reason))
+                Err(self.broken_off("stop", (1, 1), reason))
             }
         }
     }

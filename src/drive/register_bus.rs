@@ -1,7 +1,7 @@
 //! Registers at the far end of something: how they are asked for, and all that a profiled drive needs of a link.
 
+use super::link::RoundTrips;
 use super::link::{LinkError, LinkName, LinkStatistics};
-use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
 
 /// Most registers of one request (MODBUS Application Protocol V1.1b3, 6.3 and 6.12).

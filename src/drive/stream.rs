@@ -12,13 +12,13 @@ use firmware_protocol::stream::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
-use super::clock_map::{ClockMap, signed_difference};
 use super::guard::now;
+use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
 use super::port::{Closed, TimedPort};
-use super::tally::RoundTrips;
 use super::timeline::identity;
+use super::timeline::{ClockMap, signed_difference};
 use super::timing::LineTiming;
 use super::transaction::LineCounts;
 use crate::sample::{Command, Sample};

@@ -1,4 +1,4 @@
-//! The transaction layer: what both Modbus clients have in common, without a port and without a clock.
+//! The transaction layer of the Modbus link, without a port and without a clock.
 //!
 //! ```text
 //! request --> proof.rs      may it go out? silence until .. | probe with .. | in step
@@ -9,7 +9,7 @@
 //!                '--> proof.rs
 //! ```
 //!
-//! modbus.rs carries the steps out behind tokio-modbus, raw.rs on a bare descriptor. Pure: bytes and times go in.
+//! modbus.rs carries the steps out behind tokio-modbus. Pure: bytes and times go in.
 
 use std::io::{self, ErrorKind};
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 
 use super::link::LinkError;
-use super::reply::{Code, Expected, FrameKind, search};
+use super::reply::{Code, Expected, FrameKind, Search, search};
 
 /// A wait under way looks so often whether somebody wants a stop.
 const LOOK: Duration = Duration::from_millis(4);
@@ -256,14 +256,12 @@ impl Reception {
         let mut foreign = 0;
         loop {
             let search = search(self.kind, &self.expected, rest).unwrap_or_default();
-            self.line.stale_frames += search.old.len() as u64;
             foreign += search.foreign as u64;
-            self.line.foreign_writes += search.foreign_writes as u64;
-            let old = search.old.into_iter();
-            self.heard.extend(old.map(|code| Heard { code, behind }));
+            let reply = search.reply;
+            self.book(search, behind);
             // A second reply to the request that has been answered.
-            let Some((begin, end)) = search.reply else {
-                break;
+            let Some((begin, end)) = reply else {
+                return foreign;
             };
             self.line.stale_frames += 1;
             if let Some(code) = Code::of(self.kind, &rest[begin..end]) {
@@ -271,8 +269,15 @@ impl Reception {
             }
             rest = &rest[end..];
         }
-        self.line.foreign_frames += foreign;
-        foreign
+    }
+
+    /// The frames beside the reply.
+    fn book(&mut self, search: Search, behind: bool) {
+        self.line.stale_frames += search.old.len() as u64;
+        self.line.foreign_frames += search.foreign as u64;
+        self.line.foreign_writes += search.foreign_writes as u64;
+        let old = search.old.into_iter();
+        self.heard.extend(old.map(|code| Heard { code, behind }));
     }
 
     fn drop_bytes(&mut self, count: usize) {
@@ -306,13 +311,8 @@ impl Reception {
                 self.expected.echoes = found.echo;
             }
             self.line.echoes |= found.echo;
-            self.line.stale_frames += found.old.len() as u64;
-            self.line.foreign_frames += found.foreign as u64;
-            self.line.foreign_writes += found.foreign_writes as u64;
             self.line.bytes_accepted += (end - begin) as u64;
-            let old = found.old.into_iter();
-            let behind = false;
-            self.heard.extend(old.map(|code| Heard { code, behind }));
+            self.book(found, false);
             let first = self.pieces.iter().find(|(piece, _)| *piece > begin);
             self.answered = first.map(|(_, at)| *at);
             self.reply.clear();

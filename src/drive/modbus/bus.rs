@@ -19,6 +19,7 @@ use super::{
     LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, identification, now,
     object_text, objects, words,
 };
+use crate::drive::link::RoundTrips;
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::proof::Method;
 use crate::drive::register_bus::{
@@ -27,7 +28,6 @@ use crate::drive::register_bus::{
 };
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
-use crate::drive::tally::RoundTrips;
 use crate::drive::timing::wait_until;
 use crate::drive::transaction::{CutIn, LineCounts};
 

@@ -10,15 +10,11 @@ use crate::drive::link::{DriveLink, LinkError};
 use crate::drive::modbus::{RawClient, read_batch};
 use crate::drive::profile::DriveProfile;
 use crate::drive::register_bus::{MOST_READ, ReadRequest};
-use crate::drive::register_map::Quantity;
+use crate::drive::register_map::{Quantity, Unit, confirms, expected_at_rest};
 use crate::drive::stream::StreamLink;
 
 /// Times that the first question is asked of a unit that has never answered.
 const FIRST_ATTEMPTS: usize = 3;
-/// Share of the drive's own current limit that its sensor may show at rest.
-const CURRENT_SHARE: f64 = 0.1;
-/// The same where the drive does not tell its limit, A.
-const CURRENT_A: f64 = 1.0;
 
 pub(super) fn probe(
     client: &mut RawClient,
@@ -90,7 +86,8 @@ fn take(
     for row in rows {
         let value = row.decode(row.get(block, TELEMETRY_ADDRESS));
         let known = value.is_finite().then_some(value);
-        let expected = expected(row.name, current_limit_a);
+        let expected = meaning(row.name)
+            .and_then(|(quantity, unit)| expected_at_rest(quantity, unit, current_limit_a));
         let within = |[low, high]: [f64; 2]| known.is_some_and(|v| (low..=high).contains(&v));
         let from = usize::from(row.address - TELEMETRY_ADDRESS);
         let raw = block.get(from..from + usize::from(row.words));
@@ -106,7 +103,9 @@ fn take(
                 .then(|| "the drive says that it is not available".to_owned()),
             plausible: expected.filter(|_| known.is_some()).map(within),
             expected,
-            confirms: expected.is_some_and(|range| within(range) && range[0] > 0.0),
+            confirms: expected
+                .zip(known)
+                .is_some_and(|(range, value)| confirms(range, value)),
             candidates: Vec::new(),
             quantity: (row.name == "bus_voltage").then_some(Quantity::BusVoltage),
         });
@@ -121,17 +120,16 @@ fn take(
     }
 }
 
-/// What a drive at rest may read, SI.
-fn expected(name: &str, current_limit_a: Option<f64>) -> Option<[f64; 2]> {
-    let current_a = current_limit_a.map_or(CURRENT_A, |limit| CURRENT_SHARE * limit);
-    match name {
-        "voltage" | "voltage_command" => Some([-10.0, 10.0]),
-        "current" => Some([-current_a, current_a]),
-        "speed" => Some([-3.0, 3.0]),
-        "bus_voltage" => Some([8.0, 1500.0]),
-        "temperature" => Some([-40.0, 150.0]),
-        _ => None,
-    }
+/// What is judged at rest, SI.
+fn meaning(name: &str) -> Option<(Quantity, Unit)> {
+    Some(match name {
+        "voltage" | "voltage_command" => (Quantity::Voltage, Unit::V),
+        "current" => (Quantity::Current, Unit::A),
+        "speed" => (Quantity::ShaftSpeed, Unit::RadS),
+        "bus_voltage" => (Quantity::BusVoltage, Unit::V),
+        "temperature" => (Quantity::Temperature, Unit::Celsius),
+        _ => return None,
+    })
 }
 
 #[cfg(test)]
@@ -142,7 +140,7 @@ mod tests {
     fn every_name_that_is_judged_is_a_row_of_the_table() {
         let judged = REGISTERS
             .iter()
-            .filter(|row| expected(row.name, None).is_some())
+            .filter(|row| meaning(row.name).is_some())
             .count();
         assert_eq!(judged, 6);
         assert!(REGISTERS.iter().any(|row| row.name == "bus_voltage"));

@@ -6,7 +6,7 @@ use super::readings::{Joined, Readings, in_profile};
 use crate::drive::budget::may_join;
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::{RegisterBus, Span};
-use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
+use crate::drive::register_map::{Quantity, RegisterMap, SetPoint, Write};
 
 /// Share of the write cycles of a non-volatile memory that one connection may use.
 const NVM_SHARE: u32 = 1000;
@@ -209,7 +209,7 @@ impl Points {
     }
 
     /// Writes a value as it is, or only the bits under `mask`.
-    pub(super) fn write(
+    fn write(
         &mut self,
         bus: &mut dyn RegisterBus,
         readings: &Readings,
@@ -252,6 +252,16 @@ impl Points {
         self.send_or_join(bus, at, point, &registers)?;
         self.sent[at].value = Some(value);
         Ok(())
+    }
+
+    /// Carries out a write of a command.
+    pub(super) fn carry(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        write: &Write,
+    ) -> Result<(), LinkError> {
+        self.write(bus, readings, &write.set_point, write.value, write.mask)
     }
 
     /// Sends, or leaves it to the read of this exchange where one transaction takes both.

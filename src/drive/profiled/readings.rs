@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::drive::budget::joint_block;
-use crate::drive::clock_map::{ClockMap, DriveClock};
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::{RegisterBus, Span};
 use crate::drive::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
+use crate::drive::timeline::{ClockMap, DriveClock};
 
 /// One signal as it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

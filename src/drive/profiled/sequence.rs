@@ -1,16 +1,28 @@
-//! A command of the profile as it is carried out: write, wait for a status, let time pass. Pure: time and status go in.
+//! A command of the profile as it is carried out: write, wait for a status, let time pass; and bringing a drive to rest, where
+//! every write leaves at once, whatever becomes of the others. [`Sequence`] is pure: time and status go in.
+//!
+//! ```text
+//! stop:     write -> write -> wait -> write   each write goes out although the one before was refused or not acknowledged;
+//!                                             what was not acknowledged goes out again with the next exchange
+//! in fault: write -> write -> write           nothing is waited for: the output is off, and the words have to be taken back
+//! ```
 
-use crate::drive::register_map::Step;
+use super::ProfiledLink;
+use crate::drive::link::LinkError;
+use crate::drive::patience::is_busy;
+use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_map::{Step, Write};
+
+/// Between two looks at the status while a stop is waited for, s.
+const LOOK_S: f64 = 0.02;
+/// A drive that reports that it runs so long after its stop command was carried out has not stopped, s.
+const STOP_TIME_S: f64 = 2.0;
 
 /// What is to be done now.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Next {
     /// Write this and say so with [`Sequence::go_on`].
-    Write {
-        set_point: String,
-        value: f64,
-        mask: Option<u16>,
-    },
+    Write(Write),
     /// Nothing yet.
     Wait,
     Done,
@@ -66,17 +78,7 @@ impl Sequence {
     pub(super) fn next(&mut self, now_s: f64, status: impl Fn(&str) -> Option<(u32, f64)>) -> Next {
         while let Some(step) = self.steps.get(self.at) {
             match step {
-                Step::Write {
-                    set_point,
-                    value,
-                    mask,
-                } => {
-                    return Next::Write {
-                        set_point: set_point.clone(),
-                        value: *value,
-                        mask: *mask,
-                    };
-                }
+                Step::Write(write) => return Next::Write(write.clone()),
                 Step::Delay { seconds } if now_s - self.since_s < *seconds => return Next::Wait,
                 Step::Delay { .. } => self.go_on(now_s),
                 Step::Wait {
@@ -124,13 +126,14 @@ impl Sequence {
     }
 
     /// What is to be sent again, in order: from the first write that was not acknowledged up to where the command is.
-    pub(super) fn again(&mut self) -> Vec<(usize, Step)> {
+    fn again(&mut self) -> Vec<(usize, Write)> {
         let from = self.unheard.take().unwrap_or(self.at);
         let passed = self.steps.get(from..self.at).unwrap_or_default();
-        let steps = (from..).zip(passed.iter().cloned());
-        steps
-            .filter(|(_, step)| matches!(step, Step::Write { .. }))
-            .collect()
+        let writes = (from..).zip(passed).filter_map(|(at, step)| match step {
+            Step::Write(write) => Some((at, write.clone())),
+            _ => None,
+        });
+        writes.collect()
     }
 
     /// One of those was not acknowledged again.
@@ -162,18 +165,135 @@ impl Sequence {
     }
 }
 
+/// What became of a write of a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Left {
+    /// The drive has it, or will not take it: it does not go out again.
+    Settled,
+    /// Nobody knows, or the drive was busy: it goes out again.
+    Unheard,
+}
+
+impl<B: RegisterBus> ProfiledLink<B> {
+    /// Takes a stop as far as it goes now. What comes back beside what is next is the first write that was refused or not
+    /// acknowledged: it has kept none of the others from going out.
+    pub(super) fn descend(
+        &mut self,
+        sequence: &mut Sequence,
+    ) -> Result<(Next, Option<LinkError>), LinkError> {
+        self.points.is_urgent = true;
+        let mut first = None;
+        for (at, write) in sequence.again() {
+            if self.leave(sequence, &write, &mut first)? == Left::Unheard {
+                sequence.unheard_again(at);
+            }
+        }
+        loop {
+            let faulty = self.told("fault") == Some(true);
+            let readings = &self.readings;
+            match sequence.next(self.bus.now_s(), |name| readings.status(name)) {
+                Next::Write(write) => {
+                    let left = self.leave(sequence, &write, &mut first)?;
+                    let now_s = self.bus.now_s();
+                    match left {
+                        Left::Unheard => sequence.unheard(now_s),
+                        Left::Settled => sequence.go_on(now_s),
+                    }
+                }
+                // A drive in fault has its output off, whatever its stop command waits for.
+                Next::Wait | Next::Failed { .. } if faulty => sequence.go_on(self.bus.now_s()),
+                next => return Ok((next, first)),
+            }
+        }
+    }
+
+    /// One write of a stop.
+    fn leave(
+        &mut self,
+        sequence: &mut Sequence,
+        write: &Write,
+        first: &mut Option<LinkError>,
+    ) -> Result<Left, LinkError> {
+        let written = self.points.carry(&mut self.bus, &self.readings, write);
+        let now_s = self.bus.now_s();
+        let error = match written {
+            Ok(()) => {
+                self.kicked_s = now_s;
+                return Ok(Left::Settled);
+            }
+            Err(error @ LinkError::Gone { .. }) => return Err(error),
+            Err(error) => error,
+        };
+        let later = error.is_transient()
+            || matches!(&error, LinkError::Exception { code, .. } if is_busy(*code));
+        sequence.refused(now_s, error.to_string());
+        first.get_or_insert(error);
+        Ok(if later { Left::Unheard } else { Left::Settled })
+    }
+
+    /// One pass of a command to its end, with the time that its steps take.
+    pub(super) fn carry_out(&mut self, command: &'static str) -> Result<(), LinkError> {
+        let steps = match command {
+            "coast" => &self.map.commands.coast,
+            _ => &self.map.commands.stop,
+        };
+        let mut sequence = Sequence::new(command, steps, self.bus.now_s());
+        let mut first = None;
+        loop {
+            self.points.begin();
+            let (next, error) = self.descend(&mut sequence)?;
+            first = first.or(error);
+            match next {
+                Next::Done => return first.map_or(Ok(()), Err),
+                Next::Failed { step, reason } => {
+                    return Err(self.broken_off(command, (step, sequence.steps()), reason));
+                }
+                Next::Wait | Next::Write(_) => self.look()?,
+            }
+        }
+    }
+
+    /// Reads the status after a moment; a lost reply is not the end of a stop.
+    pub(super) fn look(&mut self) -> Result<(), LinkError> {
+        let now_s = self.bus.now_s();
+        self.bus.pause_until_s(now_s + LOOK_S);
+        match self.readings.read_fast(&mut self.bus, None) {
+            Err(error) if !error.is_transient() => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the drive reports within a while that it does not run; without a status the acknowledged writes are all
+    /// there is.
+    pub(super) fn rests(&mut self) -> Result<bool, LinkError> {
+        let until_s = self.bus.now_s() + STOP_TIME_S;
+        self.look()?;
+        while self.told("running") == Some(true) {
+            if self.bus.now_s() > until_s {
+                return Ok(false);
+            }
+            self.look()?;
+        }
+        Ok(true)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::drive::register_map::Condition;
 
+    fn write(name: &str, value: f64) -> Step {
+        Step::Write(Write {
+            set_point: name.to_owned(),
+            value,
+            mask: None,
+        })
+    }
+
     fn steps() -> Vec<Step> {
         vec![
-            Step::Write {
-                set_point: "word".to_owned(),
-                value: 6.0,
-                mask: None,
-            },
+            write("word", 6.0),
             Step::Delay { seconds: 0.5 },
             Step::Wait {
                 condition: Condition {
@@ -193,10 +313,7 @@ mod tests {
     fn steps_are_taken_in_order_and_an_old_status_does_not_count() {
         let mut sequence = Sequence::new("enable", &steps(), 0.0);
         let ready_at = |read_s| move |_: &str| Some((0x21, read_s));
-        assert!(matches!(
-            sequence.next(0.0, ready_at(0.0)),
-            Next::Write { .. }
-        ));
+        assert!(matches!(sequence.next(0.0, ready_at(0.0)), Next::Write(_)));
         sequence.go_on(0.1);
         assert_eq!(sequence.next(0.5, ready_at(0.5)), Next::Wait);
         // The delay ends here; what was read before that is of another time.
@@ -206,12 +323,8 @@ mod tests {
 
     #[test]
     fn steps_in_front_are_not_counted() {
-        let zero = Step::Write {
-            set_point: "speed".to_owned(),
-            value: 0.0,
-            mask: None,
-        };
-        let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(vec![zero]);
+        let first = vec![write("speed", 0.0)];
+        let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(first);
         sequence.go_on(0.0);
         sequence.go_on(0.0);
         assert_eq!(sequence.next(0.6, |_| None), Next::Wait);

@@ -106,13 +106,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 running.expected()
             )
         });
-        LinkError::Sequence {
-            link: self.bus.name().0,
-            command: "enable",
-            step: steps,
-            steps,
-            reason,
-        }
+        self.broken_off("enable", (steps, steps), reason)
     }
 
     /// `status is 0x0040`.

@@ -5,7 +5,7 @@
 //!                                        address.rs   40026, "01.07", [0x2100, 1] -> address on the wire
 //!                                        value.rs     registers <-> number
 //!                                        plan.rs      which registers are read together
-//! what was read -> rest.rs (what can be at rest), candidates.rs (other ways of reading it) -> is the profile right?
+//! what was read -> candidates.rs (what can be at rest, and other ways of reading it) -> is the profile right?
 //! ```
 //!
 //! Facts only, each with the source and the trust of its file. Nothing here knows a link.
@@ -13,18 +13,17 @@
 mod address;
 mod candidates;
 mod facts;
-mod fit;
 mod plan;
 mod resolve;
-mod rest;
 mod schema;
 mod value;
 
 pub use candidates::{Candidate, Hypothesis, Picture, Reading, Window};
+pub(in crate::drive) use candidates::{confirms, expected_at_rest};
 pub use facts::{
     Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
     Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
-    Step, StoppedOnly, Supervision, SupervisionKind, Unit,
+    Step, StoppedOnly, Supervision, SupervisionKind, Unit, Write,
 };
 pub use plan::{ReadBlock, plan_reads};
 pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};

@@ -28,7 +28,7 @@ pub enum Basis {
 
 impl Basis {
     pub fn name(self) -> String {
-        super::fit::written(&self)
+        super::facts::written(&self)
     }
 }
 

@@ -203,22 +203,19 @@ fn is_shown_at_rest(map: &RegisterMap, condition: &Condition) -> bool {
 /// The words that steps write; references are none.
 fn words(map: &RegisterMap, steps: &[Step]) -> Vec<Word> {
     let word = |step: &Step| match step {
-        Step::Write {
-            set_point,
-            value,
-            mask,
-        } if map
-            .set_point(set_point)
-            .is_some_and(crate::drive::register_map::SetPoint::is_word) =>
+        Step::Write(write)
+            if map
+                .set_point(&write.set_point)
+                .is_some_and(crate::drive::register_map::SetPoint::is_word) =>
         {
             Some(Word {
-                set_point: set_point.clone(),
+                set_point: write.set_point.clone(),
                 #[expect(
                     clippy::cast_possible_truncation,
                     reason = "words are whole numbers of 32 bits"
                 )]
-                value: *value as i64,
-                mask: *mask,
+                value: write.value as i64,
+                mask: write.mask,
             })
         }
         _ => None,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use toml::Spanned;
 
 use super::super::facts::{
-    Condition, IdentityCheck, IdentityTest, PollRate, RegisterMap, SetPoint, Step,
+    Condition, IdentityCheck, IdentityTest, PollRate, RegisterMap, SetPoint, Step, Write,
 };
 use super::super::schema::{ConditionKeys, IdentityKeys, StepKeys};
 use super::{Part, Reader};
@@ -137,11 +137,8 @@ impl Reader<'_> {
                 let mask = keys.mask.map(u16::try_from).transpose();
                 let mask =
                     mask.map_err(|_| part.wrong("mask", "a mask for writing has 16 bits"))?;
-                Ok(Step::Write {
-                    set_point: name.clone(),
-                    value,
-                    mask,
-                })
+                let set_point = name.clone();
+                Ok(Step::Write(Write { set_point, value, mask }))
             }
             (None, Some(signal), None) => {
                 let (Some(mask), Some(pattern), Some(within_ms)) =
