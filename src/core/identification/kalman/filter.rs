@@ -634,7 +634,7 @@ mod tests {
     type Step = (usize, f64, [f64; 8]);
 
     fn stays_a_covariance(steps: &[Step]) {
-        let mut belief = Belief::new([0.0; N]);
+        let mut belief = Belief::default();
         for k in 0..N {
             belief.p[k][k] = 10f64.powi(2 - i32::try_from(k).unwrap());
         }
