@@ -7,11 +7,11 @@ use crate::excitation::Segment;
 /// The part of the sequence, from 1, whose first command should start a burst capture: the first in which the voltage
 /// jumps. `None` where the loop itself sees the transient, its period being no longer than L/R, or where nothing jumps.
 pub fn burst_part(bench: &BenchFile, motor: &Nameplate) -> Option<usize> {
+    use Segment::{Prbs, Staircase, Steps};
     let period_s = bench.period_s();
     if period_s <= motor.inductance_h / motor.resistance_ohm {
         return None;
     }
-    use Segment::{Prbs, Staircase, Steps};
     let jumps = |segment: &Segment| matches!(segment, Steps(_) | Staircase(_) | Prbs(_));
     let first = bench.sequence.iter().position(jumps)?;
     Some(first + 1)

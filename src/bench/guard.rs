@@ -602,6 +602,7 @@ impl Guard {
 
     fn beyond_limit(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
         use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
+        type Breaks = fn(f64, f64) -> bool;
         let limits = &self.limits;
         let read = |channel| sample.get(channel);
         let angle = read(Channel::Angle).zip(self.counts.angle_origin_rad);
@@ -613,7 +614,7 @@ impl Guard {
         let window = limits.travel_rad;
         let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
         // Value and limit, and what of the value counts against it.
-        let rows: [(_, _, _, _, fn(f64, f64) -> bool); 6] = [
+        let rows: [(_, _, _, _, Breaks); 6] = [
             (OverCurrent, Channel::Current, None, amps, beyond),
             (OverSpeed, Channel::Speed, None, speed, beyond),
             (OverVoltage, Channel::Voltage, None, Some(voltage_v), beyond),

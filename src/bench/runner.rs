@@ -266,7 +266,9 @@ impl Runner<'_> {
         let stop_error = stopped.err().map(|error| error.to_string());
         let waiting = self.recorder.flush();
         if let Some(estimator) = self.estimator.as_mut() {
-            waiting.iter().for_each(|row| estimator.push(row));
+            for row in waiting {
+                estimator.push(row);
+            }
         }
         let now_s = clock.now_s();
         // A drive that did not confirm its stop is not asked for records.
@@ -364,7 +366,9 @@ impl Runner<'_> {
             Action::Row(sample) => {
                 let rows = self.recorder.row(&sample);
                 if let Some(estimator) = self.estimator.as_mut() {
-                    rows.iter().for_each(|row| estimator.push(row));
+                    for row in rows {
+                        estimator.push(row);
+                    }
                 }
                 let reference_rad_s = self.session.reference_rad_s();
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
