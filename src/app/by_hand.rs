@@ -245,15 +245,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let wanted = folder.path().join("model.toml");
         let gone = AtomicBool::new(false);
-        let names: Vec<String> = ["first", "second", "third"]
-            .into_iter()
-            .map(|text| {
-                let path = write_new(&wanted, text, &gone).unwrap();
-                assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
-                path.file_name().unwrap().to_string_lossy().into_owned()
-            })
-            .collect();
-        assert_eq!(names, ["model.toml", "model-2.toml", "model-3.toml"]);
+        for (text, name) in [
+            ("first", "model.toml"),
+            ("second", "model-2.toml"),
+            ("third", "model-3.toml"),
+        ] {
+            let path = write_new(&wanted, text, &gone).unwrap();
+            assert_eq!(path.file_name().unwrap(), name);
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        }
         assert_eq!(std::fs::read_to_string(&wanted).unwrap(), "first");
         let nowhere = folder.path().join("missing/model.toml");
         assert!(write_new(&nowhere, "text", &gone).is_err());

@@ -194,7 +194,7 @@ fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
             seq: 1,
             demand: Demand::Voltage(5.0),
         };
-        rig.link.exchange(command).unwrap();
+        rig.way.link.exchange(command).unwrap();
         panic!("on purpose");
     }));
     assert!(unwound.is_err());

@@ -294,7 +294,7 @@ impl Rig {
         recorder: &mut Recorder,
         controls: &Controls,
     ) {
-        let (Some(reopener), Some(check)) = (&self.reopener, &self.check) else {
+        let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
             return;
         };
         // Beside a screen somebody sits who ends it.
@@ -306,7 +306,7 @@ impl Rig {
         if limit_s == Some(0.0) {
             return;
         }
-        self.link.close();
+        self.way.link.close();
         let link = reopener.link.as_str();
         if self.asked.headless {
             let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
@@ -322,10 +322,10 @@ impl Rig {
             limit_s,
             seed: std::process::id().into(),
         };
-        let (profile, tap) = (&self.profile, self.tap.file());
+        let (profile, tap) = (&self.profile, self.way.tap.file());
         let (reopened, link) = reopen(
             ReopenBench {
-                clock: self.clock.as_mut(),
+                clock: self.way.clock.as_mut(),
                 recorder,
                 interrupted: &controls.interrupted,
                 intents: controls.intents(),
@@ -335,7 +335,7 @@ impl Rig {
             &mut || (reopener.open)(profile, tap),
         );
         if let Some(link) = link {
-            self.link = link;
+            self.way.link = link;
             self.last_seq += 1;
         }
         if self.asked.headless {

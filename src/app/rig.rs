@@ -97,14 +97,9 @@ pub struct Rig {
     pub(crate) profile: DriveProfile,
     /// Its file, as it was read.
     profile_text: String,
-    pub(crate) link: Box<dyn DriveLink>,
+    pub(crate) way: Opened,
     /// A run has lost its drive: none follows it, and the checks with their pulse are for whoever starts the program anew.
     lost: bool,
-    /// Opens the link again; `None` for a drive in memory.
-    pub(crate) reopener: Option<Reopener>,
-    /// Dropping it completes the capture, so it outlives the link.
-    pub(crate) tap: Tap,
-    pub(crate) clock: Box<dyn Clock + Send>,
     pub(crate) last_seq: u64,
     /// There are runs of it already, which are worth nothing without the one that follows.
     has_recorded: bool,
@@ -113,22 +108,22 @@ pub struct Rig {
     pub(crate) escalates: bool,
     /// What the bench file says about the motor, whatever is found later.
     pub(crate) plate: Motor,
-    /// None where the truth is not to be told.
-    pub(crate) emulator: Option<EmulatorConfig>,
     /// Told whether the drive may be on.
     word: DriveCell,
-    /// Dropping it ends the emulator, so it outlives the link.
-    _server: Option<ServerHandle>,
 }
 
 /// A way to a drive that is open.
-struct Opened {
-    link: Box<dyn DriveLink>,
-    clock: Box<dyn Clock + Send>,
-    reopener: Option<Reopener>,
-    tap: Tap,
-    server: Option<ServerHandle>,
-    emulator: Option<EmulatorConfig>,
+pub(crate) struct Opened {
+    pub(crate) link: Box<dyn DriveLink>,
+    pub(crate) clock: Box<dyn Clock + Send>,
+    /// Opens the link again; `None` for a drive in memory.
+    pub(crate) reopener: Option<Reopener>,
+    /// Dropping it completes the capture, so it outlives the link.
+    pub(crate) tap: Tap,
+    /// None where the truth is not to be told.
+    pub(crate) emulator: Option<EmulatorConfig>,
+    /// Dropping it ends the emulator, so it outlives the link.
+    _server: Option<ServerHandle>,
 }
 
 impl Rig {
@@ -163,35 +158,25 @@ impl Rig {
             clock,
             reopener,
             tap: Tap::create(None)?,
-            server: None,
             emulator: None,
+            _server: None,
         };
         Ok(Self::of(options, profile, profile_text, opened))
     }
 
-    fn of(
-        options: RigOptions,
-        profile: DriveProfile,
-        profile_text: String,
-        opened: Opened,
-    ) -> Self {
+    fn of(options: RigOptions, profile: DriveProfile, profile_text: String, way: Opened) -> Self {
         let bench = options.bench.clone();
         Self {
             lost: false,
-            reopener: opened.reopener,
             profile,
             profile_text,
-            link: opened.link,
-            tap: opened.tap,
-            clock: opened.clock,
+            way,
             last_seq: 0,
             has_recorded: false,
             check: None,
             escalates: options.escalate || bench.motor.is_unknown(),
             plate: bench.motor.motor(),
-            emulator: opened.emulator,
             word: DriveCell::default(),
-            _server: opened.server,
             asked: options,
             bench,
         }
@@ -199,7 +184,7 @@ impl Rig {
 
     /// From here on the drive may be on, until what is returned is dropped.
     pub(crate) fn energises(&mut self, controls: &Controls, ramp_s: f64) {
-        let end_s = ramp_s + TO_REST_S + EXCHANGES_S + self.link.command_times().stop_s;
+        let end_s = ramp_s + TO_REST_S + EXCHANGES_S + self.way.link.command_times().stop_s;
         self.word = controls.drive.clone();
         self.word.set(DriveWord::MayBeOn { end_s });
     }
@@ -235,7 +220,7 @@ impl Rig {
             first_move,
             reset_fault: std::mem::take(&mut self.asked.reset_fault),
         };
-        let (link, clock) = (self.link.as_mut(), self.clock.as_mut());
+        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
         self.rests();
         let report = report?;
@@ -286,7 +271,7 @@ impl Rig {
 
     /// The drive can record bursts by itself.
     pub(crate) fn records_bursts(&mut self) -> bool {
-        self.link.burst().is_some()
+        self.way.link.burst().is_some()
     }
 
     fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
@@ -329,7 +314,7 @@ impl Rig {
     ) -> Result<Option<LoopDelay>, Failure> {
         let rate_hz = self.bench.link.rate_hz;
         self.energises(controls, 0.0);
-        let (link, clock) = (self.link.as_mut(), self.clock.as_mut());
+        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let measured = measure_delay(link, clock, rate_hz, self.last_seq);
         self.rests();
         let (delay, last_seq) = measured?;
@@ -407,7 +392,7 @@ impl Rig {
             }
             None => layout(&report.signals),
         };
-        if !self.clock.is_real() {
+        if !self.way.clock.is_real() {
             layout = layout.without_host_time();
         }
         let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
@@ -416,16 +401,16 @@ impl Rig {
         manifest.configs.insert(name_of_settings, settings);
         let mut recorder = self.recorder(name, &layout, &manifest)?;
         let mut online = RowEstimator::new(config);
-        let sent_before = self.link.statistics().sent;
+        let sent_before = self.way.link.statistics().sent;
         self.energises(controls, session.guard().ramp_down_s());
-        if let Some(cut_in) = self.link.cut_in() {
+        if let Some(cut_in) = self.way.link.cut_in() {
             *cut_in = CutIn::watching(controls.stop_flags());
         }
         let mut summary = run(
             session,
             Bench {
-                link: self.link.as_mut(),
-                clock: self.clock.as_mut(),
+                link: self.way.link.as_mut(),
+                clock: self.way.clock.as_mut(),
                 recorder: &mut recorder,
                 estimator: Some(&mut online),
                 intents: controls.intents(),
@@ -492,11 +477,11 @@ impl Rig {
     }
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
-        let link = self.link.name();
+        let link = self.way.link.name();
         let mut manifest = manifest(&self.bench, seed, &link, report);
         name.clone_into(&mut manifest.name);
         manifest.stamp = utc_stamp(now());
-        if let Some(emulator) = &self.emulator {
+        if let Some(emulator) = &self.way.emulator {
             let text = toml::to_string(emulator).unwrap_or_default();
             manifest.configs.insert("emulator".to_owned(), text);
         }
@@ -596,7 +581,7 @@ impl Opened {
             clock,
             reopener,
             tap,
-            server,
+            _server: server,
             // What a seal is on stays out of manifest, result and report.
             emulator: emulator.filter(|_| mystery.is_none()),
         })
@@ -609,7 +594,7 @@ impl Drop for Rig {
             return;
         }
         // What has panicked may be the link itself, and nothing may unwind out of here.
-        let link = &mut self.link;
+        let link = &mut self.way.link;
         let stopped = catch_unwind(AssertUnwindSafe(|| link.stop()));
         self.word.set(DriveWord::Panicked(match stopped {
             Ok(told) => told.map_err(|error| error.to_string()),

@@ -267,12 +267,12 @@ pub fn commission(
     mut publish: impl FnMut(&Progress),
 ) -> Result<CommissionDone, Failure> {
     let mut rig = open(options, None, Purpose::Voltages)?;
-    let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
-    if let Some(emulator) = &rig.emulator {
+    let truth = rig.way.emulator.as_ref().map(|emulator| {
         let hidden = emulator.hidden.iter();
-        workflow.set_truth(hidden.map(|effect| effect.id().to_owned()).collect());
-    }
-    workflow.set_bench(rig.bench.clone());
+        hidden.map(|effect| effect.id().to_owned()).collect()
+    });
+    let (plate, bench) = (Model::baseline(rig.plate.clone()), rig.bench.clone());
+    let mut workflow = Commission::new(plate, rig.escalates, bench, truth);
     let mut records: Vec<Recorded> = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {

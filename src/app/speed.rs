@@ -349,17 +349,15 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
 
 fn tracking(report: &SpeedReport) -> Table {
     let rows = report.tracking.iter().map(|pass| {
-        vec![
-            Cell::text(if pass.feed_forward { "on" } else { "off" }),
-            Cell::text(format!(
-                "{} to {} s",
-                fixed(pass.from_s, 1),
-                fixed(pass.until_s, 1)
-            )),
-            Cell::text(significant(pass.rms_rad_s, 3)),
-            Cell::text(significant(pass.mean_abs_rad_s, 3)),
-            Cell::text(significant(pass.peak_rad_s, 3)),
-        ]
+        let with = if pass.feed_forward { "on" } else { "off" };
+        let (from, until) = (fixed(pass.from_s, 1), fixed(pass.until_s, 1));
+        let errors = [pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s];
+        let errors = errors.map(|error| Cell::text(significant(error, 3)));
+        let followed = Cell::text(format!("{from} to {until} s"));
+        [Cell::text(with), followed]
+            .into_iter()
+            .chain(errors)
+            .collect()
     });
     Table {
         head: vec![

@@ -17,7 +17,7 @@ use crate::diagnosis::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use crate::identification::output_error;
 use crate::plant::effect::{Axis, DefinitionError};
 use crate::plant::{Effect, Model, ModelError, effect};
-use crate::workflow::curve;
+use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
 
 /// Refit a model without one of its effects and show the held-out error before and after
 #[derive(clap::Args)]
@@ -291,12 +291,12 @@ fn table(
         let maps = axis_map(&fit.model, training, noise)?;
         let found = chosen(maps, equation, axis)?;
         output::message(&found.sentence);
-        found.knots.into_iter().map(curve::four_digits).collect()
+        found.knots.into_iter().map(four_digits).collect()
     } else {
         arguments.knots.clone()
     };
-    let effect = curve::table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
-    if let Some(held) = curve::hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
+    let effect = curve_table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
+    if let Some(held) = hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
         output::message(&format!(
             "{held} is held: the curve would explain it as well"
         ));

@@ -6,7 +6,6 @@
 
 mod add;
 mod arguments;
-mod commission;
 mod compare;
 mod diagnose;
 mod doctor;
@@ -22,7 +21,6 @@ mod reproduce;
 mod reveal;
 mod run;
 mod simulate;
-mod speed;
 mod tune;
 
 use std::process::ExitCode;
@@ -54,7 +52,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    Commission(commission::Arguments),
+    Commission(run::CommissionArguments),
     Emulate(emulate::Arguments),
     Init(init::Arguments),
     Ports(doctor::PortsArguments),
@@ -63,7 +61,7 @@ enum Command {
     Registers(registers::Arguments),
     Plan(plan::Arguments),
     Run(run::Arguments),
-    Speed(speed::Arguments),
+    Speed(run::SpeedArguments),
     Identify(identify::Arguments),
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
@@ -98,7 +96,7 @@ pub fn main() -> ExitCode {
         }
     };
     let done = match arguments.command {
-        Command::Commission(arguments) => commission::execute(arguments),
+        Command::Commission(arguments) => run::execute_commission(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
         Command::Init(arguments) => init::execute(&arguments),
         Command::Ports(arguments) => doctor::execute_ports(&arguments),
@@ -107,7 +105,7 @@ pub fn main() -> ExitCode {
         Command::Registers(arguments) => registers::execute(&arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(&arguments),
-        Command::Speed(arguments) => speed::execute(arguments),
+        Command::Speed(arguments) => run::execute_speed(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),

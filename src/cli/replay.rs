@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::failure::{Failure, REFUSED};
 use super::{output, signals};
-use crate::app::replay::{Replayed, replayed};
+use crate::app::identify::{Replayed, replayed};
 use crate::bench::Difference;
 use crate::recording::ColumnMap;
 

@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal, Stdout, Write};
 use std::mem::ManuallyDrop;
 use std::os::fd::AsFd as _;
 use std::panic::PanicHookInfo;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -142,19 +142,15 @@ impl Owned {
         let terminal = enter().inspect_err(|_| give_back())?;
         let previous: Arc<Hook> = Arc::from(std::panic::take_hook());
         let elsewhere = Arc::new(Mutex::new(Vec::new()));
-        let (screen, after, kept) = (
-            thread::current().id(),
-            Arc::clone(&previous),
-            Arc::clone(&elsewhere),
-        );
+        let screen = thread::current().id();
+        let (after, others) = (Arc::clone(&previous), Arc::clone(&elsewhere));
         std::panic::set_hook(Box::new(move |info| {
             if thread::current().id() == screen {
                 give_back();
                 after(info);
             } else {
                 let name = thread::current().name().unwrap_or("worker").to_owned();
-                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.push(format!("thread {name:?}: {info}"));
+                kept(&others).push(format!("thread {name:?}: {info}"));
             }
         }));
         Ok(Self {
@@ -166,12 +162,12 @@ impl Owned {
 
     /// Whether a thread other than the screen's has panicked.
     pub(super) fn panicked_elsewhere(&self) -> bool {
-        !self
-            .elsewhere
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .is_empty()
+        !kept(&self.elsewhere).is_empty()
     }
+}
+
+fn kept(messages: &Mutex<Vec<String>>) -> MutexGuard<'_, Vec<String>> {
+    messages.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Owned {
@@ -182,11 +178,7 @@ impl Drop for Owned {
             drop(std::panic::take_hook());
             std::panic::set_hook(Box::new(move |info| previous(info)));
         }
-        let kept = self
-            .elsewhere
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        for message in kept.iter() {
+        for message in kept(&self.elsewhere).iter() {
             // Nothing is left to report to if this fails.
             let _ = writeln!(io::stderr(), "{message}");
         }

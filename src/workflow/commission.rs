@@ -80,9 +80,10 @@ pub struct Commission {
     runs: Vec<RunRecord>,
     online: Vec<ParameterEstimate>,
     result: Option<CommissionResult>,
+    /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
     truth: Option<Vec<String>>,
     /// The bench of the loop, which a recommended run is for.
-    bench: Option<BenchFile>,
+    bench: BenchFile,
     discovery: Option<Discovery>,
     /// What the plate says, whatever the fits start from.
     plate: Motor,
@@ -95,8 +96,14 @@ pub struct Commission {
 
 impl Commission {
     /// `nameplate` is where the fits start; what it leaves out is found from the data. An `unknown` motor is found from
-    /// small steps before the plan.
-    pub fn new(nameplate: Model, unknown: bool) -> Self {
+    /// small steps before the plan. A run that tells more is recommended for the `bench` of the loop, where one would; the
+    /// answer is scored by the `truth` of an emulator.
+    pub fn new(
+        nameplate: Model,
+        unknown: bool,
+        bench: BenchFile,
+        truth: Option<Vec<String>>,
+    ) -> Self {
         let mut titles = vec![
             "connect and check",
             "plan",
@@ -130,22 +137,12 @@ impl Commission {
             runs: Vec::new(),
             online: Vec::new(),
             result: None,
-            truth: None,
-            bench: None,
+            truth,
+            bench,
             discovery: None,
         };
         commission.steps[CHECK].state = StepState::Active;
         commission
-    }
-
-    /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
-    pub fn set_truth(&mut self, effects: Vec<String>) {
-        self.truth = Some(effects);
-    }
-
-    /// The bench on which the loop runs; with it a run that tells more is recommended, where one would.
-    pub fn set_bench(&mut self, bench: BenchFile) {
-        self.bench = Some(bench);
     }
 
     pub const fn task(&self) -> Task {
@@ -299,22 +296,17 @@ impl Commission {
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
-        if let Some(bench) = &self.bench {
-            let limits = experiment_limits(bench);
-            let mut next = recommend(&diagnosis, &evidence, &limits)?;
-            if let Some(next) = &mut next {
-                let model = &diagnosis.model.model;
-                let file = |recipe: &Recipe| next_bench(bench, recipe, model, &next.sentence);
-                next.bench = next.recipe.as_ref().map(file);
-            }
-            diagnosis.next_experiment = next;
+        let limits = experiment_limits(&self.bench);
+        let mut next = recommend(&diagnosis, &evidence, &limits)?;
+        if let Some(next) = &mut next {
+            let model = &diagnosis.model.model;
+            let file = |recipe: &Recipe| next_bench(&self.bench, recipe, model, &next.sentence);
+            next.bench = next.recipe.as_ref().map(file);
         }
+        diagnosis.next_experiment = next;
         // Whoever goes on by hand begins with this answer.
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
-        self.discovery = Some(match &self.bench {
-            Some(bench) => discovery.with_limits(experiment_limits(bench)),
-            None => discovery,
-        });
+        self.discovery = Some(discovery.with_limits(limits));
         self.step_done(DIAGNOSE, diagnosis.sentence.clone(), Task::Analyse);
         publish(self.progress());
 

@@ -4,16 +4,16 @@
 //! Order -> Discovery::carry_out -> News, told as it comes, from whatever thread found it
 //! ```
 //!
-//! Pure: it owns a model and its evidence, and knows no thread, file or screen.
+//! Pure: it owns a model and its evidence, and knows no thread, file or screen. What has no name yet is held by a learned
+//! curve as an effect of the model.
 
-use super::curve;
 use crate::diagnosis::{
     self, AddResult, AxisMap, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits,
     Fitted, NextExperiment, Rung, compare, diagnose_with, recommend,
 };
 use crate::identification::output_error::FitError;
-use crate::plant::effect::{self, Axis};
-use crate::plant::{Input, Model};
+use crate::plant::effect::{self, Axis, DefinitionError};
+use crate::plant::{Effect, Input, Model, Slot};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -196,8 +196,8 @@ impl Discovery {
             tell(News::Failed(reason));
             return Ok(());
         }
-        let knots: Vec<f64> = map.knots.iter().copied().map(curve::four_digits).collect();
-        let effect = match curve::table(&id, map.equation, axis, &knots) {
+        let knots: Vec<f64> = map.knots.iter().copied().map(four_digits).collect();
+        let effect = match curve_table(&id, map.equation, axis, &knots) {
             Ok(effect) => effect,
             Err(error) => {
                 tell(News::Failed(format!("{error}; {}", error.help)));
@@ -206,7 +206,7 @@ impl Discovery {
         };
         let mut model = self.model.clone();
         if let Some(fitted) = &self.fitted {
-            curve::hold_what_the_curve_holds(&mut model, &fitted.model, &id, map.equation, axis);
+            hold_what_the_curve_holds(&mut model, &fitted.model, &id, map.equation, axis);
         }
         let result = diagnosis::add(effect, &model, self.evidence.clone())?;
         self.changed(result, true, tell)
@@ -233,14 +233,68 @@ impl Discovery {
     }
 }
 
+/// A table over these knots, its values yet to be fitted.
+///
+/// # Errors
+/// Knots that do not rise, or too few or too many of them.
+pub fn curve_table(
+    id: &str,
+    equation: &str,
+    axis: Axis,
+    knots: &[f64],
+) -> Result<&'static dyn Effect, DefinitionError> {
+    let knots = knots.iter().copied().map(toml::Value::from).collect();
+    let settings = [
+        ("equation", equation.into()),
+        ("axis", axis.key().into()),
+        ("knots", toml::Value::Array(knots)),
+    ];
+    let settings = settings.map(|(key, value)| (key.to_owned(), value));
+    let settings = toml::Table::from_iter(settings);
+    effect::define(id, &settings).map(|(effect, _)| effect)
+}
+
+/// A knot that a person can read in a model file.
+pub fn four_digits(knot: f64) -> f64 {
+    format!("{knot:.3e}").parse().unwrap_or(knot)
+}
+
+/// A curve over the current holds a resistance, one over the speed a back-EMF: beside the curve neither can be told, so that
+/// the parameter is fixed at what the baseline's fit gave it, for as long as the curve `id` is in the model. Returns its
+/// key where that was done.
+pub fn hold_what_the_curve_holds(
+    model: &mut Model,
+    fitted: &Model,
+    id: &str,
+    equation: &str,
+    axis: Axis,
+) -> Option<&'static str> {
+    let held = match (equation, axis) {
+        ("voltage", Axis::Current) => "resistance_ohm",
+        ("voltage", Axis::Speed) => "back_emf_v_s_per_rad",
+        _ => return None,
+    };
+    if model.fixed.iter().any(|key| key == held) {
+        model.hold(id, held);
+        return None;
+    }
+    let slot = fitted
+        .slots()
+        .into_iter()
+        .find(|slot: &Slot| slot.key() == held)?;
+    model.set(&slot, fitted.get(&slot)?);
+    model.hold(id, held);
+    Some(held)
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::Mutex;
 
     use super::*;
     use crate::diagnosis::DiagnosisVerdict;
-    use crate::plant::Motor;
     use crate::plant::testing::{self, with_a_fan};
+    use crate::plant::{ActiveEffect, Motor};
 
     fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
         let news = Mutex::new(Vec::new());
@@ -396,5 +450,30 @@ mod tests {
         let news = told(&mut discovery, Order::Add("quadratic_load"));
         let searched = |item: &News| matches!(item, News::Progress(_));
         assert!(news.iter().any(searched), "{news:?}");
+    }
+
+    #[test]
+    fn knots_are_readable() {
+        assert!((four_digits(-118.716_712_5) + 118.7).abs() < 1e-12);
+        assert!(four_digits(0.0).abs() < 1e-300);
+    }
+
+    #[test]
+    fn a_curve_over_the_current_takes_the_resistance_out_of_the_fit() {
+        let fitted = Model::baseline(Motor::zk_22fc());
+        let mut model = fitted.clone();
+        for (id, equation, axis, held) in [
+            ("table_i", "voltage", Axis::Current, Some("resistance_ohm")),
+            ("table_i", "voltage", Axis::Current, None),
+            ("table_w", "torque", Axis::Speed, None),
+        ] {
+            let found = hold_what_the_curve_holds(&mut model, &fitted, id, equation, axis);
+            assert_eq!(found, held, "{id}");
+            assert_eq!(model.fixed, ["resistance_ohm"], "{id}");
+        }
+        let curve = curve_table("table_i", "voltage", Axis::Current, &[-1.0, 0.0, 1.0]).unwrap();
+        model.effects.push(ActiveEffect::new(curve));
+        let without = model.without_effect("table_i").unwrap();
+        assert!(without.fixed.is_empty(), "{:?}", without.fixed);
     }
 }

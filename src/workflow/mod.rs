@@ -13,7 +13,6 @@
 
 mod burst;
 mod commission;
-pub mod curve;
 mod discovery;
 pub mod reproduce;
 mod reveal;
@@ -23,5 +22,7 @@ pub use commission::{
     Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, Role,
     RunRecord, StageRecord, StepState, StepView, Task, Truth, compared, scaled_sentence,
 };
-pub use discovery::{Discovery, News, Order, Tell};
+pub use discovery::{
+    Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
+};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

@@ -65,14 +65,10 @@ pub(super) fn scope(
         _ => &[Chart::Voltage, Chart::Current, Chart::Speed],
     };
     let (from_s, to_s) = window(&snapshot.trace, window_s);
-    let first = snapshot
-        .trace
-        .partition_point(|point| point.time_s < from_s);
+    let trace = &snapshot.trace;
+    let first = trace.partition_point(|point| point.time_s < from_s);
     // One point before the left edge, so that the line enters the chart and does not begin in it.
-    let points = snapshot
-        .trace
-        .get(first.saturating_sub(1)..)
-        .unwrap_or_default();
+    let points = trace.get(first.saturating_sub(1)..).unwrap_or_default();
     let mut rows = vec![Constraint::Fill(1); charts.len()];
     rows.push(Constraint::Length(1));
     let areas = Layout::vertical(rows).split(area);
@@ -244,25 +240,18 @@ fn value_axis(low: f64, high: f64, plot_area: Rect, buffer: &mut Buffer) {
     let last = plot_area.height.saturating_sub(1);
     let zero = ((high / (high - low) * rows) as u16).min(last);
     for row in 0..plot_area.height {
-        let label = if row == 0 {
-            tick(high)
-        } else if row == last {
-            tick(low)
-        } else if row == zero && low < 0.0 && high > 0.0 {
-            tick(0.0)
-        } else {
-            String::new()
+        let label = match row {
+            0 => tick(high),
+            _ if row == last => tick(low),
+            _ if row == zero && low < 0.0 && high > 0.0 => tick(0.0),
+            _ => String::new(),
         };
         let mark = if label.is_empty() { '│' } else { '┤' };
         let width = usize::from(LABELS - 1);
         let label: String = label.chars().take(width).collect();
         let y = plot_area.y + row;
-        buffer.set_string(
-            plot_area.x - LABELS,
-            y,
-            format!("{label:>width$}{mark}"),
-            theme::DIM,
-        );
+        let label = format!("{label:>width$}{mark}");
+        buffer.set_string(plot_area.x - LABELS, y, label, theme::DIM);
         if row == zero && low < 0.0 {
             for x in plot_area.x..plot_area.right() {
                 buffer[(x, y)].set_char('·').set_style(theme::DIM);
@@ -360,12 +349,10 @@ fn plot(traces: &[Trace], bounds: Bounds, area: Rect, buffer: &mut Buffer) {
         }
     }
     for (index, (bits, style)) in cells.into_iter().enumerate().filter(|(_, cell)| cell.0 > 0) {
-        let position = (
-            area.x + (index % width) as u16,
-            area.y + (index / width) as u16,
-        );
+        let (x, y) = ((index % width) as u16, (index / width) as u16);
         let symbol = char::from_u32(0x2800 + u32::from(bits)).unwrap_or('?');
-        buffer[position].set_char(symbol).set_style(style);
+        let cell = &mut buffer[(area.x + x, area.y + y)];
+        cell.set_char(symbol).set_style(style);
     }
 }
 

@@ -555,11 +555,7 @@ pub(super) fn rms(values: impl Iterator<Item = f64>) -> f64 {
         sum += value * value;
         count += 1.0;
     }
-    if count > 0.0 {
-        (sum / count).sqrt()
-    } else {
-        0.0
-    }
+    (sum / f64::max(count, 1.0)).sqrt()
 }
 
 /// Mean of the speed, and its standard deviation about it.
