@@ -71,9 +71,8 @@ fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
 /// A parameter that a caution touches is not settled while the caution stands.
 pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
     for parameter in parameters {
-        let finding = findings
-            .iter()
-            .find(|finding| finding.doubts.iter().any(|key| key.key() == parameter.key));
+        let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
+        let finding = findings.iter().find(doubts);
         if let Some(finding) = finding {
             lower(parameter, Verdict::Searching, &finding.sentence);
         }
