@@ -314,7 +314,13 @@ mod tests {
     /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
     fn run(origin: Origin) -> Run {
         let square = |size: f64| -> Vec<f64> {
-            let level = |k: usize| if k / 25 % 2 == 0 { size } else { -size };
+            let level = |k: usize| {
+                if (k / 25).is_multiple_of(2) {
+                    size
+                } else {
+                    -size
+                }
+            };
             (0..ROWS).map(level).collect()
         };
         let columns = [
