@@ -71,9 +71,8 @@ fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
 /// A parameter that a caution touches is not settled while the caution stands.
 pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
     for parameter in parameters {
-        let finding = findings
-            .iter()
-            .find(|finding| finding.doubts.iter().any(|key| key.key() == parameter.key));
+        let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
+        let finding = findings.iter().find(doubts);
         if let Some(finding) = finding {
             lower(parameter, Verdict::Searching, &finding.sentence);
         }
@@ -315,7 +314,13 @@ mod tests {
     /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
     fn run(origin: Origin) -> Run {
         let square = |size: f64| -> Vec<f64> {
-            let level = |k: usize| if k / 25 % 2 == 0 { size } else { -size };
+            let level = |k: usize| {
+                if (k / 25).is_multiple_of(2) {
+                    size
+                } else {
+                    -size
+                }
+            };
             (0..ROWS).map(level).collect()
         };
         let columns = [

@@ -535,7 +535,9 @@ fn roughness(values: &[f64]) -> f64 {
 /// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
 fn largest_but_outliers(values: &[f64]) -> f64 {
     let mut sizes = statistics::finite(values);
-    sizes.iter_mut().for_each(|value| *value = value.abs());
+    for value in &mut sizes {
+        *value = value.abs();
+    }
     sizes.sort_by(f64::total_cmp);
     let dropped = sizes.len() / 200;
     sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)

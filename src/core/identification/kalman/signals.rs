@@ -265,10 +265,8 @@ mod tests {
             sensor.take(innovation, 1e-4, false);
         }
         let (ratio, allowed) = sensor.consistency().unwrap();
-        assert!(
-            (ratio / 3.0 - 1.0).abs() < 0.15 && ratio > allowed,
-            "{ratio} {allowed}"
-        );
+        let told = (ratio / 3.0 - 1.0).abs() < 0.15 && ratio > allowed;
+        assert!(told, "{ratio} {allowed}");
         assert!((sensor.variance().sqrt() / 0.3 - 1.0).abs() < 0.1);
         assert!((sensor.colour() - 1.0).abs() < 1e-12);
     }
@@ -285,11 +283,8 @@ mod tests {
             sensor.take(value, 1e-6, false);
         }
         // rho = 0.8: (1 + 0.8)/(1 - 0.8) = 9.
-        assert!(
-            (6.0..13.0).contains(&sensor.colour()),
-            "{}",
-            sensor.colour()
-        );
+        let colour = sensor.colour();
+        assert!((6.0..13.0).contains(&colour), "{colour}");
     }
 
     #[test]
@@ -299,10 +294,8 @@ mod tests {
         for (time_s, volts) in [(0.0, 5.0), (2.0, 7.0), (1.0, 6.0), (f64::NAN, 9.0)] {
             held.apply(time_s, volts, 0.0);
         }
-        assert_eq!(
-            held.between(0.5, 2.5).collect::<Vec<_>>(),
-            [(0.5, 5.0), (1.0, 6.0), (0.5, 7.0)]
-        );
+        let pieces: Vec<_> = held.between(0.5, 2.5).collect();
+        assert_eq!(pieces, [(0.5, 5.0), (1.0, 6.0), (0.5, 7.0)]);
         held.advance(2.0);
         assert_eq!((held.at(1.5), held.at(2.0)), (None, Some(7.0)));
         assert!(!held.torn);

@@ -41,27 +41,20 @@ impl Scaling {
                 let (min, max) = motor_range(*key, model, scenario);
                 Self::Logarithm { min, max }
             }
-            Slot::Effect { spec, .. } if !spec.is_coefficient() && !spec.logarithmic => {
-                Self::Linear {
-                    scale: spec.scale,
-                    min: spec.min,
-                    max: spec.max,
-                }
-            }
-            Slot::Effect { spec, .. } if spec.logarithmic => Self::Logarithm {
-                min: spec.min,
-                max: spec.max,
-            },
             Slot::Effect {
                 spec,
                 index,
                 parameter,
                 ..
-            } => Self::Linear {
-                scale: typical_size(model.effects[*index].effect, *parameter, model, scenario),
-                min: spec.min,
-                max: spec.max,
-            },
+            } => {
+                let (min, max, effect) = (spec.min, spec.max, model.effects[*index].effect);
+                let scale = match (spec.logarithmic, spec.is_coefficient()) {
+                    (true, _) => return Self::Logarithm { min, max },
+                    (false, true) => typical_size(effect, *parameter, model, scenario),
+                    (false, false) => spec.scale,
+                };
+                Self::Linear { scale, min, max }
+            }
         }
     }
 
@@ -152,12 +145,8 @@ impl<'a> FreeRun<'a> {
             .clone()
             .flat_map(|sample| [(sample, false), (sample, true)])
             .filter(|(sample, is_speed)| {
-                let (value, level) = if *is_speed {
-                    (scenario.speed_rad_s[*sample], noise.speed_rad_s)
-                } else {
-                    (scenario.current_a[*sample], noise.current_a)
-                };
-                value.is_finite() && level.is_finite()
+                let (values, level) = measured(scenario, &noise, *is_speed);
+                values[*sample].is_finite() && level.is_finite()
             })
             .collect();
         if rows.is_empty() {
@@ -212,17 +201,14 @@ impl<'a> FreeRun<'a> {
 
     /// Coordinates of the model as it is.
     pub fn start(&self) -> Vec<f64> {
-        let mut x: Vec<f64> = self
-            .free
-            .iter()
-            .zip(&self.scaling)
-            .map(|(slot, scaling)| scaling.to_x(self.model.get(slot).unwrap_or(f64::NAN)))
+        let value = |slot: &Slot| self.model.get(slot).unwrap_or(f64::NAN);
+        let free = self.free.iter().zip(&self.scaling);
+        let mut x: Vec<f64> = free
+            .map(|(slot, scaling)| scaling.to_x(value(slot)))
             .collect();
         if self.start_is_free {
-            x.extend([
-                self.measured_start.current_a / self.start_scale().0,
-                self.measured_start.speed_rad_s / self.start_scale().1,
-            ]);
+            let (start, scale) = (&self.measured_start, self.start_scale());
+            x.extend([start.current_a / scale.0, start.speed_rad_s / scale.1]);
         }
         x.extend(std::iter::repeat_n(0.0, self.effect_states));
         x
@@ -238,10 +224,8 @@ impl<'a> FreeRun<'a> {
 
     /// d(parameter)/dx of the free parameters at `x`.
     pub fn slopes(&self, x: &[f64]) -> Vec<f64> {
-        self.scaling
-            .iter()
-            .zip(x)
-            .map(|(scaling, x)| scaling.slope(scaling.to_value(*x)))
+        let free = self.scaling.iter().zip(x);
+        free.map(|(scaling, x)| scaling.slope(scaling.to_value(*x)))
             .collect()
     }
 
@@ -261,21 +245,12 @@ impl<'a> FreeRun<'a> {
     /// a transient of its initial state; or one that does what the model does not.
     pub(super) fn why_still(&self, residual: &[f64]) -> Option<String> {
         let share = |speed: bool| -> Option<(f64, bool)> {
-            let (values, level) = if speed {
-                (&self.scenario.speed_rad_s, self.noise.speed_rad_s)
-            } else {
-                (&self.scenario.current_a, self.noise.current_a)
-            };
-            let (mut signal, mut left) = (Vec::new(), Vec::new());
-            for ((sample, _), residual) in self
-                .rows
-                .iter()
-                .zip(residual)
+            let (values, level) = measured(self.scenario, &self.noise, speed);
+            let rows = self.rows.iter().zip(residual);
+            let (signal, left): (Vec<f64>, Vec<f64>) = rows
                 .filter(|((_, is_speed), _)| *is_speed == speed)
-            {
-                signal.push(values[*sample]);
-                left.push(residual * level);
-            }
+                .map(|((sample, _), residual)| (values[*sample], residual * level))
+                .unzip();
             let spread = statistics::variance(&signal);
             let changes = statistics::is_coloured(&signal)
                 && spread.sqrt() > CHANGES * statistics::mean(&signal).abs();
@@ -323,14 +298,18 @@ impl<'a> FreeRun<'a> {
 
     /// Units in which the initial state is fitted.
     fn start_scale(&self) -> (f64, f64) {
-        let finite = |value: f64| {
-            if value.is_finite() {
-                10.0 * value
-            } else {
-                UNMEASURED_START
-            }
-        };
+        let unit = |noise: f64| Some(10.0 * noise).filter(|unit| unit.is_finite());
+        let finite = |noise: f64| unit(noise).unwrap_or(UNMEASURED_START);
         (finite(self.noise.current_a), finite(self.noise.speed_rad_s))
+    }
+}
+
+/// A signal with its noise.
+fn measured<'a>(scenario: &'a Scenario, noise: &NoiseFloor, is_speed: bool) -> (&'a [f64], f64) {
+    if is_speed {
+        (&scenario.speed_rad_s, noise.speed_rad_s)
+    } else {
+        (&scenario.current_a, noise.current_a)
     }
 }
 
@@ -342,14 +321,11 @@ pub fn weighted_residual(
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> f64 {
-    let (simulated, measured, level) = if is_speed {
-        (
-            &simulated.speed_rad_s,
-            &scenario.speed_rad_s,
-            noise.speed_rad_s,
-        )
+    let (measured, level) = measured(scenario, noise, is_speed);
+    let simulated = if is_speed {
+        &simulated.speed_rad_s
     } else {
-        (&simulated.current_a, &scenario.current_a, noise.current_a)
+        &simulated.current_a
     };
     let miss = simulated[sample] - measured[sample];
     miss / level.hypot(stamps::spread(scenario, measured, sample))
@@ -375,9 +351,7 @@ impl Problem for FreeRun<'_> {
     }
 
     fn difference_step(&self, index: usize) -> f64 {
-        self.scaling
-            .get(index)
-            .map_or(1e-2, |scaling| scaling.difference_step())
+        (self.scaling.get(index)).map_or(1e-2, |scaling| scaling.difference_step())
     }
 
     fn clamp(&self, x: &mut [f64]) {
@@ -388,11 +362,8 @@ impl Problem for FreeRun<'_> {
 }
 
 fn first_finite(values: &[f64]) -> f64 {
-    values
-        .iter()
-        .copied()
-        .find(|value| value.is_finite())
-        .unwrap_or(0.0)
+    let mut values = values.iter().copied();
+    values.find(|value| value.is_finite()).unwrap_or(0.0)
 }
 
 /// Samples by which rest is told.

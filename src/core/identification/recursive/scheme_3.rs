@@ -507,9 +507,10 @@ impl Scheme3 {
             values[j].clamp(from[j] / LARGEST_MOVE, from[j] * LARGEST_MOVE)
         });
         self.tracks = vec![self.track(start, last)];
-        let (memory, trial) = match last {
-            true => (self.memory.mechanical, Trial::Over),
-            false => (TRIAL_FORGETTING, Trial::On(0)),
+        let (memory, trial) = if last {
+            (self.memory.mechanical, Trial::Over)
+        } else {
+            (TRIAL_FORGETTING, Trial::On(0))
         };
         (self.balance, self.trial) = (MechanicalBalance::new(memory), trial);
     }
@@ -622,8 +623,9 @@ impl Scheme3 {
             })
         });
         if let Some(reason) = doubt {
-            out.iter_mut()
-                .for_each(|parameter| parameter.unsettle(reason.as_str()));
+            for parameter in &mut out {
+                parameter.unsettle(reason.as_str());
+            }
         }
         out
     }

@@ -110,22 +110,20 @@ fn nothing_moves(
     speed: &Activity,
     duration_s: f64,
 ) -> Finding {
-    let mut levels = Vec::new();
-    for (name, activity, unit) in [
+    let signals = [
         ("voltage", voltage, "V"),
         ("current", current, "A"),
         ("speed", speed, "rad/s"),
-    ] {
-        if activity.is_there() {
-            let noise = if activity.is_constant() {
-                String::new()
-            } else {
-                format!(" +- {:.2}", activity.noise)
-            };
-            levels.push(format!("{name} {:.4}{noise} {unit}", activity.mean));
-        }
-    }
-    let levels = levels.join(", ");
+    ];
+    let there = signals
+        .iter()
+        .filter(|(_, activity, _)| activity.is_there());
+    let levels = there.map(|(name, activity, unit)| {
+        let noise = format!(" +- {:.2}", activity.noise);
+        let noise = if activity.is_constant() { "" } else { &noise };
+        format!("{name} {:.4}{noise} {unit}", activity.mean)
+    });
+    let levels = levels.collect::<Vec<_>>().join(", ");
     if speed.is_there() && speed.is_zero() {
         Finding::refusal(
             Kind::Standstill,
@@ -267,18 +265,8 @@ const NEARLY_NONE: f64 = 0.05;
 pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
     let speed_moves = Activity::of(&table.speed_rad_s).moves;
-    for (key, values, others) in [
-        (
-            "current_a",
-            &table.current_a,
-            [&table.speed_rad_s, &table.voltage_v],
-        ),
-        (
-            "speed_rad_s",
-            &table.speed_rad_s,
-            [&table.current_a, &table.voltage_v],
-        ),
-    ] {
+    let (u, i, w) = (&table.voltage_v, &table.current_a, &table.speed_rad_s);
+    for (key, values, others) in [("current_a", i, [w, u]), ("speed_rad_s", w, [i, u])] {
         let activity = Activity::of(values);
         if !activity.moves {
             continue;
@@ -346,23 +334,27 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
 
 /// The longest stretch of one non-zero value in a signal that is live elsewhere, while another signal moves.
 fn frozen(table: &Table, key: &str, values: &[f64], others: [&Vec<f64>; 2]) -> Option<Finding> {
-    let mut stretches = Stretches::default();
+    let (mut begin, mut equal, mut longest) = (0, 0_usize, 0..0);
     for (row, value) in values.iter().enumerate() {
-        stretches.push(row, *value);
+        if row > 0 && values[row - 1].to_bits() == value.to_bits() {
+            equal += 1;
+        } else {
+            begin = row;
+        }
+        // At rest an encoder says exactly 0, rightly.
+        if value.abs() > 0.0 && row + 1 - begin > longest.len() {
+            longest = begin..row + 1;
+        }
     }
-    let longest = stretches.longest;
-    let rows = longest.end - longest.start;
+    let rows = longest.len();
     let elsewhere = (values.len() - rows).max(1) as f64;
-    let equal_elsewhere = (stretches.equal + 1).saturating_sub(rows) as f64;
+    let equal_elsewhere = (equal + 1).saturating_sub(rows) as f64;
     if rows < FROZEN_ROWS || equal_elsewhere > LIVE * elsewhere {
         return None;
     }
     let moved = others.iter().any(|other| {
-        let (whole, part) = (
-            Activity::of(other),
-            Activity::of(&other[longest.start..longest.end]),
-        );
-        part.moves && part.range() > MEANWHILE * whole.range()
+        let part = Activity::of(&other[longest.clone()]);
+        part.moves && part.range() > MEANWHILE * Activity::of(other).range()
     });
     moved.then(|| {
         Finding::refusal(
@@ -378,34 +370,6 @@ fn frozen(table: &Table, key: &str, values: &[f64], others: [&Vec<f64>; 2]) -> O
     })
 }
 
-/// Stretches of equal values.
-#[derive(Default)]
-struct Stretches {
-    begin: usize,
-    last: Option<f64>,
-    equal: usize,
-    longest: Range<usize>,
-}
-
-impl Stretches {
-    fn push(&mut self, row: usize, value: f64) {
-        let same = self
-            .last
-            .is_some_and(|last| last.to_bits() == value.to_bits());
-        if same {
-            self.equal += 1;
-        } else {
-            self.begin = row;
-        }
-        let length = row + 1 - self.begin;
-        // At rest an encoder says exactly 0, rightly.
-        if value.abs() > 0.0 && length > self.longest.end - self.longest.start {
-            self.longest = self.begin..row + 1;
-        }
-        self.last = Some(value);
-    }
-}
-
 /// Share of neighbours that are equal in a held signal, jumps that it has at least, and their size as a share of the range.
 const HELD: f64 = 0.8;
 const JUMPS: usize = 3;
@@ -417,18 +381,12 @@ fn held(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
     let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
     // At rest any signal stands still.
     let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
-    let equal = lively
-        .clone()
-        .filter(|(a, b)| a.to_bits() == b.to_bits())
-        .count();
-    let jumps: Vec<f64> = pairs()
-        .map(|(a, b)| (b - a).abs())
-        .filter(|jump| *jump > 0.0)
-        .collect();
-    let large = jumps
-        .iter()
-        .filter(|jump| **jump > JUMP * activity.range())
-        .count();
+    let equal = lively.clone().filter(|(a, b)| a.to_bits() == b.to_bits());
+    let equal = equal.count();
+    let jumps = pairs().map(|(a, b)| (b - a).abs());
+    let jumps: Vec<f64> = jumps.filter(|jump| *jump > 0.0).collect();
+    let is_large = |jump: &&f64| **jump > JUMP * activity.range();
+    let large = jumps.iter().filter(is_large).count();
     let is_held =
         equal as f64 > HELD * lively.count() as f64 && large >= JUMPS && 2 * large > jumps.len();
     is_held.then(|| {
@@ -461,14 +419,12 @@ fn clipped(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
             rows += row - begin;
             plateaus += 1;
             let slope = |from: Option<&f64>, to: f64| from.map_or(0.0, |from| (to - from).abs());
-            let entry = slope(
-                begin.checked_sub(1).and_then(|k| values.get(k)),
-                values[begin],
+            let before = begin.checked_sub(1).and_then(|k| values.get(k));
+            let (entry, leave) = (
+                slope(before, values[begin]),
+                slope(values.get(row), values[row - 1]),
             );
-            let leave = slope(values.get(row), values[row - 1]);
-            if entry.max(leave) > STEEP * activity.range() {
-                steep += 1;
-            }
+            steep += usize::from(entry.max(leave) > STEEP * activity.range());
         }
         row = row.max(begin + 1);
     }
@@ -498,26 +454,24 @@ fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Op
     if !voltage.is_there() || activity.least < -NEARLY_NONE * activity.most {
         return None;
     }
+    // Where the voltage is clearly of one direction.
+    let under = |direction: f64| -> Vec<f64> {
+        let clearly = CLEARLY * voltage.largest();
+        let rows = table.voltage_v.iter().zip(values);
+        let rows = rows.filter(|(u, x)| direction * **u > clearly && x.is_finite());
+        rows.map(|(_, x)| *x).collect()
+    };
+    let [ahead, astern] = [1.0, -1.0].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
-    let astern_least = table
-        .voltage_v
+    let astern_least = astern
         .iter()
-        .zip(values)
-        .filter(|(u, x)| **u < -CLEARLY * voltage.largest() && x.is_finite())
-        .fold(f64::INFINITY, |least, (_, x)| least.min(x.abs()));
+        .fold(f64::INFINITY, |least, x| least.min(x.abs()));
     if astern_least > THROUGH_ZERO * activity.largest() {
         return None;
     }
-    // Power of the signal where the voltage is clearly of one direction.
-    let power = |direction: f64| -> (f64, usize) {
-        let rows = table
-            .voltage_v
-            .iter()
-            .zip(values)
-            .filter(|(u, x)| direction * **u > CLEARLY * voltage.largest() && x.is_finite());
-        rows.fold((0.0, 0), |(sum, rows), (_, x)| (sum + x * x, rows + 1))
-    };
-    let [(forward, ahead), (backward, astern)] = [1.0, -1.0].map(power);
+    let power = |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x);
+    let (forward, backward) = (power(&ahead), power(&astern));
+    let (ahead, astern) = (ahead.len(), astern.len());
     if ahead < FROZEN_ROWS || astern < FROZEN_ROWS {
         return None;
     }
@@ -546,10 +500,8 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
     if !(voltage.is_there() && speed.moves) || voltage.least < -NEARLY_NONE * voltage.most {
         return None;
     }
-    let driven_backward = table
-        .voltage_v
-        .iter()
-        .zip(&table.speed_rad_s)
+    let rows = table.voltage_v.iter().zip(&table.speed_rad_s);
+    let driven_backward = rows
         .filter(|(u, w)| **u > CLEARLY * voltage.most && **w < -CLEARLY * speed.largest())
         .count();
     let share = driven_backward as f64 / table.time_s.len().max(1) as f64;

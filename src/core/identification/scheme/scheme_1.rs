@@ -42,12 +42,9 @@ fn instruments(id: &'static str, data: &Data<'_>) -> Result<Identified, Identify
     );
     let parameters = match grid.instruments(data.model) {
         Ok(found) => {
-            let mut parameters = estimates(&grid.claim(
-                data.model,
-                found.dynamics,
-                Some(found.covariance),
-                Vec::new(),
-            ));
+            let covariance = Some(found.covariance);
+            let claim = grid.claim(data.model, found.dynamics, covariance, Vec::new());
+            let mut parameters = estimates(&claim);
             if !found.converged {
                 for parameter in &mut parameters {
                     parameter.unsettle(format!(
@@ -166,11 +163,8 @@ impl Grid {
             ));
         }
         let first = scenario.events[0].1;
-        if scenario
-            .events
-            .iter()
-            .all(|event| (event.1 - first).abs() <= 1e-9 * first.abs())
-        {
+        let mut volts = scenario.events.iter().map(|event| event.1);
+        if volts.all(|volts| (volts - first).abs() <= 1e-9 * first.abs()) {
             return Err(refuse(
                 format!(
                     "the voltage is {first} V throughout, which shows neither the back-EMF constant nor the load apart"
@@ -181,22 +175,18 @@ impl Grid {
         let times = &scenario.sample_time_s;
         let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let typical_s = median(&steps);
-        let counts: Vec<f64> = steps
-            .iter()
-            .map(|step| (step / typical_s).round())
-            .collect();
+        let counts = steps.iter().map(|step| (step / typical_s).round());
+        let counts: Vec<f64> = counts.collect();
         let period_s = (times[times.len() - 1] - times[0]) / counts.iter().sum::<f64>();
-        let squares: f64 = steps
+        let off = steps
             .iter()
             .zip(&counts)
-            .map(|(step, count)| (step / period_s - count).powi(2))
-            .sum();
+            .map(|(step, count)| step / period_s - count);
+        let squares: f64 = off.map(|off| off.powi(2)).sum();
         let jitter = (squares / steps.len() as f64).sqrt();
         // Not below for NaN either.
-        if !matches!(
-            jitter.partial_cmp(&MOST_JITTER),
-            Some(std::cmp::Ordering::Less)
-        ) {
+        let is_even = jitter < MOST_JITTER;
+        if !is_even {
             return Err(refuse(
                 format!(
                     "scheme 1 needs equidistant samples, and here the step between samples deviates by {:.1} % of the period of {:.3} ms (at most {:.0} % is allowed)",
@@ -220,11 +210,8 @@ impl Grid {
             while part <= *count {
                 let end_s = from_s + part * length_s;
                 voltage_v.push(signal::mean(&scenario.events, end_s - length_s, end_s));
-                speed_rad_s.push(if part < *count {
-                    f64::NAN
-                } else {
-                    scenario.speed_rad_s[index + 1]
-                });
+                let measured = Some(scenario.speed_rad_s[index + 1]).filter(|_| part >= *count);
+                speed_rad_s.push(measured.unwrap_or(f64::NAN));
                 part += 1.0;
             }
         }
@@ -336,11 +323,10 @@ impl Grid {
 
 /// Standard deviation of white noise that would make the third differences as large as they are.
 fn roughness(speed_rad_s: &[f64]) -> f64 {
-    let third: Vec<f64> = speed_rad_s
+    let third = speed_rad_s
         .windows(4)
-        .map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0])
-        .filter(|difference| difference.is_finite())
-        .collect();
+        .map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]);
+    let third: Vec<f64> = third.filter(|difference| difference.is_finite()).collect();
     let noise = robust_deviation(&third) / 20f64.sqrt();
     if noise.is_finite() { noise } else { 0.0 }
 }
