@@ -3,6 +3,7 @@
 //! ```sh
 //! cargo run --release --example diagnose_two_runs
 //! ```
+#![expect(clippy::print_stdout, reason = "what an example shows")]
 
 use std::error::Error;
 

@@ -4,6 +4,7 @@
 //! ```sh
 //! cargo run --release --example drive_link
 //! ```
+#![expect(clippy::print_stdout, reason = "what an example shows")]
 
 use std::error::Error;
 

@@ -3,6 +3,7 @@
 //! ```sh
 //! cargo run --release --example identify_csv -- record.csv time_s=t,voltage_v=u,current_a=i,speed_rad_s=w
 //! ```
+#![expect(clippy::print_stdout, reason = "what an example shows")]
 
 use std::error::Error;
 use std::fmt::Write as _;

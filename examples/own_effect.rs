@@ -3,6 +3,7 @@
 //! ```sh
 //! cargo run --release --example own_effect
 //! ```
+#![expect(clippy::print_stdout, reason = "what an example shows")]
 
 use std::error::Error;
 

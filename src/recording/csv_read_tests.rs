@@ -1,3 +1,5 @@
+use std::fmt::Write as _;
+
 use super::*;
 use crate::recording::{Manifest, number_text, run_from_memory};
 
@@ -144,7 +146,7 @@ fn a_file_cut_at_any_byte_keeps_every_whole_row() {
     let mut text = String::from("time_s,current_a,quality\n");
     for row in 0..200 {
         let [time_s, amps] = [0.01, 0.37].map(|step| number_text(f64::from(row) * step));
-        text += &format!("{time_s},{amps},ok\n");
+        writeln!(text, "{time_s},{amps},ok").unwrap();
     }
     let line_ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();
     for cut in line_ends[150]..=text.len() {
@@ -266,7 +268,7 @@ fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
             70 => 12,
             other => other,
         };
-        text += &format!("{stamp},{row}\n");
+        writeln!(text, "{stamp},{row}").unwrap();
     }
     let (run, warnings) = mapped(&text, "time_s=t,current_a=i").unwrap();
     assert_eq!((run.rows(), run.rows_dropped), (97, 3));

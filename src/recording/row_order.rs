@@ -76,13 +76,12 @@ impl RowOrder {
             return &self.rows;
         }
         let mut own = self.sample_row(sample);
-        match sample.applied {
-            Some(applied) => self.place_applied(applied, &mut own),
-            None => {
-                let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
-                while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
-                    self.place_front(None, &mut own);
-                }
+        if let Some(applied) = sample.applied {
+            self.place_applied(applied, &mut own);
+        } else {
+            let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
+            while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
+                self.place_front(None, &mut own);
             }
         }
         while self.waiting.len() > WAITING_MAX {

@@ -336,7 +336,7 @@ fn every_part_opens_with_its_picture() {
         assert!(text.starts_with("//! "), "{path} does not open with //!");
         let head = text.lines().take_while(|line| line.starts_with("//!"));
         let has_picture = head.into_iter().any(|line| line == "//! ```text");
-        let is_room = depth(&path) == 2 && path.ends_with("mod.rs");
+        let is_room = depth(path) == 2 && path.ends_with("mod.rs");
         assert!(has_picture || !is_room, "{path} has no picture of its part");
     }
 }

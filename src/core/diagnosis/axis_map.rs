@@ -10,6 +10,8 @@
 //! The current is no axis of the torque balance and the voltage none of the voltage balance: they are what the balance
 //! is solved for. A part of a curve that a parameter of the baseline explains as well is left to that parameter.
 
+use std::fmt::Write as _;
+
 use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, DVector};
@@ -293,7 +295,10 @@ impl AxisMap {
             let [place, height] =
                 [curve.knots[peak], curve.values[peak]].map(|v| significant(v, 3));
             let (across, upwards) = (axis.unit(), equation.unit());
-            sentence += &format!("; it is largest near {place} {across}: {height} {upwards}");
+            let _ = write!(
+                sentence,
+                "; it is largest near {place} {across}: {height} {upwards}"
+            );
         }
         Self {
             equation: what,

@@ -1,4 +1,8 @@
 //! Recorded runs for tests: a model simulated under given voltages, sampled with the noise of a bench.
+#![expect(
+    clippy::missing_panics_doc,
+    reason = "what a test gives wrong is to stop it"
+)]
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -174,12 +174,11 @@ impl RawClient {
         values: &[u16],
     ) -> Result<(), LinkError> {
         let what = format!("write {} at {address}", registers(values.len()));
-        let (code, request) = match (function, values) {
-            (WriteFunction::Single, [value]) => (6, Request::WriteSingleRegister(address, *value)),
-            _ => {
-                let values = Cow::Borrowed(values);
-                (16, Request::WriteMultipleRegisters(address, values))
-            }
+        let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
+            (6, Request::WriteSingleRegister(address, *value))
+        } else {
+            let values = Cow::Borrowed(values);
+            (16, Request::WriteMultipleRegisters(address, values))
         };
         let [high, low] = address.to_be_bytes();
         let question = Question::plain(request, [code, high, low, 0, 0], &what, self.allowed());

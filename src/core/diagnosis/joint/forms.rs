@@ -301,7 +301,7 @@ impl Base {
 #[cfg(test)]
 mod tests {
     use super::KEPT;
-    use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
+    use crate::diagnosis::joint::columns::{Around, Candidate, Variant, linearise};
     use crate::diagnosis::joint::events::Hypothesis;
     use crate::diagnosis::joint::follow::WANDERING;
     use crate::diagnosis::kit::{nameplate, truth};
@@ -353,7 +353,7 @@ mod tests {
         let stepped = truth("load_step", &[0.1, 1.13]);
         let candidates = candidates(&stepped, &stepped);
         let pull = find(&candidates, "one_sided_load");
-        let mut moments = pull.variants.iter().flat_map(|form| form.moments());
+        let mut moments = pull.variants.iter().flat_map(Variant::moments);
         assert!(moments.any(|(_, time_s)| (time_s - 1.13).abs() < 1e-9));
         // What the moments say that have no columns is kept too.
         assert!(pull.moments.len() > pull.variants.len());
