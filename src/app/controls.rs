@@ -1,4 +1,4 @@
-//! What ties a run to the world: signals, the intents of a screen, what the screen sees, and whether the drive may be on.
+//! Controls of a run: signals, the intents of a screen, what the screen sees, and whether the drive may be on.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};

@@ -1,4 +1,4 @@
-//! What a sequence will do to the motor, before anything is energised: the plan of the motor and that of the line.
+//! Forecast of a sequence before anything is energised: the plan of the motor and that of the line.
 
 use serde::Serialize;
 

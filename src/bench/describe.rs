@@ -1,4 +1,4 @@
-//! What the record of a run says about itself before the run begins.
+//! The manifest of a run as it stands before the run begins.
 
 use serde_json::json;
 

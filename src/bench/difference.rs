@@ -1,4 +1,4 @@
-//! Whether two JSON results are the same to the last bit, and where they first are not.
+//! Comparison of two JSON results to the last bit: the first place in which they differ.
 
 use serde::Serialize;
 use serde_json::Value;

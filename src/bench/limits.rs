@@ -1,4 +1,4 @@
-//! What the bench never lets a motor go beyond, and the nameplate from which the defaults come.
+//! Limits that the bench never lets a motor go beyond, and the nameplate from which the defaults come.
 
 use serde::{Deserialize, Serialize};
 

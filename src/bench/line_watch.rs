@@ -1,4 +1,4 @@
-//! What a line leaves behind: late replies, frames of others, replies to nobody, a rate that was lost. Pure: counts and
+//! Watch over the line's counters: late replies, frames of others, replies to nobody, a rate that was lost. Pure: counts and
 //! times go in. Each is told when it begins, when it gets ten times worse, and when it ends.
 
 use std::collections::VecDeque;

@@ -1,4 +1,4 @@
-//! What a screen needs to know of a run, published some twenty times a second; it never reaches back into the run.
+//! Snapshot of a run for a screen, published some twenty times a second; it never reaches back into the run.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;

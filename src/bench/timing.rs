@@ -1,4 +1,4 @@
-//! How punctual the cycles were.
+//! Punctuality of the cycles: asked and achieved rate, lateness, missed cycles.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! How many exchanges a line carries, by arithmetic: before a port is opened, and beside what is measured.
+//! Budget of a line, the exchanges that it carries, by arithmetic: before a port is opened, and beside what is measured.
 
 use serde::Serialize;
 

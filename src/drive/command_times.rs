@@ -1,4 +1,4 @@
-//! How long a drive may take to do what it is told, as its link knows it. Pure arithmetic over the profile.
+//! Command times, which a drive may take to do what it is told, as its link knows it. Pure arithmetic over the profile.
 
 use super::register_map::{Commands, Step};
 

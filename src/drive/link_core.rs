@@ -1,4 +1,4 @@
-//! What the links of our own drive have in common: their books, their time axis, the bound of an exchange, and how a stop is
+//! Core of the links of our own drive: their books, their time axis, the bound of an exchange, and how a stop is
 //! confirmed.
 
 use std::io;

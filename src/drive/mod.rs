@@ -1,4 +1,4 @@
-//! What a drive is to the bench: a profile, and a link that exchanges a command for a sample.
+//! Drives as the bench sees them: a profile, and a link that exchanges a command for a sample.
 //!
 //! ```text
 //! settings.rs <- register_map/ (facts of a profile) <- profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>

@@ -1,4 +1,4 @@
-//! What a drive's signals can carry: a pure judgement over its profile, in sentences for the person at the bench.
+//! Offer of a drive's signals, what they can carry: a pure judgement over its profile, in sentences for the person at the bench.
 
 use super::profile::DriveProfile;
 use super::register_map::{DeviceKind, Quantity, RegisterMap, Signal, SupervisionKind};

@@ -1,4 +1,4 @@
-//! What is known about a drive before it is asked: how it is wired, what it can do, what its signals are.
+//! Profile of a drive, known before it is asked: how it is wired, what it can do, what its signals are.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! How it is proven that a line is in step. RTU has no transaction number, so a reply that fits may be that to a request
+//! Proof that a line is in step. RTU has no transaction number, so a reply that fits may be that to a request
 //! before it: late, or a second time. Pure: what was asked and answered goes in, with the times.
 //!
 //! ```text

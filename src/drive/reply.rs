@@ -1,4 +1,4 @@
-//! Which bytes on the line are the reply to the one outstanding request, and which are not.
+//! Reply search: which bytes on the line answer the one outstanding request, and which do not.
 //!
 //! A reply is taken only if unit, function, length, echoed fields and checksum (or transaction) all fit the request:
 //! RTU has no transaction number, and common clients take a late reply for the next one.

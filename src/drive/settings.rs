@@ -1,4 +1,4 @@
-//! How a drive is wired, how far its numbers may be believed, and its bounds: what every profile says, whatever its registers.
+//! Settings of every profile, whatever its registers: wiring, how far the numbers may be believed, bounds.
 
 use std::fmt;
 

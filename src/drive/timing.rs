@@ -1,4 +1,4 @@
-//! How long things take on the line, and waiting more exactly than a timer wheel can.
+//! Times on the line, and waiting more exactly than a timer wheel can.
 
 use std::time::{Duration, Instant};
 

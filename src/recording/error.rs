@@ -1,4 +1,4 @@
-//! What can go wrong with recorded data; every message names the thing, the value and what is allowed.
+//! Errors of recorded data; every message names the thing, the value and what is allowed.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! What all screens have in common: the line of keys, the help, rules above panels, bars.
+//! Frame of all screens: the line of keys, the help, rules above panels, bars.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;

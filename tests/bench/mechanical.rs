@@ -13,10 +13,10 @@ use drivebench::diagnosis::{
     AddResult, AxisMap, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Evidence, Signals,
     Status, axis_map,
 };
+use drivebench::identification::balance::Method;
 use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::output_error::FitError;
 use drivebench::identification::speed_from_angle;
-use drivebench::identification::torque_rows::Method;
 use drivebench::numerics::count::whole;
 use drivebench::plant::effect::{Card, Enters, Terms};
 use drivebench::plant::{

@@ -1,4 +1,4 @@
-//! What a pulse says about signs and nameplate. Pure.
+//! Judgement of the voltage pulse: signs of the signals, and the nameplate. Pure.
 //!
 //! Signs: whether current and speed went the way that was asked. Nameplate: whether voltage, current and speed fit it, as
 //! `u = R i + Ke w`.

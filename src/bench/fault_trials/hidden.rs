@@ -1,4 +1,4 @@
-//! What is hidden in the motor is named all the same where replies come late, twice or not at all.
+//! Diagnosis over a faulty line: a hidden effect is named all the same where replies come late, twice or not at all.
 
 use super::witness::drive::{BENCH, Drive};
 use super::witness::fault::{Act, Way};

@@ -1,4 +1,4 @@
-//! What the bench does with the motor: the rich sequence, as large as the limits let it be, and a reference for `speed`.
+//! The sequence of a new bench file: the rich excitation, as large as the limits let it be, and a reference for `speed`.
 
 use super::limits::set_point;
 use super::{InitError, InitRequest, InitUse, Reasoned, short};

@@ -1,4 +1,4 @@
-//! What was sent and what came back, as rows between two samples: the voltage that may have been in force meanwhile, and
+//! History of commands and samples, as rows between two samples: the voltage that may have been in force meanwhile, and
 //! the terms of the voltage balance.
 
 use std::collections::VecDeque;

@@ -1,4 +1,4 @@
-//! What needs no balance: whether the drive does what it is asked, readings that stand in each other's place, the angle
+//! Plausibility without a balance: whether the drive does what it is asked, readings that stand in each other's place, the angle
 //! against the speed, and a speed that grows beyond its reference.
 
 use super::balance::negative;

@@ -1,4 +1,4 @@
-//! How the loop goes on a scripted drive, on the software drive, on a drive of another make, and in real time.
+//! The loop on a scripted drive, on the software drive, on a drive of another make, and in real time.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

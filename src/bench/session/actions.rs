@@ -1,4 +1,4 @@
-//! What goes into a session and what comes out.
+//! Inputs and actions of a session.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! How a closed loop went: timing, gains with their reasons, and the response to each step of the reference.
+//! Report of a closed loop: timing, gains with their reasons, and the response to each step of the reference.
 
 use serde::Serialize;
 

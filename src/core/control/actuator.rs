@@ -1,4 +1,4 @@
-//! What a controller acts with.
+//! The actuator of a speed controller: armature voltage, armature current or the drive's own speed loop.
 
 use crate::sample::Demand;
 

@@ -1,4 +1,4 @@
-//! What holds a speed: the output at which nothing accelerates, by the model.
+//! Holding output of a speed: that at which nothing accelerates, by the model.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! What the output may be in this cycle: voltage limit, and the current that the voltage will drive.
+//! Limiter of the output, cycle by cycle: voltage limit, and the current that the voltage will drive.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! What a speed loop sees of the shaft, in a trial.
+//! Speed sensor of a simulated trial.
 
 /// Turns the shaft's movement into the speed that the controller is told.
 pub trait SpeedSensor {

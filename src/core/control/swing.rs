@@ -1,4 +1,4 @@
-//! Whether a loop swings by itself, and how much softer it has to be.
+//! Limit cycles of a loop: whether it swings by itself, and how much softer it has to be.
 //!
 //! Play and elasticity between motor and load, or a delay that the model does not have, can turn gains that are right on
 //! paper into a steady swing. It is recognised by its half-swings: alike, quick, around a reference that stands still. The

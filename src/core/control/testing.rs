@@ -1,4 +1,4 @@
-//! What the tests of this room share: closeness, and the machine of paper A in a loop of 10 ms.
+//! Kit of this room's tests: closeness, and the machine of paper A in a loop of 10 ms.
 
 use super::{LinearPlant, LoopTiming};
 use crate::plant::{Model, Motor, MotorKey};

@@ -1,4 +1,4 @@
-//! What lies in time between a speed and the voltage that answers it.
+//! Dead time of the loop, between a speed and the voltage that answers it.
 
 use serde::{Deserialize, Serialize};
 

@@ -10,9 +10,9 @@ use super::location::{
 use super::mechanical::{self, Balance, Sides};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore, signal_score};
+use crate::identification::balance::{Method, TorqueRows};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
-use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::numerics::count::whole;
 use crate::plant::{Input, Model, Plant, Scenario, State};
 

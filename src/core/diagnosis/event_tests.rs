@@ -1,4 +1,4 @@
-//! What happens once in a run: named with its moment, in the runs in which it happened and in no other.
+//! Tests of events, which happen once in a run: named with their moment, in the runs in which they happened and in no other.
 
 use super::kit::{candidate, nameplate, truth};
 use super::*;

@@ -1,4 +1,4 @@
-//! Where the floor is, what share of the error above it is explained, and what a machine does not repeat from one run of an
+//! The noise floor, the share of the error above it that is explained, and what a machine does not repeat from one run of an
 //! excitation to the next.
 
 use super::evidence::{Evidence, not_repeated};

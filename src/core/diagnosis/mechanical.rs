@@ -14,9 +14,9 @@ use nalgebra::{DMatrix, DVector};
 
 use super::evidence::{Evidence, HoldoutFrom};
 use super::score::{Fitted, Score};
+use crate::identification::balance::{Method, TorqueRows};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
-use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::identification::verdict::judge;
 use crate::identification::{inverse_dynamics, weak_form};
 use crate::numerics::count::whole;

@@ -1,4 +1,4 @@
-//! What a long analysis tells while it runs.
+//! Progress of a long analysis.
 
 /// Something that has been found out, or begins.
 #[derive(Clone, Copy, Debug, PartialEq)]

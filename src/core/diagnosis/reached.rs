@@ -1,4 +1,4 @@
-//! How large an effect became on a run: what a person can hold against the motor's rating.
+//! Peak of an effect on a run: what a person can hold against the motor's rating.
 //!
 //! The terms of the fitted effect are evaluated along the free run of the fitted model. What enters no balance, as a delay
 //! or a second inertia, is the largest change that it makes to the signals.

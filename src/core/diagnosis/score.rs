@@ -3,9 +3,9 @@
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
+use crate::identification::balance::TorqueRows;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::identification::torque_rows::TorqueRows;
 use crate::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
 use crate::sample::ParameterEstimate;
 

@@ -1,4 +1,4 @@
-//! What every excitation must keep, whatever its values: tested on each kind of the catalogue.
+//! Contract of every excitation, whatever its values: tested on each kind of the catalogue.
 
 use super::*;
 use proptest::prelude::*;

@@ -1,4 +1,4 @@
-//! What may be claimed from a run, given where its signals come from.
+//! Claims that a run supports, given where its signals come from.
 //!
 //! A commanded voltage is not the armature's, a supply current is not the armature's, and what a
 //! drive computes from its own settings only repeats them. A value keeps its figure; its verdict and reason say how far

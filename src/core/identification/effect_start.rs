@@ -1,4 +1,4 @@
-//! Where a fit starts when the model has effects whose order, shape or moment is not given.
+//! Starting values of a fit when the model has effects whose order, shape or moment is not given.
 //!
 //! A fit moves a coefficient to where it belongs from anywhere, but it finds no way from one number of cogs to the next,
 //! nor from one end of a run to an event at the other. So each value of the grid is tried first, as the score screen

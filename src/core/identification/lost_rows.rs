@@ -1,4 +1,4 @@
-//! What a record with lost rows has to say of itself: how many, where, and what is made of the time between.
+//! Lost rows of a record: how many, where, and what is made of the time between.
 
 use crate::plant::Scenario;
 use crate::sample::Run;

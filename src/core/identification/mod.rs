@@ -45,5 +45,3 @@ pub mod voltage_departure;
 pub mod weak_form;
 mod window_sums;
 mod wrapped_angle;
-
-pub use balance as torque_rows;

@@ -1,4 +1,4 @@
-//! What is not known of the time of a sample: what it does to a value, and where it is too much.
+//! Uncertainty of the time stamps: what it does to a value, and where it is too much.
 //!
 //! A sample that the host stamped was taken anywhere within plus or minus its half-width: uniform, so that a signal of
 //! slope y' carries the further variance (y' half-width)^2 / 3. The stamp is one for all signals of a sample: their errors

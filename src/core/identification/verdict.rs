@@ -1,4 +1,4 @@
-//! What may be said of each fitted parameter.
+//! Verdict on each fitted parameter.
 
 use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};

@@ -1,4 +1,4 @@
-//! Where a limit of the drive held its output: the command is not what the motor had, the measured voltage is.
+//! Rows in which a limit of the drive held its output: the command is not what the motor had, the measured voltage is.
 //!
 //! ```text
 //! command    ____/------\____      between limited samples: the line through the measured voltages (at a current limit the

@@ -1,4 +1,4 @@
-//! What a simulation needs of a run: the input as applied, the instants at which something was measured, the angle.
+//! Scenario, what a simulation needs of a run: the input as applied, the instants at which something was measured, the angle.
 
 use std::borrow::Cow;
 use std::ops::Range;

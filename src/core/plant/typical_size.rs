@@ -1,4 +1,4 @@
-//! How large an effect would have to be to matter in a run: where fits start and in which unit they step.
+//! Typical size of an effect, which would matter in a run: where fits start and in which unit they step.
 
 use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;

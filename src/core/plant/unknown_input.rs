@@ -1,4 +1,4 @@
-//! Where the input of a record is not known: rows that were lost between two that tell it, and what is known all the same.
+//! Unknown input of a record: rows that were lost between two that tell it, and what is known all the same.
 //!
 //! ```text
 //! rows     u0    u1    (lost) (lost) u4        a held input: u1 holds for one period, u4 from its own stamp on

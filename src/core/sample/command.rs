@@ -1,4 +1,4 @@
-//! What the host asks of the drive in one exchange.
+//! Command, what the host asks of the drive in one exchange.
 
 /// One demand with the sequence number that the drive echoes, so that a late reply cannot be taken for another.
 #[derive(Clone, Copy, Debug, PartialEq)]

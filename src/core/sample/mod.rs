@@ -1,4 +1,4 @@
-//! What is measured and what is asked: the values that travel through every room.
+//! Samples, commands and estimates: the values that travel through every room.
 //!
 //! ```text
 //! wire bytes -> drive link -> Sample -> session -> Command -> drive link -> wire bytes

@@ -1,4 +1,4 @@
-//! What a probe found, and what that means.
+//! Report of a probe: findings and verdict.
 
 use serde::Serialize;
 

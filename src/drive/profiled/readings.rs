@@ -1,4 +1,4 @@
-//! What was read of a drive: which registers when, and what they say in units. What cannot be a value is none.
+//! Readings of a drive: which registers when, and what they say in units. What cannot be a value is none.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

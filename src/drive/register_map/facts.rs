@@ -1,4 +1,4 @@
-//! What a profile says, resolved: addresses as on the wire, names looked up, everything checked; and which quantities may
+//! Resolved register map of a profile: addresses as on the wire, names looked up, everything checked; and which quantities may
 //! be given in which units: what is wrong there would otherwise only show up as a channel that is missing.
 
 use std::collections::BTreeMap;

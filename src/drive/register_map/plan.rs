@@ -1,4 +1,4 @@
-//! Which registers are read together: as few requests as the drive's limits allow.
+//! Plan of the reads: as few requests as the drive's limits allow.
 
 use super::facts::{PollRate, RegisterMap};
 use crate::drive::register_bus::{ReadRequest, RegisterTable};

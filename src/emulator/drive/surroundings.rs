@@ -1,4 +1,4 @@
-//! What stands around drive and motor: a supply that may take nothing back, and a brake that the drive works.
+//! Surroundings of drive and motor: a supply that may take nothing back, and a brake that the drive works.
 
 use crate::emulator::config::{BrakeConfig, EmulatorConfig};
 

@@ -1,4 +1,4 @@
-//! What a profile asks of the drive's identity, shown as that drive would: else a profile with `[[identity]]` could not
+//! Identity registers that a profile asks for, shown as that drive would: else a profile with `[[identity]]` could not
 //! be tried without the drive.
 
 use super::ForeignDrive;

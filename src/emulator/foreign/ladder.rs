@@ -1,4 +1,4 @@
-//! What control words do to the drive: the words of its enable command are rungs that are climbed in order.
+//! Enable ladder of a drive: the control words of its enable command are rungs that are climbed in order.
 
 use crate::drive::register_map::{Condition, RegisterMap, Step};
 

@@ -1,4 +1,4 @@
-//! What is true of the motor, as the registers of the profile show it.
+//! Register words of the motor's true state, as the profile shows them.
 
 use std::f64::consts::{SQRT_2, TAU};
 

@@ -1,4 +1,4 @@
-//! What lies between the command, the machine and the measurement.
+//! Path between the command, the machine and the measurement: delays, filters, offsets.
 
 /// Delays, filters and offsets; all zero is the direct way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,4 +1,4 @@
-//! What the sensors make of the truth: delay, filters, noise, offsets and quantisation.
+//! Sensors of the true machine: delay, filters, noise, offsets and quantisation.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! What the screen knows, and what each event does to it. Pure: an update returns what the program is to do. Behind it the
+//! State of the diagnosis screen, and what each event does to it. Pure: an update returns what the program is to do. Behind it the
 //! teaching flow: guess first, then see.
 
 use std::collections::BTreeMap;

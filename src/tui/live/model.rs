@@ -1,4 +1,4 @@
-//! What is shown of a run, and what each event does to it. Pure: an update returns what the program is to do.
+//! Model of the live screen, and what each event does to it. Pure: an update returns what the program is to do.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! What the effects of a model do at an instant of a run, and what their forms may be wrong by there.
+//! Terms of a model's effects at an instant of a run, and what their forms may be wrong by there.
 
 use std::f64::consts::TAU;
 

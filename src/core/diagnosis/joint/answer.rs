@@ -1,4 +1,4 @@
-//! What the posterior says of each effect of the catalogue, and of what none of them explains.
+//! Posterior of each effect of the catalogue, and of what none of them explains.
 
 use serde::Serialize;
 use statrs::function::erf::erfc;

@@ -1,4 +1,4 @@
-//! Which effects a run can be asked about at all, and what of it is fit to be asked.
+//! Eligible effects and rows: what a run can be asked about at all, and what of it is fit to be asked.
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,4 @@
-//! What each effect at its slab size would add to the whitened innovations of a followed run.
+//! Columns of the joint regression: what each effect at its slab size would add to the whitened innovations of a followed run.
 
 use std::borrow::Cow;
 

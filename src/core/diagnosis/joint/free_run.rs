@@ -1,4 +1,4 @@
-//! What a run leaves of a model: the error of a free run that no model can foretell (of a load that wanders, and of a
+//! Free-run error: the part of a free run that no model can foretell (of a load that wanders, and of a
 //! voltage that nobody knows), the excess of innovations over white noise, and the likelihood ratio of two models.
 
 use super::asked::prepared;

@@ -1,4 +1,4 @@
-//! How much is random in a run: by marginal likelihood with every effect in under its slab.
+//! Noise levels of a run by marginal likelihood, with every effect in under its slab.
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;

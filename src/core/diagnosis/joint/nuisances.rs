@@ -1,4 +1,4 @@
-//! What is in beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
+//! Nuisance columns beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
 //! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
 
 use nalgebra::DVector;

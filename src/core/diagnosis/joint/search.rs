@@ -1,4 +1,4 @@
-//! Which effects the runs ask for: linearised, weighed, refitted and linearised anew until the set and the noise stand.
+//! Search for the set of effects: linearised, weighed, refitted and linearised anew until the set and the noise stand.
 //!
 //! ```text
 //! far from the data   approach: the single effect that, refitted, explains most joins, until the linear solution holds

@@ -1,4 +1,4 @@
-//! How much of an equation's error follows each variable, and the narrowest range of it that holds most of that.
+//! Location of an equation's error along each variable: the share that follows it, and the narrowest range that holds most.
 //!
 //! Every variable has its columns, averaged over each window with the test function, so that what passes through many
 //! turns or many amperes within one window counts as what it is there. Their adjusted share of the error is compared.

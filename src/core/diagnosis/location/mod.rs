@@ -1,4 +1,4 @@
-//! Where the model fails, with sign: which equation, over which speeds, currents, angles, times, and as what curve.
+//! Location of the error, with sign: which equation, over which speeds, currents, angles, times, and as what curve.
 //!
 //! ```text
 //! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what

@@ -1,4 +1,4 @@
-//! What each equation lacks, window by window.
+//! Residual of each balance, window by window.
 //!
 //! With `e` the measurement less the model, restarted at the begin of the window, and `psi = (1 - s^2)^4` over it:
 //! `v = -(L <e_i'> + R <e_i> + Ke <e_w>)` is the missing voltage, `m = Kt <e_i> - J <e_w'>` the missing torque, both

@@ -1,4 +1,4 @@
-//! How far a rival stays from the truth in a planned run after it has been fitted to the old data and the new.
+//! Separation of rivals by a planned run: how far one stays from the truth after it was fitted to the old data and the new.
 //!
 //! `D(A|B) = min over dx of |d + S dx|^2 + dx'F dx`, `d = (y_A - y_B)/sigma` in the new run, `S` the Jacobian of B there,
 //! `F` its information from the old data: how firmly they hold its parameters.

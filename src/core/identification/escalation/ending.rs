@@ -1,4 +1,4 @@
-//! How an escalation ends: a motor, or a reason with its numbers.
+//! Ending of an escalation: a motor, or a reason with its numbers.
 
 use serde::Serialize;
 use thiserror::Error;

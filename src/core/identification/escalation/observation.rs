@@ -1,4 +1,4 @@
-//! What a stage shows: noise, peaks and motion in plain sight, the winding at rest, and the turning motor by the output-error
+//! Observations of a stage: noise, peaks and motion in plain sight, the winding at rest, and the turning motor by the output-error
 //! fit.
 
 use serde::Serialize;

@@ -1,4 +1,4 @@
-//! What one stage does to the motor.
+//! Stages of an escalation: the excitation of each.
 
 use serde::Serialize;
 

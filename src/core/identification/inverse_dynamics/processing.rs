@@ -1,4 +1,4 @@
-//! How the signals are prepared, and why so: even time grids in parts without gaps, the low pass, central differences.
+//! Preparation of the signals: even time grids in parts without gaps, the low pass, central differences.
 //!
 //! Where the stamps are even already the values are taken as they stand. Otherwise a natural cubic spline carries them
 //! over: it keeps the curvature that a line between two stamps would cut off, and with it the acceleration.

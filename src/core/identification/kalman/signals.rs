@@ -1,4 +1,4 @@
-//! What the filter is told: the voltage as applied, and the noise of each sensor, with whether the innovations agree with it.
+//! Inputs of the filter: the voltage as applied, and the noise of each sensor, with whether the innovations agree with it.
 
 use crate::signal;
 

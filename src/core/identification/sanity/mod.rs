@@ -1,4 +1,4 @@
-//! What is wrong with the data themselves, asked before anything is identified from them.
+//! Sanity of the data, judged before anything is identified from them.
 //!
 //! ```text
 //! Run, Scenario, Model -> Table -+-> record    single wild rows; nothing changes, or the shaft does not turn; one signal is

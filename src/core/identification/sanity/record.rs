@@ -1,4 +1,4 @@
-//! What a record says against itself, signal by signal: nothing moves, single wild values, a signal that froze, was cut off or
+//! Faults of a record, signal by signal: nothing moves, single wild values, a signal that froze, was cut off or
 //! lost its sign.
 
 use std::ops::Range;

@@ -1,4 +1,4 @@
-//! What every scheme of the catalogue has to keep, whatever its method.
+//! Contract of every scheme of the catalogue, whatever its method.
 #![cfg(test)]
 
 use super::*;

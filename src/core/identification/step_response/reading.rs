@@ -1,4 +1,4 @@
-//! What one step of voltage shows.
+//! Step response of one voltage step: its reading.
 
 use nalgebra::{DMatrix, DVector};
 

@@ -1,4 +1,4 @@
-//! What the sensors say of the simulated motion: delay, first-order filters and offsets, one after the other.
+//! Sensors of the simulated motion: delay, first-order filters and offsets, one after the other.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! Where an effect makes the current settle faster than a sub-step can follow.
+//! Stiff stretches, in which an effect makes the current settle faster than a sub-step can follow.
 //!
 //! The linear rate `R/L` is propagated exactly, whatever it is. What an effect adds to it (a drop that builds up within
 //! 0.1 A, an inductance that is gone at high current) is evaluated in the middle of a sub-step, which swings from one

@@ -1,4 +1,4 @@
-//! What a drive does beside following: its keypad, its safe torque off, a lost supply, refusals, no word on its state.
+//! States of a drive beside following: its keypad, its safe torque off, a lost supply, refusals, no word on its state.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! What a real bench has besides: random torque, a little drag and cogging, a late command, a supply that gives way.
+//! Background of a real bench: random torque, a little drag and cogging, a late command, a supply that gives way.
 
 use super::{Acts, HiddenEffect, HiddenKind, NOT_STUDIED, NotNegative, Site};
 
