@@ -190,7 +190,7 @@ fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
     }
     notes.extend(evidence.unjudged());
     if evidence.holdout_from == HoldoutFrom::Split {
-        let limit = "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation";
+        let limit = "no other run is held out: the last 40 % of the run are, which share its day and its excitation";
         notes.push(limit.to_owned());
     }
     notes
