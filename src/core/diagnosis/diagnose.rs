@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-use super::axis_map::{AxisMap, axis_map};
 use super::candidates::{Candidate, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
@@ -10,7 +9,7 @@ use super::joint::Noise;
 use super::joint::answer::{Inference, Unknown, asked};
 use super::joint::free_run::likelier;
 use super::ladder::{A_SIZE_SIGMAS, Bench, Rung, Standing, climb};
-use super::location::FailureLocation;
+use super::location::{AxisMap, FailureLocation, axis_map};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, cannot_simulate, in_noise};

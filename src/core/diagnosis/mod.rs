@@ -3,8 +3,7 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
-//!    |-> location     which equation fails, over which speeds, currents, angles, times
-//!    |-> axis_map     what the error follows, as a curve, before it has a name
+//!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
 //!    |-> ladder       named effects join the model one by one, each rung judged on the hold-out (by a free run, or by the
@@ -16,7 +15,6 @@
 //! A name is given for what all runs together make likely beside everything else, and its error is told on data that the
 //! fit has not seen.
 
-mod axis_map;
 mod candidates;
 mod compare;
 mod diagnose;
@@ -33,7 +31,6 @@ mod reached;
 mod residual;
 mod score;
 
-pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{
     Comparison, ProcessingError, SignalComparison, Signals, TorqueComparison, compare,
@@ -44,7 +41,8 @@ pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matc
 pub use joint::answer::{Onset, RunOf, Unknown};
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+    AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, axis_map,
+    locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

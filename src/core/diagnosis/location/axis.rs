@@ -92,11 +92,11 @@ pub(super) fn ranked(
     kept
 }
 
-struct Search<'a> {
-    windows: &'a Windows<'a>,
-    equation: Balance,
+pub(super) struct Search<'a> {
+    pub windows: &'a Windows<'a>,
+    pub equation: Balance,
     /// How many of the equation's own columns stand before every variable's.
-    own: usize,
+    pub own: usize,
 }
 
 /// How much of an error some columns explain.
@@ -113,12 +113,16 @@ struct Fit {
 }
 
 impl Search<'_> {
-    fn of(&self) -> impl Iterator<Item = &Window> {
+    pub(super) fn of(&self) -> impl Iterator<Item = &Window> {
         self.windows.of(self.equation)
     }
 
     /// A row of columns for each window, the equation's own first.
-    fn rows(&self, columns: usize, mut fill: impl FnMut(&Window, &mut [f64])) -> Vec<Vec<f64>> {
+    pub(super) fn rows(
+        &self,
+        columns: usize,
+        mut fill: impl FnMut(&Window, &mut [f64]),
+    ) -> Vec<Vec<f64>> {
         let row = |window: &Window| {
             let mut row = vec![0.0; self.own + columns];
             row[..self.own].copy_from_slice(&window.own(self.equation)[..self.own]);
@@ -129,7 +133,7 @@ impl Search<'_> {
     }
 
     /// The same from a value that every sample has, each `put` into the columns with its weight in the window.
-    fn averaged(
+    pub(super) fn averaged(
         &self,
         values: &[f64],
         columns: usize,
@@ -437,7 +441,8 @@ impl Search<'_> {
         fit.coefficients[self.own].hypot(fit.coefficients[self.own + 1])
     }
 
-    fn angle_at_samples(&self) -> Option<Vec<f64>> {
+    /// Angle of the shaft at every sample, beyond the ends of what is known as it went on there.
+    pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
         let points = self.windows.scenario.shaft_angle();
         if points.len() < 2 {
             return None;
@@ -570,7 +575,7 @@ impl Search<'_> {
 }
 
 /// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
-fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
+pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
     let last = knots.len() - 1;
     let after = knots.partition_point(|knot| *knot <= value);
     if after == 0 {
@@ -718,19 +723,26 @@ fn along(points: &[Point], of_size: bool) -> Option<Region> {
 const FEWEST_PERIODS: f64 = 4.0;
 /// Steps of refinement to either side of the peak, each a fraction of the resolution.
 const REFINEMENT: i32 = 12;
+/// Half width of a line's foot, in periods per run; and share of its power that the next line may have for it to stand alone.
+const LINE_WIDTH: f64 = 2.0;
+const ALONE_SHARE: f64 = 0.5;
 /// Windows below which no spectrum is taken.
 const FEWEST_WINDOWS: usize = 64;
 
 /// A line in the spectrum of what an equation lacks: a shaker, a belt, a gear that turns by itself.
-struct Line {
-    frequency_hz: f64,
+pub(super) struct Line {
+    pub frequency_hz: f64,
     /// Share of a wave's amplitude that is left when windows average it.
-    seen: f64,
+    pub seen: f64,
+    /// Frequencies among which it is the strongest.
+    pub tried: usize,
+    /// Whether no other line comes near it. An error that goes with the excitation has many, and none is its cause.
+    pub is_alone: bool,
 }
 
 impl Line {
     /// Cosine and sine at a time.
-    fn wave(&self, time_s: f64) -> [f64; 2] {
+    pub(super) fn wave(&self, time_s: f64) -> [f64; 2] {
         let (sin, cos) = (TAU * self.frequency_hz * time_s).sin_cos();
         [cos, sin]
     }
@@ -739,7 +751,7 @@ impl Line {
 impl Search<'_> {
     /// The windows stand at nearly equal distances; where one was dropped there is a zero, which spreads a line but does
     /// not move it. The highest peak of the periodogram is then refined in true time.
-    fn strongest_line(&self) -> Option<Line> {
+    pub(super) fn strongest_line(&self) -> Option<Line> {
         let stride_s = 0.5 * self.windows.length_s();
         let first = self.of().next()?;
         let (begin_s, end_s) = (first.time_s, self.of().last()?.time_s);
@@ -758,9 +770,14 @@ impl Search<'_> {
         let lowest = whole(FEWEST_PERIODS / (end_s - begin_s) / resolution_hz) + 1;
         let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
         let peak = (lowest..size / 2).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+        let width = whole(LINE_WIDTH / (end_s - begin_s) / resolution_hz);
+        let apart = (lowest..size / 2).filter(|k| k.abs_diff(peak) > width);
+        let next = apart.map(power).fold(0.0, f64::max);
         let mut line = Line {
             frequency_hz: 0.0,
             seen: 1.0,
+            tried: size / 2 - lowest,
+            is_alone: next <= ALONE_SHARE * power(peak),
         };
         let power_at = |frequency_hz: f64| {
             let (mut c, mut s) = (0.0, 0.0);

@@ -5,6 +5,7 @@
 //!                  |      a change of the motor's own values would explain of it (told, or taken out)
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
 //!                  |           the narrowest range that holds most of it; one sentence each
+//!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -14,9 +15,12 @@
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
 mod axis;
+mod curve;
 mod windows;
 
 use serde::Serialize;
+
+pub use self::curve::{AxisMap, axis_map};
 
 use self::axis::{figure, name_of, name_of_variable};
 use self::windows::{Window, Windows, own_keys};
@@ -110,6 +114,14 @@ const FEWEST_WINDOWS: usize = 40;
 /// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
 const MATERIAL_SHARE: f64 = 0.03;
 
+/// The equations that a run can be asked about: without a voltage there is no balance of it.
+const fn equations(input: Input) -> &'static [Balance] {
+    match input {
+        Input::Voltage => &[Balance::Torque, Balance::Voltage],
+        Input::Current | Input::Torque => &[Balance::Torque],
+    }
+}
+
 /// Regions and balances of both equations; empty where nothing fails.
 pub fn locate(
     model: &Model,
@@ -125,13 +137,7 @@ pub fn locate(
         ));
         return Ok(found);
     }
-    let equations = [Balance::Torque, Balance::Voltage];
-    let asked = if scenario.input == Input::Voltage {
-        2
-    } else {
-        1
-    };
-    for equation in equations.into_iter().take(asked) {
+    for &equation in equations(scenario.input) {
         let usable = windows.of(equation).count();
         if usable < FEWEST_WINDOWS {
             found.notes.push(format!(
