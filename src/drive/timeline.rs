@@ -4,11 +4,13 @@
 use std::collections::VecDeque;
 
 use firmware_protocol::registers::PROTOCOL_VERSION;
-use firmware_protocol::{Control, DeviceKind, Fault, IdentityError, State, Telemetry};
+use firmware_protocol::{
+    Control, DeviceKind, DriveCommand, Fault, IdentityError, State, Telemetry,
+};
 
 use super::link::{Identity, LinkError};
 use super::register_bus::Span;
-use crate::sample::{Applied, Channel, Demand, DriveState, Sample};
+use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 /// Microseconds until the drive's counter comes round.
 const TURN_US: f64 = 4_294_967_296.0;
@@ -189,21 +191,22 @@ impl Timeline {
 }
 
 /// The part of a sequence number that travels.
-pub const fn low_word(seq: u64) -> u16 {
+pub(super) const fn low_word(seq: u64) -> u16 {
     let [.., high, low] = seq.to_be_bytes();
     u16::from_be_bytes([high, low])
 }
 
-/// What the drive is asked, as it travels.
-pub const fn control(demand: Demand) -> Control {
-    match demand {
+/// A command as it travels.
+pub const fn command(command: Command) -> DriveCommand {
+    let control = match command.demand {
         Demand::Disable => Control::Disable,
         Demand::Stop => Control::Stop,
         Demand::ResetFault => Control::ResetFault,
         Demand::Voltage(volts) => Control::Voltage(volts),
         Demand::Current(amperes) => Control::Current(amperes),
         Demand::Speed(speed) => Control::Speed(speed),
-    }
+    };
+    DriveCommand::new(low_word(command.seq), control)
 }
 
 /// The identity as the rest of the program knows it; names come from elsewhere.

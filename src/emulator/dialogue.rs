@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use firmware_protocol::modbus::{Exception, MAX_PDU, RtuReceiver, TcpReceiver, respond, rtu, tcp};
+use firmware_protocol::modbus::{Exception, RtuReceiver, TcpReceiver, respond, rtu, tcp};
 use firmware_protocol::stream;
 
 use super::drive::answer_stream;
@@ -75,9 +75,7 @@ impl Answering for SoftDrive {
     }
 
     fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
-        let mut response = [0; MAX_PDU];
-        let length = respond(self, request, &mut response);
-        response[..length].to_vec()
+        respond(self, request).to_vec()
     }
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
@@ -142,10 +140,8 @@ impl Dialogue {
                     } else {
                         drive.modbus(pdu)
                     };
-                    let mut frame = [0; tcp::MAX_FRAME];
                     let (transaction, unit) = (request.transaction, request.unit);
-                    let length = tcp::encode_frame(transaction, unit, &response, &mut frame);
-                    answers.push(frame[..length].to_vec());
+                    answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
                 }
             }
             Self::Stream(decoder) => {
@@ -153,9 +149,7 @@ impl Dialogue {
                     && (!is_command(&received) || may_command())
                     && let Some(answer) = drive.stream(&received)
                 {
-                    let mut frame = [0; stream::MAX_FRAME];
-                    let length = stream::encode(&answer, &mut frame);
-                    answers.push(frame[..length].to_vec());
+                    answers.push(stream::encode(&answer).to_vec());
                 }
             }
         }
@@ -182,9 +176,7 @@ fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &m
     while let Some(request) = receiver.take_frame() {
         let response = drive.modbus(request.pdu());
         if !request.is_broadcast() && !response.is_empty() {
-            let mut frame = [0; rtu::MAX_FRAME];
-            let length = rtu::encode_frame(request.unit, &response, &mut frame);
-            answers.push(frame[..length].to_vec());
+            answers.push(rtu::encode_frame(request.unit, &response).to_vec());
         }
     }
 }
@@ -225,9 +217,7 @@ mod tests {
     }
 
     fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-        let mut frame = [0; rtu::MAX_FRAME];
-        let length = rtu::encode_frame(unit, pdu, &mut frame);
-        frame[..length].to_vec()
+        rtu::encode_frame(unit, pdu).to_vec()
     }
 
     #[test]
@@ -267,22 +257,17 @@ mod tests {
 
     #[test]
     fn tcp_repeats_the_transaction_and_gives_up_on_another_protocol() {
-        let mut frame = [0; tcp::MAX_FRAME];
-        let length = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2], &mut frame);
-        let answers = say(LinkKind::ModbusTcp, &frame[..length]);
+        let frame = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);
+        let answers = say(LinkKind::ModbusTcp, &frame);
         assert_eq!(answers[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
         assert!(say(LinkKind::ModbusTcp, b"GET / HTTP/1.1\r\n\r\n").is_empty());
     }
 
     #[test]
     fn the_stream_answers_a_command_with_the_sample_after_it() {
-        let command = DriveCommand {
-            seq: 700,
-            control: Control::Voltage(9.0),
-        };
-        let mut bytes = [0; stream::MAX_FRAME];
-        let length = stream::encode(&Frame::command(command), &mut bytes);
-        let answers = say(LinkKind::Stream, &bytes[..length]);
+        let command = DriveCommand::new(700, Control::Voltage(9.0));
+        let question = stream::encode(&Frame::command(command));
+        let answers = say(LinkKind::Stream, &question);
         let mut decoder = stream::Decoder::new();
         let mut frames = answers[0].iter().filter_map(|byte| decoder.push(*byte));
         let answer = frames.next().unwrap().unwrap();
@@ -307,11 +292,7 @@ mod tests {
             for (kind, request) in [
                 (LinkKind::ModbusRtu, rtu_frame(1, &[3, 0, 0, 0, 16])),
                 // An empty frame ends whatever the noise began.
-                (LinkKind::Stream, {
-                    let mut bytes = [0; stream::MAX_FRAME];
-                    let length = stream::encode(&Frame::ask(7, Message::Hello), &mut bytes);
-                    [&[0], &bytes[..length]].concat()
-                }),
+                (LinkKind::Stream, [&[0][..], &stream::encode(&Frame::ask(7, Message::Hello))].concat()),
             ] {
                 let mut dialogue = Dialogue::new(kind, UNIT);
                 let mut answers = Vec::new();

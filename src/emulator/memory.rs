@@ -8,7 +8,7 @@ use firmware_protocol::registers::{
     CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
     TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
-use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::SoftDrive;
 use super::config::LineConfig;
@@ -188,11 +188,7 @@ impl DriveLink for MemoryLink {
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
         let sent_s = self.clock.time_s();
-        let block = DriveCommand {
-            seq: timeline::low_word(command.seq),
-            control: timeline::control(command.demand),
-        }
-        .to_registers();
+        let block = timeline::command(command).to_registers();
         self.last_seq = command.seq;
         let reply: [u16; TELEMETRY_WORDS] = self.ask(
             Some((COMMAND_ADDRESS, &block)),

@@ -69,9 +69,7 @@ fn receive(host: &mut File, enough: usize) -> Vec<u8> {
 }
 
 fn rtu_frame(pdu: &[u8]) -> Vec<u8> {
-    let mut frame = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(UNIT, pdu, &mut frame);
-    frame[..length].to_vec()
+    rtu::encode_frame(UNIT, pdu).to_vec()
 }
 
 /// FC23: writes a command, reads the sixteen registers of the telemetry.
@@ -93,10 +91,7 @@ fn telemetry(frame: &[u8]) -> Telemetry {
 }
 
 fn volts(seq: u16, volts: f64) -> DriveCommand {
-    DriveCommand {
-        seq,
-        control: Control::Voltage(volts),
-    }
+    DriveCommand::new(seq, Control::Voltage(volts))
 }
 
 fn exchange(host: &mut File, command: DriveCommand) -> Telemetry {
@@ -190,10 +185,7 @@ fn a_command_written_just_before_the_close_still_counts() {
     let server = pty(LinkKind::ModbusRtu, 115_200);
     let mut host = open(&server);
     exchange(&mut host, volts(1, 24.0));
-    let stop = DriveCommand {
-        seq: 2,
-        control: Control::Stop,
-    };
+    let stop = DriveCommand::new(2, Control::Stop);
     host.write_all(&rtu_frame(&exchange_pdu(stop))).unwrap();
     drop(host);
     wait_until(|| server.sessions() >= 2);
@@ -313,11 +305,7 @@ fn the_command_changes_hands_where_its_holder_is_silent_or_gone() {
 
 #[test]
 fn the_stream_runs_over_both_transports() {
-    let question = {
-        let mut bytes = [0; stream::MAX_FRAME];
-        let length = stream::encode(&Frame::command(volts(9, 3.0)), &mut bytes);
-        bytes[..length].to_vec()
-    };
+    let question = stream::encode(&Frame::command(volts(9, 3.0)));
     let answer = |host: &mut dyn Read| {
         let mut decoder = stream::Decoder::new();
         let mut byte = [0];
