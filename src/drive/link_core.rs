@@ -62,10 +62,7 @@ impl LinkCore {
     }
 
     pub(super) fn span(&self, asked: Instant, answered: Instant) -> Span {
-        Span {
-            asked_s: self.host_s(asked),
-            answered_s: self.host_s(answered),
-        }
+        Span::new(self.host_s(asked), self.host_s(answered))
     }
 
     /// An error once the link is gone.
