@@ -5,7 +5,11 @@
 
 mod bounded;
 #[path = "../../../tests/witness/codec.rs"]
-#[allow(dead_code, reason = "each user of the witness needs its part")]
+#[allow(
+    dead_code,
+    clippy::duplicate_mod,
+    reason = "each user of the witness needs its part"
+)]
 mod codec;
 mod profiled;
 mod stranger;

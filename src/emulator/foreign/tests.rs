@@ -22,6 +22,7 @@ type Changes<'a> = &'a [(&'a str, &'a str)];
 /// A set-point of the profile and its value in the profile's unit.
 type Reference<'a> = Option<(&'a str, f64)>;
 
+#[expect(clippy::unnecessary_wraps, reason = "a drive may have none")]
 const fn speed_ref(value: f64) -> Reference<'static> {
     Some(("speed_ref", value))
 }
@@ -79,7 +80,7 @@ impl Table {
         let link = ProfiledLink::new(Arc::clone(host.registers.as_ref().unwrap()), bus);
         // No faster than the line, and often enough for a dead man's switch.
         let points = link.map().set_points.iter();
-        let refreshes = points.filter_map(|point| point.refresh_s());
+        let refreshes = points.filter_map(SetPoint::refresh_s);
         let usual_s = 1.2 * link.shortest_cycle_s().unwrap() + 0.02;
         let period_s = refreshes.fold(usual_s, f64::min);
         Self {
