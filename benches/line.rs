@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drivebench::drive::{DriveLink, DriveProfile, LineBudget, Protocol, Target, open};
-use drivebench::emulator::{EmulatorConfig, Endpoint, LinkKind, ServerHandle, spawn};
+use drivebench::emulator::{EmulatorConfig, Endpoint, ServerHandle, spawn};
 use drivebench::sample::{Command, Demand};
 
 const REPLY_MS: f64 = 0.5;
@@ -20,11 +20,11 @@ fn connected(protocol: Protocol, baud: u32) -> (ServerHandle, Box<dyn DriveLink>
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").expect("it is built in");
     config.line.baud = baud;
     config.line.turnaround_ms = REPLY_MS;
-    let (kind, name) = match protocol {
-        Protocol::Stream => (LinkKind::Stream, "own-stream"),
-        _ => (LinkKind::ModbusRtu, "own"),
+    let name = match protocol {
+        Protocol::Stream => "own-stream",
+        _ => "own",
     };
-    let server = spawn(config, 1, kind, Endpoint::temporary_pty()).expect("a pseudo-terminal");
+    let server = spawn(config, 1, protocol, Endpoint::temporary_pty()).expect("a pseudo-terminal");
     let mut profile = DriveProfile::named(name).expect("it is built in");
     profile.link.baud = baud;
     profile.link.reply_ms = REPLY_MS;

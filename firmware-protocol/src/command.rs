@@ -62,6 +62,11 @@ pub struct DriveCommand {
 }
 
 impl DriveCommand {
+    /// This, asked under this number.
+    pub const fn new(seq: u16, control: Control) -> Self {
+        Self { seq, control }
+    }
+
     /// The block as written to [`COMMAND_ADDRESS`]. A set-point that is NaN becomes a block that the drive refuses.
     pub fn to_registers(&self) -> [u16; COMMAND_WORDS] {
         let mut block = [0; COMMAND_WORDS];
@@ -141,11 +146,7 @@ impl CommandBlock {
     /// later write of the control word alone, nor an old control word with a later write of the set-point alone.
     pub fn forget(&mut self) {
         let [seq, ..] = self.words;
-        self.words = DriveCommand {
-            seq,
-            control: Control::Disable,
-        }
-        .to_registers();
+        self.words = DriveCommand::new(seq, Control::Disable).to_registers();
     }
 
     /// What the host reads back.

@@ -17,6 +17,7 @@
 #[cfg(test)]
 extern crate std;
 
+mod bytes;
 pub mod capture;
 mod codes;
 pub mod command;
@@ -27,6 +28,7 @@ pub mod stream;
 pub mod telemetry;
 mod wire;
 
+pub use bytes::Bytes;
 pub use capture::{CaptureControl, CaptureSample, CaptureState};
 pub use command::{CommandBlock, CommandError, Control, DriveCommand};
 pub use identity::{DeviceKind, Identity, IdentityError};

@@ -25,8 +25,8 @@ use crate::drive::{
     open_stream, open_tapped, probe, probe_stream,
 };
 use crate::emulator::{
-    EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, LinkKind, MemoryLink,
-    ServerHandle, SoftDrive, VirtualClock, spawn_as,
+    EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
+    SoftDrive, VirtualClock, spawn_as,
 };
 use crate::recording::Recorder;
 
@@ -156,12 +156,11 @@ pub(crate) fn serve(
     guise: Option<Guise>,
 ) -> Result<ServerHandle, Failure> {
     let local = Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)));
-    let (kind, endpoint) = match protocol {
-        drive::Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
-        drive::Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
-        drive::Protocol::ModbusTcp => (LinkKind::ModbusTcp, local),
+    let endpoint = match protocol {
+        drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),
+        drive::Protocol::ModbusTcp => local,
     };
-    spawn_as(guise, config, seed, kind, endpoint)
+    spawn_as(guise, config, seed, protocol, endpoint)
         .map_err(|error| Failure::link(error.to_string(), error.help()))
 }
 

@@ -8,10 +8,8 @@ use serde::Serialize;
 use super::failure::{Failure, LINK, USAGE};
 use super::{opening, output, signals};
 use crate::app::files::{read_text, seal, sealed_name};
-use crate::drive::DriveProfile;
-use crate::emulator::{
-    EmulatorConfig, Endpoint, Guise, LinkKind, UNIT, mystery, ready_line, serve,
-};
+use crate::drive::{DriveProfile, Protocol};
+use crate::emulator::{EmulatorConfig, Endpoint, Guise, UNIT, mystery, ready_line, serve};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
@@ -92,12 +90,12 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         .link
         .as_deref()
         .unwrap_or_else(|| profile.link.protocol.name());
-    let link: LinkKind = asked.parse().map_err(|_| {
+    let link = Protocol::named(asked).ok_or_else(|| {
         let headline = format!("link {asked:?} is not known");
         Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
     })?;
     if guise.is_some() {
-        if link == LinkKind::Stream {
+        if link == Protocol::Stream {
             let headline = opening::not_the_stream(&profile);
             return Err(Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp"));
         }
@@ -118,7 +116,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
         (None, Some(address)) => Endpoint::Tcp(address),
-        (None, None) if link == LinkKind::ModbusTcp => {
+        (None, None) if link == Protocol::ModbusTcp => {
             Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
         }
         (None, None) => Endpoint::temporary_pty(),

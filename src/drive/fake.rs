@@ -8,12 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use firmware_protocol::modbus::{Exception, RegisterBank, RtuReceiver, TcpReceiver, rtu, tcp};
+use firmware_protocol::modbus::{Exception, RegisterBank, RtuReceiver, TcpReceiver, rtu};
 use firmware_protocol::registers::{
     COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, TELEMETRY_ADDRESS,
     TELEMETRY_WORDS,
 };
-use firmware_protocol::stream::{Decoder, Frame, MAX_FRAME, Message, encode};
+use firmware_protocol::stream::{Decoder, Frame, Message, encode};
 use firmware_protocol::{Control, DeviceKind, DriveCommand, Identity, Telemetry};
 use firmware_protocol::{State, Status};
 use nix::fcntl::OFlag;
@@ -22,9 +22,7 @@ use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 
 /// An RTU frame around a PDU.
 pub(super) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-    let mut out = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(unit, pdu, &mut out);
-    out[..length].to_vec()
+    rtu::encode_frame(unit, pdu).to_vec()
 }
 
 /// The drive's end of a fresh pseudo-terminal that changes no byte and never blocks, and where its other end is.
@@ -194,16 +192,9 @@ impl Ear {
         let honest = match &mut self.receiver {
             Receiver::Rtu(receiver) => {
                 receiver.push(byte);
-                let mut out = [0; rtu::MAX_FRAME];
-                let length = receiver.take_frame()?.answer(&mut self.toy, &mut out);
-                out[..length].to_vec()
+                receiver.take_frame()?.answer(&mut self.toy).to_vec()
             }
-            Receiver::Tcp(receiver) => {
-                let mut out = [0; tcp::MAX_FRAME];
-                let frame = receiver.push(byte).unwrap()?;
-                let length = frame.answer(&mut self.toy, &mut out);
-                out[..length].to_vec()
-            }
+            Receiver::Tcp(receiver) => receiver.push(byte).unwrap()?.answer(&mut self.toy).to_vec(),
             Receiver::Stream(decoder) => {
                 let question = decoder.push(byte)?.unwrap();
                 let answer = match question.message {
@@ -230,14 +221,8 @@ impl Ear {
     reason = "a test says what it sends in place"
 )]
 pub(super) fn stream_frame(seq: u16, time_us: u32, message: Message) -> Vec<u8> {
-    let mut out = [0; MAX_FRAME];
-    let frame = Frame {
-        seq,
-        time_us,
-        message,
-    };
-    let length = encode(&frame, &mut out);
-    out[..length].to_vec()
+    let frame = Frame::answer(seq, time_us, message);
+    encode(&frame).to_vec()
 }
 
 pub(super) fn identity_block() -> [u16; IDENTITY_WORDS] {

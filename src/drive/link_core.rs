@@ -10,7 +10,7 @@ use super::guard::now;
 use super::link::LinkError;
 use super::link::Tally;
 use super::register_bus::Span;
-use super::timeline::{Timeline, control, low_word};
+use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
 use super::transaction::Bound;
 use crate::sample::{Command, Demand, DriveState, Sample};
@@ -62,10 +62,7 @@ impl LinkCore {
     }
 
     pub(super) fn span(&self, asked: Instant, answered: Instant) -> Span {
-        Span {
-            asked_s: self.host_s(asked),
-            answered_s: self.host_s(answered),
-        }
+        Span::new(self.host_s(asked), self.host_s(answered))
     }
 
     /// An error once the link is gone.
@@ -86,10 +83,7 @@ impl LinkCore {
     /// A command as it travels.
     pub(super) fn command(&mut self, command: Command) -> DriveCommand {
         self.last_seq = command.seq;
-        DriveCommand {
-            seq: low_word(command.seq),
-            control: control(command.demand),
-        }
+        timeline::command(command)
     }
 
     /// The sample that came in answer to a command.

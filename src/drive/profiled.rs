@@ -247,10 +247,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// request out and the last reply in. Several blocks are of several instants, all of which the half-width covers.
     fn stamp(&mut self, span: Option<Span>) -> (f64, Option<f64>) {
         let now_s = self.bus.now_s();
-        let span = span.unwrap_or(Span {
-            asked_s: now_s,
-            answered_s: now_s,
-        });
+        let span = span.unwrap_or(Span::new(now_s, now_s));
         let Some(clock) = &mut self.clock else {
             return (span.middle_s(), Some(span.half_width_s()));
         };

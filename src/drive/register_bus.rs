@@ -98,6 +98,13 @@ pub struct Span {
 }
 
 impl Span {
+    pub const fn new(asked_s: f64, answered_s: f64) -> Self {
+        Self {
+            asked_s,
+            answered_s,
+        }
+    }
+
     pub const fn middle_s(self) -> f64 {
         f64::midpoint(self.asked_s, self.answered_s)
     }

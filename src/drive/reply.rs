@@ -375,11 +375,7 @@ mod tests {
 
     #[test]
     fn tcp_skips_old_transactions_and_gives_up_on_another_protocol() {
-        let adu = |transaction, pdu: &[u8]| {
-            let mut out = [0; tcp::MAX_FRAME];
-            let length = tcp::encode_frame(transaction, 1, pdu, &mut out);
-            out[..length].to_vec()
-        };
+        let adu = |transaction, pdu: &[u8]| tcp::encode_frame(transaction, 1, pdu).to_vec();
         let request = adu(7, &[3, 0, 0, 0, 1]);
         let (old, reply) = (adu(6, &[3, 2, 0, 1]), adu(7, &[3, 2, 0, 2]));
         let both = [old.clone(), reply].concat();

@@ -35,6 +35,13 @@ pub enum Protocol {
 }
 
 impl Protocol {
+    pub const ALL: [Self; 3] = [Self::ModbusRtu, Self::ModbusTcp, Self::Stream];
+
+    /// The protocol of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|known| known.name() == name)
+    }
+
     pub const fn name(self) -> &'static str {
         match self {
             Self::ModbusRtu => "modbus-rtu",

@@ -176,13 +176,8 @@ impl StreamLink {
     }
 
     fn send(&mut self, question: &Frame, deadline: Instant) -> io::Result<()> {
-        let mut frame = [0; MAX_FRAME];
-        let length = encode(question, &mut frame);
-        let mut bytes = Vec::with_capacity(length + 1);
-        if self.suspect {
-            bytes.push(0);
-        }
-        bytes.extend_from_slice(&frame[..length]);
+        let delimiter: &[u8] = if self.suspect { &[0] } else { &[] };
+        let bytes = [delimiter, &encode(question)].concat();
         let mut at = 0;
         // What does not get out in time ends as a timeout of the answer.
         while at < bytes.len() && now() < deadline {

@@ -4,11 +4,13 @@
 use std::collections::VecDeque;
 
 use firmware_protocol::registers::PROTOCOL_VERSION;
-use firmware_protocol::{Control, DeviceKind, Fault, IdentityError, State, Telemetry};
+use firmware_protocol::{
+    Control, DeviceKind, DriveCommand, Fault, IdentityError, State, Telemetry,
+};
 
 use super::link::{Identity, LinkError};
 use super::register_bus::Span;
-use crate::sample::{Applied, Channel, Demand, DriveState, Sample};
+use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 /// Microseconds until the drive's counter comes round.
 const TURN_US: f64 = 4_294_967_296.0;
@@ -189,21 +191,22 @@ impl Timeline {
 }
 
 /// The part of a sequence number that travels.
-pub const fn low_word(seq: u64) -> u16 {
+pub(super) const fn low_word(seq: u64) -> u16 {
     let [.., high, low] = seq.to_be_bytes();
     u16::from_be_bytes([high, low])
 }
 
-/// What the drive is asked, as it travels.
-pub const fn control(demand: Demand) -> Control {
-    match demand {
+/// A command as it travels.
+pub const fn command(command: Command) -> DriveCommand {
+    let control = match command.demand {
         Demand::Disable => Control::Disable,
         Demand::Stop => Control::Stop,
         Demand::ResetFault => Control::ResetFault,
         Demand::Voltage(volts) => Control::Voltage(volts),
         Demand::Current(amperes) => Control::Current(amperes),
         Demand::Speed(speed) => Control::Speed(speed),
-    }
+    };
+    DriveCommand::new(low_word(command.seq), control)
 }
 
 /// The identity as the rest of the program knows it; names come from elsewhere.
@@ -247,13 +250,6 @@ mod tests {
 
     use super::*;
 
-    fn span(asked_s: f64, answered_s: f64) -> Span {
-        Span {
-            asked_s,
-            answered_s,
-        }
-    }
-
     fn telemetry(seq: u16, time_us: u32, applied_us: u32) -> Telemetry {
         Telemetry {
             seq,
@@ -267,9 +263,9 @@ mod tests {
     #[test]
     fn the_applied_time_is_on_the_axis_of_the_sample_across_a_turn_of_the_counter() {
         let mut timeline = Timeline::default();
-        timeline.note(u32::MAX - 1499, span(1.0, 1.001));
+        timeline.note(u32::MAX - 1499, Span::new(1.0, 1.001));
         let telemetry = telemetry(5, 500, u32::MAX - 499);
-        let sample = timeline.sample(&telemetry, 65_541, span(1.002, 1.003));
+        let sample = timeline.sample(&telemetry, 65_541, Span::new(1.002, 1.003));
         assert!((sample.time_s - 0.002).abs() < 1e-12);
         let applied = sample.applied.unwrap();
         assert_eq!(applied.seq, 65_541);
@@ -280,7 +276,7 @@ mod tests {
 
     #[test]
     fn a_command_that_the_drive_does_not_report_has_no_applied_time() {
-        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, span(0.0, 0.0));
+        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, Span::new(0.0, 0.0));
         assert_eq!(sample.applied, None);
     }
 
@@ -339,7 +335,7 @@ mod tests {
                 f64::from(k % 20) * 1e-3
             };
             let sampled_s = sent_s + 0.002;
-            let span = span(sent_s, sent_s + 0.004 + late_s);
+            let span = Span::new(sent_s, sent_s + 0.004 + late_s);
             map.observe(span, sampled_s * 1.000_05 - 7.0);
         }
         assert!((map.drift_ppm().unwrap() - 50.0).abs() < 2.0);

@@ -1,55 +1,14 @@
 //! One conversation on one link: bytes of the host in, answers of the drive out.
 
-use std::fmt;
-use std::str::FromStr;
-
-use firmware_protocol::modbus::{Exception, MAX_PDU, RtuReceiver, TcpReceiver, respond, rtu, tcp};
+use firmware_protocol::modbus::{Exception, RtuReceiver, TcpReceiver, respond, rtu, tcp};
 use firmware_protocol::stream;
 
 use super::drive::answer_stream;
 use super::{ForeignDrive, SoftDrive};
+use crate::drive::Protocol;
 
 /// The drive's address on a bus.
 pub const UNIT: u8 = 1;
-
-/// The protocol that the drive speaks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkKind {
-    ModbusRtu,
-    ModbusTcp,
-    Stream,
-}
-
-impl LinkKind {
-    pub const ALL: [Self; 3] = [Self::ModbusRtu, Self::ModbusTcp, Self::Stream];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::ModbusRtu => "modbus-rtu",
-            Self::ModbusTcp => "modbus-tcp",
-            Self::Stream => "stream",
-        }
-    }
-}
-
-impl fmt::Display for LinkKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for LinkKind {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|kind| kind.name() == text)
-            .ok_or_else(|| {
-                format!("link {text:?} is not known (expected modbus-rtu, modbus-tcp or stream)")
-            })
-    }
-}
 
 /// The peer speaks something else: the connection is to be closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,9 +34,7 @@ impl Answering for SoftDrive {
     }
 
     fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
-        let mut response = [0; MAX_PDU];
-        let length = respond(self, request, &mut response);
-        response[..length].to_vec()
+        respond(self, request).to_vec()
     }
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
@@ -108,11 +65,11 @@ pub(super) enum Dialogue {
 }
 
 impl Dialogue {
-    pub(super) fn new(kind: LinkKind, unit: u8) -> Self {
+    pub(super) fn new(kind: Protocol, unit: u8) -> Self {
         match kind {
-            LinkKind::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(unit))),
-            LinkKind::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
-            LinkKind::Stream => Self::Stream(Box::default()),
+            Protocol::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(unit))),
+            Protocol::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
+            Protocol::Stream => Self::Stream(Box::default()),
         }
     }
 
@@ -142,10 +99,8 @@ impl Dialogue {
                     } else {
                         drive.modbus(pdu)
                     };
-                    let mut frame = [0; tcp::MAX_FRAME];
                     let (transaction, unit) = (request.transaction, request.unit);
-                    let length = tcp::encode_frame(transaction, unit, &response, &mut frame);
-                    answers.push(frame[..length].to_vec());
+                    answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
                 }
             }
             Self::Stream(decoder) => {
@@ -153,9 +108,7 @@ impl Dialogue {
                     && (!is_command(&received) || may_command())
                     && let Some(answer) = drive.stream(&received)
                 {
-                    let mut frame = [0; stream::MAX_FRAME];
-                    let length = stream::encode(&answer, &mut frame);
-                    answers.push(frame[..length].to_vec());
+                    answers.push(stream::encode(&answer).to_vec());
                 }
             }
         }
@@ -182,9 +135,7 @@ fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &m
     while let Some(request) = receiver.take_frame() {
         let response = drive.modbus(request.pdu());
         if !request.is_broadcast() && !response.is_empty() {
-            let mut frame = [0; rtu::MAX_FRAME];
-            let length = rtu::encode_frame(request.unit, &response, &mut frame);
-            answers.push(frame[..length].to_vec());
+            answers.push(rtu::encode_frame(request.unit, &response).to_vec());
         }
     }
 }
@@ -198,7 +149,7 @@ mod tests {
     use super::*;
     use crate::emulator::EmulatorConfig;
 
-    fn say(kind: LinkKind, bytes: &[u8]) -> Vec<Vec<u8>> {
+    fn say(kind: Protocol, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
         let mut answers = Vec::new();
         // Who speaks something else is not listened to any further.
@@ -225,28 +176,26 @@ mod tests {
     }
 
     fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-        let mut frame = [0; rtu::MAX_FRAME];
-        let length = rtu::encode_frame(unit, pdu, &mut frame);
-        frame[..length].to_vec()
+        rtu::encode_frame(unit, pdu).to_vec()
     }
 
     #[test]
     fn names_of_links_are_read_back() {
-        for kind in LinkKind::ALL {
-            assert_eq!(kind.to_string().parse(), Ok(kind));
+        for kind in Protocol::ALL {
+            assert_eq!(Protocol::named(kind.name()), Some(kind));
         }
-        assert!("modbus".parse::<LinkKind>().is_err());
+        assert_eq!(Protocol::named("modbus"), None);
     }
 
     #[test]
     fn rtu_answers_its_own_unit_only_and_is_silent_on_broadcast_and_damage() {
         let read = [3, 0, 0, 0, 16];
-        assert_eq!(say(LinkKind::ModbusRtu, &rtu_frame(1, &read))[0].len(), 37);
-        assert!(say(LinkKind::ModbusRtu, &rtu_frame(2, &read)).is_empty());
-        assert!(say(LinkKind::ModbusRtu, &rtu_frame(0, &read)).is_empty());
+        assert_eq!(say(Protocol::ModbusRtu, &rtu_frame(1, &read))[0].len(), 37);
+        assert!(say(Protocol::ModbusRtu, &rtu_frame(2, &read)).is_empty());
+        assert!(say(Protocol::ModbusRtu, &rtu_frame(0, &read)).is_empty());
         let mut damaged = rtu_frame(1, &read);
         damaged[3] ^= 1;
-        assert!(say(LinkKind::ModbusRtu, &damaged).is_empty());
+        assert!(say(Protocol::ModbusRtu, &damaged).is_empty());
     }
 
     #[test]
@@ -260,29 +209,24 @@ mod tests {
             (&[6, 0, 33, 0, 9], [0x86, 3]),
         ];
         for (request, expected) in cases {
-            let answers = say(LinkKind::ModbusRtu, &rtu_frame(1, request));
+            let answers = say(Protocol::ModbusRtu, &rtu_frame(1, request));
             assert_eq!(answers, [rtu_frame(1, &expected)], "{request:?}");
         }
     }
 
     #[test]
     fn tcp_repeats_the_transaction_and_gives_up_on_another_protocol() {
-        let mut frame = [0; tcp::MAX_FRAME];
-        let length = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2], &mut frame);
-        let answers = say(LinkKind::ModbusTcp, &frame[..length]);
+        let frame = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);
+        let answers = say(Protocol::ModbusTcp, &frame);
         assert_eq!(answers[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
-        assert!(say(LinkKind::ModbusTcp, b"GET / HTTP/1.1\r\n\r\n").is_empty());
+        assert!(say(Protocol::ModbusTcp, b"GET / HTTP/1.1\r\n\r\n").is_empty());
     }
 
     #[test]
     fn the_stream_answers_a_command_with_the_sample_after_it() {
-        let command = DriveCommand {
-            seq: 700,
-            control: Control::Voltage(9.0),
-        };
-        let mut bytes = [0; stream::MAX_FRAME];
-        let length = stream::encode(&Frame::command(command), &mut bytes);
-        let answers = say(LinkKind::Stream, &bytes[..length]);
+        let command = DriveCommand::new(700, Control::Voltage(9.0));
+        let question = stream::encode(&Frame::command(command));
+        let answers = say(Protocol::Stream, &question);
         let mut decoder = stream::Decoder::new();
         let mut frames = answers[0].iter().filter_map(|byte| decoder.push(*byte));
         let answer = frames.next().unwrap().unwrap();
@@ -304,14 +248,11 @@ mod tests {
         #[test]
         fn noise_never_makes_the_drive_deaf(noise in prop::collection::vec(any::<u8>(), 0..400)) {
             let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+            let hello = stream::encode(&Frame::ask(7, Message::Hello));
             for (kind, request) in [
-                (LinkKind::ModbusRtu, rtu_frame(1, &[3, 0, 0, 0, 16])),
+                (Protocol::ModbusRtu, rtu_frame(1, &[3, 0, 0, 0, 16])),
                 // An empty frame ends whatever the noise began.
-                (LinkKind::Stream, {
-                    let mut bytes = [0; stream::MAX_FRAME];
-                    let length = stream::encode(&Frame::ask(7, Message::Hello), &mut bytes);
-                    [&[0], &bytes[..length]].concat()
-                }),
+                (Protocol::Stream, [&[0][..], &hello].concat()),
             ] {
                 let mut dialogue = Dialogue::new(kind, UNIT);
                 let mut answers = Vec::new();
@@ -321,7 +262,7 @@ mod tests {
                 prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
             }
             // A wrong header ends the connection; anything else is served.
-            let mut dialogue = Dialogue::new(LinkKind::ModbusTcp, UNIT);
+            let mut dialogue = Dialogue::new(Protocol::ModbusTcp, UNIT);
             let _ = listen(&mut dialogue, &noise, &mut drive, &mut Vec::new());
         }
     }

@@ -8,7 +8,7 @@ use firmware_protocol::registers::{
     CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
     TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
-use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::SoftDrive;
 use super::config::LineConfig;
@@ -188,11 +188,7 @@ impl DriveLink for MemoryLink {
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
         let sent_s = self.clock.time_s();
-        let block = DriveCommand {
-            seq: timeline::low_word(command.seq),
-            control: timeline::control(command.demand),
-        }
-        .to_registers();
+        let block = timeline::command(command).to_registers();
         self.last_seq = command.seq;
         let reply: [u16; TELEMETRY_WORDS] = self.ask(
             Some((COMMAND_ADDRESS, &block)),
@@ -201,10 +197,7 @@ impl DriveLink for MemoryLink {
         )?;
         let telemetry = Telemetry::from_registers(&reply);
         let received_s = sent_s + self.latency.request_s + self.latency.reply_s;
-        let span = Span {
-            asked_s: sent_s,
-            answered_s: received_s,
-        };
+        let span = Span::new(sent_s, received_s);
         Ok(self.timeline.sample(&telemetry, command.seq, span))
     }
 
@@ -257,11 +250,7 @@ impl Burst for MemoryLink {
         let block = self.ask(None, TELEMETRY_ADDRESS, "read the telemetry")?;
         let time_us = Telemetry::from_registers(&block).time_us;
         let now_s = self.clock.time_s();
-        let span = Span {
-            asked_s: now_s,
-            answered_s: now_s,
-        };
-        let time_s = self.timeline.note(time_us, span);
+        let time_s = self.timeline.note(time_us, Span::new(now_s, now_s));
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
         let first_s = time_s - f64::from(age_us) * 1e-6;
         let period_s = self.capture_period_s;

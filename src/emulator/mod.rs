@@ -27,7 +27,7 @@ pub use config::{
     BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
     OutputOff,
 };
-pub use dialogue::{LinkKind, UNIT};
+pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
 pub use memory::{Latency, MemoryLink, VirtualClock};

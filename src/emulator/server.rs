@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use super::config::LineConfig;
-use super::dialogue::{Answering, Dialogue, LinkKind, UNIT};
+use super::dialogue::{Answering, Dialogue, UNIT};
 use super::pace::Pace;
 #[cfg(target_os = "linux")]
 use super::pty::{Claim, PtyPort};
@@ -22,6 +22,7 @@ use super::session::Port;
 use super::session::{Commander, Counters, FarEnd, Session, Turn};
 use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
+use crate::drive::Protocol;
 
 /// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
 const LAST_ANSWER_S: f64 = 0.05;
@@ -68,7 +69,7 @@ pub enum ServerError {
     },
     #[error("link {link} does not run over {over} (expected {allowed})")]
     Transport {
-        link: LinkKind,
+        link: Protocol,
         over: &'static str,
         allowed: &'static str,
     },
@@ -109,7 +110,7 @@ impl ServerError {
 
 /// The line that `emulate` prints when the drive can be opened.
 pub fn ready_line(
-    link: LinkKind,
+    link: Protocol,
     address: &str,
     config: &EmulatorConfig,
     guise: Option<&Guise>,
@@ -184,7 +185,7 @@ impl Drop for ServerHandle {
 pub fn spawn(
     config: EmulatorConfig,
     seed: u64,
-    link: LinkKind,
+    link: Protocol,
     endpoint: Endpoint,
 ) -> Result<ServerHandle, ServerError> {
     spawn_as(None, config, seed, link, endpoint)
@@ -195,7 +196,7 @@ pub fn spawn_as(
     guise: Option<Guise>,
     config: EmulatorConfig,
     seed: u64,
-    link: LinkKind,
+    link: Protocol,
     endpoint: Endpoint,
 ) -> Result<ServerHandle, ServerError> {
     let (stop, counters) = (
@@ -234,7 +235,7 @@ pub fn serve(
     guise: Option<&Guise>,
     config: &EmulatorConfig,
     seed: u64,
-    link: LinkKind,
+    link: Protocol,
     endpoint: &Endpoint,
     stop: &AtomicBool,
     ready: impl FnOnce(&str),
@@ -245,7 +246,7 @@ pub fn serve(
 struct Server<'a> {
     line: &'a LineConfig,
     unit: u8,
-    link: LinkKind,
+    link: Protocol,
     drive: Box<dyn Answering>,
     start: Instant,
     stop: &'a AtomicBool,
@@ -257,7 +258,7 @@ impl<'a> Server<'a> {
         guise: Option<&'a Guise>,
         config: &'a EmulatorConfig,
         seed: u64,
-        link: LinkKind,
+        link: Protocol,
         stop: &'a AtomicBool,
         counters: &'a Counters,
     ) -> Self {
@@ -281,12 +282,12 @@ impl<'a> Server<'a> {
         #[cfg(target_os = "linux")]
         let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
         match (endpoint, self.link) {
-            (Endpoint::Pty(_), LinkKind::ModbusTcp) => Err(ServerError::Transport {
+            (Endpoint::Pty(_), Protocol::ModbusTcp) => Err(ServerError::Transport {
                 link: self.link,
                 over: "a pseudo-terminal",
                 allowed: "modbus-rtu or stream",
             }),
-            (Endpoint::Tcp(_), LinkKind::ModbusRtu) => Err(ServerError::Transport {
+            (Endpoint::Tcp(_), Protocol::ModbusRtu) => Err(ServerError::Transport {
                 link: self.link,
                 over: "TCP",
                 allowed: "modbus-tcp or stream",
@@ -314,7 +315,7 @@ impl<'a> Server<'a> {
         let mut port = PtyPort::open()?;
         port.publish(stable)?;
         ready(&stable.to_string_lossy());
-        let with_gaps = self.link == LinkKind::ModbusRtu;
+        let with_gaps = self.link == Protocol::ModbusRtu;
         let pace = Pace::serial(self.line, with_gaps);
         while !self.stopped() {
             let last_answer_s = self.session(&mut port, pace.clone());

@@ -25,11 +25,11 @@ fn config(baud: u32) -> EmulatorConfig {
     config
 }
 
-fn pty(link: LinkKind, baud: u32) -> ServerHandle {
+fn pty(link: Protocol, baud: u32) -> ServerHandle {
     spawn(config(baud), 1, link, Endpoint::temporary_pty()).unwrap()
 }
 
-fn network(link: LinkKind) -> ServerHandle {
+fn network(link: Protocol) -> ServerHandle {
     let address = "127.0.0.1:0".parse().unwrap();
     spawn(config(0), 1, link, Endpoint::Tcp(address)).unwrap()
 }
@@ -69,9 +69,7 @@ fn receive(host: &mut File, enough: usize) -> Vec<u8> {
 }
 
 fn rtu_frame(pdu: &[u8]) -> Vec<u8> {
-    let mut frame = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(UNIT, pdu, &mut frame);
-    frame[..length].to_vec()
+    rtu::encode_frame(UNIT, pdu).to_vec()
 }
 
 /// FC23: writes a command, reads the sixteen registers of the telemetry.
@@ -93,10 +91,7 @@ fn telemetry(frame: &[u8]) -> Telemetry {
 }
 
 fn volts(seq: u16, volts: f64) -> DriveCommand {
-    DriveCommand {
-        seq,
-        control: Control::Voltage(volts),
-    }
+    DriveCommand::new(seq, Control::Voltage(volts))
 }
 
 fn exchange(host: &mut File, command: DriveCommand) -> Telemetry {
@@ -106,7 +101,7 @@ fn exchange(host: &mut File, command: DriveCommand) -> Telemetry {
 
 #[test]
 fn the_ready_line_is_the_contract() {
-    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let server = pty(Protocol::ModbusRtu, 115_200);
     let expected = format!(
         "ready modbus-rtu {} unit=1 baud=115200 profile=own",
         server.address()
@@ -119,7 +114,7 @@ fn the_ready_line_is_the_contract() {
 
 #[test]
 fn an_exchange_on_a_line_takes_at_least_its_wire_time() {
-    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let server = pty(Protocol::ModbusRtu, 115_200);
     let mut host = open(&server);
     // 21 + 37 characters of ten bits, the gap before the answer and the turnaround.
     let wire_s = 58.0 * 10.0 / 115_200.0 + 0.001_75 + 0.000_5;
@@ -142,7 +137,7 @@ fn an_exchange_on_a_line_takes_at_least_its_wire_time() {
 
 #[test]
 fn a_second_session_works_and_gets_no_stale_bytes() {
-    let server = pty(LinkKind::ModbusRtu, 0);
+    let server = pty(Protocol::ModbusRtu, 0);
     let mut first = open(&server);
     exchange(&mut first, volts(1, 6.0));
     // A request whose answer nobody reads.
@@ -172,7 +167,7 @@ fn receive_now(host: &mut File) -> usize {
 fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
     let mut config = config(0);
     config.watchdog_ms = 200;
-    let server = spawn(config, 1, LinkKind::ModbusRtu, Endpoint::temporary_pty()).unwrap();
+    let server = spawn(config, 1, Protocol::ModbusRtu, Endpoint::temporary_pty()).unwrap();
     let mut host = open(&server);
     let status = exchange(&mut host, volts(1, 24.0)).status;
     assert_eq!(status.state(), Some(State::Running));
@@ -187,13 +182,10 @@ fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
 
 #[test]
 fn a_command_written_just_before_the_close_still_counts() {
-    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let server = pty(Protocol::ModbusRtu, 115_200);
     let mut host = open(&server);
     exchange(&mut host, volts(1, 24.0));
-    let stop = DriveCommand {
-        seq: 2,
-        control: Control::Stop,
-    };
+    let stop = DriveCommand::new(2, Control::Stop);
     host.write_all(&rtu_frame(&exchange_pdu(stop))).unwrap();
     drop(host);
     wait_until(|| server.sessions() >= 2);
@@ -206,7 +198,7 @@ fn a_command_written_just_before_the_close_still_counts() {
 
 #[test]
 fn noise_costs_one_request_at_most() {
-    let server = pty(LinkKind::ModbusRtu, 0);
+    let server = pty(Protocol::ModbusRtu, 0);
     let mut host = open(&server);
     host.write_all(&[0x01, 0x03, 0xFF, 0x00, 0x55]).unwrap();
     host.write_all(&rtu_frame(&[3, 0, 0, 0, 16])).unwrap();
@@ -220,7 +212,7 @@ fn noise_costs_one_request_at_most() {
 
 #[test]
 fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
-    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let server = pty(Protocol::ModbusRtu, 115_200);
     let runtime = runtime();
     runtime.block_on(async {
         let port = tokio_serial::SerialStream::open(&tokio_serial::new(server.address(), 115_200))
@@ -254,7 +246,7 @@ async fn connected(server: &ServerHandle) -> tokio_modbus::client::Context {
 
 #[test]
 fn tokio_modbus_reads_over_tcp_one_host_after_the_other() {
-    let server = network(LinkKind::ModbusTcp);
+    let server = network(Protocol::ModbusTcp);
     assert!(!server.address().ends_with(":0"));
     let runtime = runtime();
     for seq in [5, 6] {
@@ -271,7 +263,7 @@ fn tokio_modbus_reads_over_tcp_one_host_after_the_other() {
 
 #[test]
 fn a_host_that_says_nothing_starves_nobody_and_one_of_several_is_in_command() {
-    let server = network(LinkKind::ModbusTcp);
+    let server = network(Protocol::ModbusTcp);
     let _mute: Vec<_> = (0..3)
         .map(|_| TcpStream::connect(server.address()).unwrap())
         .collect();
@@ -313,11 +305,7 @@ fn the_command_changes_hands_where_its_holder_is_silent_or_gone() {
 
 #[test]
 fn the_stream_runs_over_both_transports() {
-    let question = {
-        let mut bytes = [0; stream::MAX_FRAME];
-        let length = stream::encode(&Frame::command(volts(9, 3.0)), &mut bytes);
-        bytes[..length].to_vec()
-    };
+    let question = stream::encode(&Frame::command(volts(9, 3.0)));
     let answer = |host: &mut dyn Read| {
         let mut decoder = stream::Decoder::new();
         let mut byte = [0];
@@ -328,11 +316,11 @@ fn the_stream_runs_over_both_transports() {
             }
         }
     };
-    let serial = pty(LinkKind::Stream, 921_600);
+    let serial = pty(Protocol::Stream, 921_600);
     let mut host = open(&serial);
     host.write_all(&question).unwrap();
     let over_serial = answer(&mut host);
-    let network = network(LinkKind::Stream);
+    let network = network(Protocol::Stream);
     let mut host = TcpStream::connect(network.address()).unwrap();
     host.write_all(&question).unwrap();
     for frame in [over_serial, answer(&mut host)] {
@@ -347,11 +335,11 @@ fn what_cannot_be_served_is_refused_with_the_reason() {
     let (anywhere, nowhere) = (Endpoint::temporary_pty(), Endpoint::Pty(NOWHERE.into()));
     for (link, endpoint, part) in [
         (
-            LinkKind::ModbusTcp,
+            Protocol::ModbusTcp,
             anywhere,
             "modbus-tcp does not run over",
         ),
-        (LinkKind::ModbusRtu, nowhere, NOWHERE),
+        (Protocol::ModbusRtu, nowhere, NOWHERE),
     ] {
         let error = spawn(config(0), 1, link, endpoint).err().unwrap();
         assert!(error.to_string().contains(part), "{error}");

@@ -4,8 +4,7 @@ use std::time::Instant;
 
 use drivebench::drive::{DriveLink, DriveProfile, Protocol, Target, open};
 use drivebench::emulator::{
-    EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
-    spawn,
+    EmulatorConfig, Endpoint, Latency, MemoryLink, ServerHandle, SoftDrive, VirtualClock, spawn,
 };
 use drivebench::sample::{Channel, Command, Demand, DriveState};
 
@@ -24,17 +23,13 @@ fn config(baud: u32) -> EmulatorConfig {
     config
 }
 
-fn served(kind: LinkKind, endpoint: Endpoint, baud: u32) -> (ServerHandle, Box<dyn DriveLink>) {
+fn served(kind: Protocol, endpoint: Endpoint, baud: u32) -> (ServerHandle, Box<dyn DriveLink>) {
     let over_tcp = matches!(endpoint, Endpoint::Tcp(_));
     let server = spawn(config(baud), 7, kind, endpoint).unwrap();
     let scheme = if over_tcp { "tcp:" } else { "" };
     let target: Target = format!("{scheme}{}", server.address()).parse().unwrap();
     let mut profile = DriveProfile::named("own").unwrap();
-    profile.link.protocol = match kind {
-        LinkKind::ModbusRtu => Protocol::ModbusRtu,
-        LinkKind::ModbusTcp => Protocol::ModbusTcp,
-        LinkKind::Stream => Protocol::Stream,
-    };
+    profile.link.protocol = kind;
     profile.link.deadline_ms = Some(3000.0);
     profile.link.gap_us = (baud == 0).then_some(0.0);
     let link = open(&target, &profile, now()).unwrap();
@@ -104,30 +99,30 @@ fn in_memory() {
 
 #[test]
 fn modbus_rtu_over_a_pseudo_terminal() {
-    let (_server, mut link) = served(LinkKind::ModbusRtu, Endpoint::temporary_pty(), 0);
+    let (_server, mut link) = served(Protocol::ModbusRtu, Endpoint::temporary_pty(), 0);
     contract(&mut *link, || ());
 }
 
 #[test]
 fn modbus_rtu_at_the_pace_of_a_line() {
-    let (_server, mut link) = served(LinkKind::ModbusRtu, Endpoint::temporary_pty(), 115_200);
+    let (_server, mut link) = served(Protocol::ModbusRtu, Endpoint::temporary_pty(), 115_200);
     contract(&mut *link, || ());
 }
 
 #[test]
 fn stream_over_a_pseudo_terminal() {
-    let (_server, mut link) = served(LinkKind::Stream, Endpoint::temporary_pty(), 0);
+    let (_server, mut link) = served(Protocol::Stream, Endpoint::temporary_pty(), 0);
     contract(&mut *link, || ());
 }
 
 #[test]
 fn modbus_over_tcp() {
-    let (_server, mut link) = served(LinkKind::ModbusTcp, any_port(), 0);
+    let (_server, mut link) = served(Protocol::ModbusTcp, any_port(), 0);
     contract(&mut *link, || ());
 }
 
 #[test]
 fn stream_over_tcp() {
-    let (_server, mut link) = served(LinkKind::Stream, any_port(), 0);
+    let (_server, mut link) = served(Protocol::Stream, any_port(), 0);
     contract(&mut *link, || ());
 }

@@ -1,5 +1,6 @@
 //! The slave's side of the application protocol (MODBUS Application Protocol Specification V1.1b3, sections 6 and 7).
 
+use crate::bytes::Bytes;
 use crate::codes::coded;
 
 /// Longest PDU, bytes.
@@ -71,35 +72,29 @@ pub trait RegisterBank {
     fn identification(&self, object: u8) -> Option<&str>;
 }
 
-/// Answers one request; returns the bytes of the response, 0 only for an empty request.
-pub fn respond(
-    bank: &mut impl RegisterBank,
-    request_pdu: &[u8],
-    response: &mut [u8; MAX_PDU],
-) -> usize {
+/// Answers one request; no bytes only for an empty one.
+pub fn respond(bank: &mut impl RegisterBank, request_pdu: &[u8]) -> Bytes<MAX_PDU> {
     let Some((&function, data)) = request_pdu.split_first() else {
-        return 0;
+        return Bytes::EMPTY;
     };
-    response[0] = function;
+    let mut response = Bytes::of(&[function]);
     let answer = match function {
-        READ_HOLDING | READ_INPUT => read(bank, data, response),
-        WRITE_SINGLE => write_single(bank, data, response),
-        DIAGNOSTICS => echo(data, response),
-        WRITE_MULTIPLE => write_multiple(bank, data, response),
-        READ_WRITE => read_write(bank, data, response),
-        ENCAPSULATED => identify(bank, data, response),
+        READ_HOLDING | READ_INPUT => read(bank, data, &mut response),
+        WRITE_SINGLE => write_single(bank, data, &mut response),
+        DIAGNOSTICS => echo(data, &mut response),
+        WRITE_MULTIPLE => write_multiple(bank, data, &mut response),
+        READ_WRITE => read_write(bank, data, &mut response),
+        ENCAPSULATED => identify(bank, data, &mut response),
         _ => Err(Exception::IllegalFunction),
     };
-    answer.unwrap_or_else(|exception| {
-        response[0] = function | 0x80;
-        response[1] = exception.code();
-        2
-    })
+    let refusal = |exception: Exception| Bytes::of(&[function | 0x80, exception.code()]);
+    answer.map_or_else(refusal, |()| response)
 }
 
-type Answer = Result<usize, Exception>;
+/// What follows the function code has been put into the response.
+type Answer = Result<(), Exception>;
 
-fn read(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+fn read(bank: &mut impl RegisterBank, data: &[u8], response: &mut Bytes<MAX_PDU>) -> Answer {
     let [a1, a0, q1, q0] = *data else {
         return Err(Exception::IllegalValue);
     };
@@ -111,7 +106,7 @@ fn read_registers(
     bank: &mut impl RegisterBank,
     address: u16,
     quantity: usize,
-    response: &mut [u8; MAX_PDU],
+    response: &mut Bytes<MAX_PDU>,
 ) -> Answer {
     if !(1..=MAX_READ).contains(&quantity) {
         return Err(Exception::IllegalValue);
@@ -120,25 +115,28 @@ fn read_registers(
     let mut registers = [0_u16; MAX_READ];
     let registers = &mut registers[..quantity];
     bank.read(address, registers)?;
-    let bytes = response[2..].as_chunks_mut::<2>().0;
-    for (slot, register) in bytes.iter_mut().zip(registers) {
-        *slot = register.to_be_bytes();
+    response.extend(&[byte(2 * quantity)]);
+    for register in registers {
+        response.extend(&register.to_be_bytes());
     }
-    response[1] = byte(2 * quantity);
-    Ok(2 + 2 * quantity)
+    Ok(())
 }
 
-fn write_single(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+fn write_single(
+    bank: &mut impl RegisterBank,
+    data: &[u8],
+    response: &mut Bytes<MAX_PDU>,
+) -> Answer {
     let [a1, a0, v1, v0] = *data else {
         return Err(Exception::IllegalValue);
     };
     bank.write(word(a1, a0), &[word(v1, v0)])?;
-    response[1..5].copy_from_slice(data);
-    Ok(5)
+    response.extend(data);
+    Ok(())
 }
 
 /// Sub-function 0, return query data.
-fn echo(data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+fn echo(data: &[u8], response: &mut Bytes<MAX_PDU>) -> Answer {
     let [s1, s0, query @ ..] = data else {
         return Err(Exception::IllegalValue);
     };
@@ -148,14 +146,14 @@ fn echo(data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
     if query.is_empty() || data.len() >= MAX_PDU {
         return Err(Exception::IllegalValue);
     }
-    response[1..=data.len()].copy_from_slice(data);
-    Ok(1 + data.len())
+    response.extend(data);
+    Ok(())
 }
 
 fn write_multiple(
     bank: &mut impl RegisterBank,
     data: &[u8],
-    response: &mut [u8; MAX_PDU],
+    response: &mut Bytes<MAX_PDU>,
 ) -> Answer {
     let [a1, a0, q1, q0, count, values @ ..] = data else {
         return Err(Exception::IllegalValue);
@@ -163,8 +161,8 @@ fn write_multiple(
     let (address, quantity) = (word(*a1, *a0), usize::from(word(*q1, *q0)));
     let registers = parse_write(address, quantity, MAX_WRITE, *count, values)?;
     bank.write(address, &registers[..quantity])?;
-    response[1..5].copy_from_slice(&data[..4]);
-    Ok(5)
+    response.extend(&data[..4]);
+    Ok(())
 }
 
 /// The values of a write whose quantity, byte count and address range are right.
@@ -188,7 +186,7 @@ fn parse_write(
 }
 
 /// The write comes before the read. Both ranges are judged before anything is written.
-fn read_write(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+fn read_write(bank: &mut impl RegisterBank, data: &[u8], response: &mut Bytes<MAX_PDU>) -> Answer {
     let [ra1, ra0, rq1, rq0, wa1, wa0, wq1, wq0, count, values @ ..] = data else {
         return Err(Exception::IllegalValue);
     };
@@ -207,7 +205,7 @@ fn read_write(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX
 }
 
 /// Device identification (section 6.21): basic and regular as a stream, or one object.
-fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut Bytes<MAX_PDU>) -> Answer {
     let [kind, rest @ ..] = data else {
         return Err(Exception::IllegalValue);
     };
@@ -228,8 +226,8 @@ fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU])
     // A stream that asks for an object that does not exist begins again at object 0.
     let known = first <= last && bank.identification(first).is_some();
     let first = if known { first } else { 0 };
-    response[1..4].copy_from_slice(&[DEVICE_IDENTIFICATION, code, CONFORMITY]);
-    let (mut at, mut number, mut next) = (7, 0, 0);
+    // Whether more follows, where it begins, and how many there are: known behind the last of them.
+    response.extend(&[DEVICE_IDENTIFICATION, code, CONFORMITY, 0, 0, 0]);
     for object in first..=last {
         let Some(text) = bank.identification(object) else {
             continue;
@@ -237,20 +235,15 @@ fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU])
         // An object longer than a whole response is cut.
         let text = text.as_bytes();
         let text = &text[..text.len().min(MAX_PDU - 9)];
-        if at + 2 + text.len() > MAX_PDU {
-            next = object;
+        if response.len() + 2 + text.len() > MAX_PDU {
+            (response[4], response[5]) = (0xFF, object);
             break;
         }
-        response[at] = object;
-        response[at + 1] = byte(text.len());
-        response[at + 2..at + 2 + text.len()].copy_from_slice(text);
-        at += 2 + text.len();
-        number += 1;
+        response.extend(&[object, byte(text.len())]);
+        response.extend(text);
+        response[6] += 1;
     }
-    response[4] = if next == 0 { 0 } else { 0xFF };
-    response[5] = next;
-    response[6] = number;
-    Ok(at)
+    Ok(())
 }
 
 const fn word(high: u8, low: u8) -> u16 {

@@ -6,6 +6,7 @@ use crc::{CRC_16_MODBUS, Crc};
 
 use super::length::{Length, request_len, response_len};
 use super::pdu::{MAX_PDU, RegisterBank, respond};
+use crate::bytes::Bytes;
 
 /// Longest frame, bytes.
 pub const MAX_FRAME: usize = MAX_PDU + 3;
@@ -19,15 +20,12 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     CRC.checksum(bytes)
 }
 
-/// Frames a PDU; returns the bytes of the frame. A PDU longer than [`MAX_PDU`] is cut.
-pub fn encode_frame(unit: u8, pdu: &[u8], frame: &mut [u8; MAX_FRAME]) -> usize {
-    let pdu = &pdu[..pdu.len().min(MAX_PDU)];
-    let end = 1 + pdu.len();
-    frame[0] = unit;
-    frame[1..end].copy_from_slice(pdu);
-    let crc = crc16(&frame[..end]);
-    frame[end..end + 2].copy_from_slice(&crc.to_le_bytes());
-    end + 2
+/// Frames a PDU. One that is longer than [`MAX_PDU`] is cut.
+pub fn encode_frame(unit: u8, pdu: &[u8]) -> Bytes<MAX_FRAME> {
+    let mut frame = Bytes::of(&[unit]);
+    frame.extend(&pdu[..pdu.len().min(MAX_PDU)]);
+    frame.extend(&crc16(&frame).to_le_bytes());
+    frame
 }
 
 /// A request whose checksum is right.
@@ -35,14 +33,13 @@ pub fn encode_frame(unit: u8, pdu: &[u8], frame: &mut [u8; MAX_FRAME]) -> usize 
 pub struct RtuFrame {
     /// The unit that is meant.
     pub unit: u8,
-    length: usize,
-    pdu: [u8; MAX_PDU],
+    pdu: Bytes<MAX_PDU>,
 }
 
 impl RtuFrame {
     /// The request.
     pub fn pdu(&self) -> &[u8] {
-        &self.pdu[..self.length]
+        &self.pdu
     }
 
     /// Whether all slaves are meant.
@@ -50,14 +47,13 @@ impl RtuFrame {
         self.unit == BROADCAST
     }
 
-    /// Executes the request and frames the answer; 0 bytes for a broadcast, which is silent.
-    pub fn answer(&self, bank: &mut impl RegisterBank, frame: &mut [u8; MAX_FRAME]) -> usize {
-        let mut response = [0; MAX_PDU];
-        let length = respond(bank, self.pdu(), &mut response);
-        if self.is_broadcast() || length == 0 {
-            return 0;
+    /// Executes the request and frames the answer; no bytes for a broadcast, which is silent.
+    pub fn answer(&self, bank: &mut impl RegisterBank) -> Bytes<MAX_FRAME> {
+        let response = respond(bank, self.pdu());
+        if self.is_broadcast() || response.is_empty() {
+            return Bytes::EMPTY;
         }
-        encode_frame(self.unit, &response[..length], frame)
+        encode_frame(self.unit, &response)
     }
 }
 
@@ -146,15 +142,10 @@ impl RtuReceiver {
                     self.statistics.foreign += 1;
                 }
                 Judgement::Frame(length) => {
-                    let mut frame = RtuFrame {
-                        unit: bytes[0],
-                        length: length - 3,
-                        pdu: [0; MAX_PDU],
-                    };
-                    frame.pdu[..length - 3].copy_from_slice(&bytes[1..length - 2]);
+                    let (unit, pdu) = (bytes[0], Bytes::of(&bytes[1..length - 2]));
                     self.start += length;
                     self.statistics.frames += 1;
-                    return Some(frame);
+                    return Some(RtuFrame { unit, pdu });
                 }
             }
         }

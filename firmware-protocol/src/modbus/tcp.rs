@@ -1,6 +1,7 @@
 //! TCP framing (MODBUS Messaging on TCP/IP V1.0b): transaction, protocol 0, length, unit, PDU.
 
 use super::pdu::{MAX_PDU, RegisterBank, respond};
+use crate::bytes::Bytes;
 
 /// Bytes before the PDU.
 pub const HEADER: usize = 7;
@@ -14,34 +15,29 @@ pub struct TcpFrame {
     pub transaction: u16,
     /// The unit that is meant.
     pub unit: u8,
-    length: usize,
-    pdu: [u8; MAX_PDU],
+    pdu: Bytes<MAX_PDU>,
 }
 
 impl TcpFrame {
     /// The request.
     pub fn pdu(&self) -> &[u8] {
-        &self.pdu[..self.length]
+        &self.pdu
     }
 
     /// Executes the request and frames the answer.
-    pub fn answer(&self, bank: &mut impl RegisterBank, frame: &mut [u8; MAX_FRAME]) -> usize {
-        let mut response = [0; MAX_PDU];
-        let length = respond(bank, self.pdu(), &mut response);
-        encode_frame(self.transaction, self.unit, &response[..length], frame)
+    pub fn answer(&self, bank: &mut impl RegisterBank) -> Bytes<MAX_FRAME> {
+        encode_frame(self.transaction, self.unit, &respond(bank, self.pdu()))
     }
 }
 
-/// Frames a PDU; returns the bytes of the frame. A PDU longer than [`MAX_PDU`] is cut.
-pub fn encode_frame(transaction: u16, unit: u8, pdu: &[u8], frame: &mut [u8; MAX_FRAME]) -> usize {
+/// Frames a PDU. One that is longer than [`MAX_PDU`] is cut.
+pub fn encode_frame(transaction: u16, unit: u8, pdu: &[u8]) -> Bytes<MAX_FRAME> {
     let pdu = &pdu[..pdu.len().min(MAX_PDU)];
     let length = u16::try_from(1 + pdu.len()).unwrap_or(u16::MAX);
-    frame[..2].copy_from_slice(&transaction.to_be_bytes());
-    frame[2..4].copy_from_slice(&[0, 0]);
-    frame[4..6].copy_from_slice(&length.to_be_bytes());
-    frame[6] = unit;
-    frame[HEADER..HEADER + pdu.len()].copy_from_slice(pdu);
-    HEADER + pdu.len()
+    let ([t1, t0], [l1, l0]) = (transaction.to_be_bytes(), length.to_be_bytes());
+    let mut frame = Bytes::of(&[t1, t0, 0, 0, l1, l0, unit]);
+    frame.extend(pdu);
+    frame
 }
 
 /// The peer does not speak Modbus TCP; nothing after it can be framed, so the connection is to be closed.
@@ -111,8 +107,7 @@ impl TcpReceiver {
         Ok(Some(TcpFrame {
             transaction: u16::from_be_bytes([*t1, *t0]),
             unit: *unit,
-            length: length - 1,
-            pdu: *pdu,
+            pdu: Bytes::of(&pdu[..length - 1]),
         }))
     }
 }

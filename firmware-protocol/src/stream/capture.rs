@@ -1,6 +1,6 @@
 //! The two messages of the burst capture.
 
-use super::message::{Reader, Writer};
+use super::payload::{Plain, Reader};
 use crate::capture::{CaptureSample, CaptureState};
 use crate::registers as r;
 use crate::wire::{Sink, Source};
@@ -24,7 +24,7 @@ pub struct CaptureStatus {
 }
 
 impl CaptureStatus {
-    pub(super) fn write(self, writer: &mut Writer<'_>) {
+    pub(super) fn write(self, writer: &mut Plain) {
         writer.raw(&r::CAPTURE_STATE, self.state.code().into());
         writer.raw(&r::CAPTURE_COUNT, self.count.into());
         writer.raw(&r::CAPTURE_TIME, self.first_time_us.into());
@@ -68,9 +68,9 @@ impl CaptureBlock {
         &self.samples[..usize::from(self.count)]
     }
 
-    pub(super) fn write(&self, writer: &mut Writer<'_>) {
-        writer.bytes(&self.index.to_be_bytes());
-        writer.bytes(&[self.count]);
+    pub(super) fn write(&self, writer: &mut Plain) {
+        writer.extend(&self.index.to_be_bytes());
+        writer.extend(&[self.count]);
         for sample in self.samples() {
             for (register, value) in sample.fields() {
                 writer.value(&register, value);

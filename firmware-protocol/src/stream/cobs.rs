@@ -1,28 +1,27 @@
 //! Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7(2), 1999).
 
-/// Stuffs `plain` into `out` and ends it with 0; returns the bytes used. `out` has room for one code byte per 254
-/// bytes and the delimiter.
-pub(super) fn encode(plain: &[u8], out: &mut [u8]) -> usize {
-    let mut code_at = 0;
-    let mut at = 1;
-    let mut code = 1_u8;
+use crate::bytes::Bytes;
+
+/// Stuffs `plain` and ends it with 0; `N` has room for one code byte per 254 bytes and the delimiter.
+pub(super) fn encode<const N: usize>(plain: &[u8]) -> Bytes<N> {
+    let mut out = Bytes::of(&[0]);
+    let (mut code_at, mut code) = (0, 1_u8);
     for (index, &byte) in plain.iter().enumerate() {
         if byte != 0 {
-            out[at] = byte;
-            at += 1;
+            out.extend(&[byte]);
             code += 1;
         }
         let block_full = code == u8::MAX && index + 1 < plain.len();
         if byte == 0 || block_full {
             out[code_at] = code;
-            code_at = at;
-            at += 1;
+            code_at = out.len();
+            out.extend(&[0]);
             code = 1;
         }
     }
     out[code_at] = code;
-    out[at] = 0;
-    at + 1
+    out.extend(&[0]);
+    out
 }
 
 /// Restores the bytes in place; `None` if a code byte points past the end.
@@ -77,11 +76,10 @@ mod tests {
             ),
         ];
         for (plain, coded) in cases {
-            let mut out = [0xAA; 300];
-            let length = encode(&plain, &mut out);
-            assert_eq!(out[..length - 1], coded);
-            assert_eq!(out[length - 1], 0);
-            assert_eq!(decode(&mut out[..length - 1]), Some(&plain[..]));
+            let mut out = encode::<300>(&plain);
+            let (delimiter, stuffed) = out.split_last_mut().unwrap();
+            assert_eq!((&*stuffed, *delimiter), (&coded[..], 0));
+            assert_eq!(decode(stuffed), Some(&plain[..]));
         }
     }
 

@@ -1,14 +1,13 @@
 //! The messages and their payloads.
 
 use super::capture::{CaptureBlock, CaptureStatus};
+use super::payload::{Plain, Reader};
 use crate::capture::CaptureControl;
 use crate::codes::coded;
 use crate::command::DriveCommand;
 use crate::identity::Identity;
-use crate::registers as r;
-use crate::registers::{COMMAND_WORDS, IDENTITY_WORDS, Register};
+use crate::registers::{COMMAND_WORDS, IDENTITY_WORDS};
 use crate::telemetry::Telemetry;
-use crate::wire::{Sink, Source, on_stream};
 
 /// One message with what every message carries.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,13 +22,18 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A question of the host.
-    pub const fn ask(seq: u16, message: Message) -> Self {
+    /// An answer of the drive, formed at this time.
+    pub const fn answer(seq: u16, time_us: u32, message: Message) -> Self {
         Self {
             seq,
-            time_us: 0,
+            time_us,
             message,
         }
+    }
+
+    /// A question of the host.
+    pub const fn ask(seq: u16, message: Message) -> Self {
+        Self::answer(seq, 0, message)
     }
 
     /// A command; its number is that of the frame.
@@ -39,11 +43,7 @@ impl Frame {
 
     /// The answer to question `seq`: telemetry, stamped with its own time.
     pub const fn telemetry(seq: u16, telemetry: Telemetry) -> Self {
-        Self {
-            seq,
-            time_us: telemetry.time_us,
-            message: Message::Telemetry(telemetry),
-        }
+        Self::answer(seq, telemetry.time_us, Message::Telemetry(telemetry))
     }
 }
 
@@ -154,9 +154,8 @@ impl Message {
         }
     }
 
-    /// Returns the bytes used.
-    pub(super) fn encode_payload(&self, out: &mut [u8]) -> usize {
-        let mut writer = Writer { out, at: 0 };
+    /// Puts the payload behind the header.
+    pub(super) fn encode_payload(&self, writer: &mut Plain) {
         match self {
             Self::Hello | Self::TelemetryRequest | Self::CaptureStatusRequest => {}
             // The frame's own number is the command's: the block goes without its first word.
@@ -165,12 +164,11 @@ impl Message {
             Self::CaptureArm(control) => writer.words(&[control.code()]),
             Self::CaptureRequest(index) => writer.words(&[*index]),
             Self::Identity(identity) => writer.words(&identity.to_registers()),
-            Self::Telemetry(telemetry) => telemetry.write(&mut writer),
-            Self::CaptureStatus(status) => status.write(&mut writer),
-            Self::CaptureBlock(block) => block.write(&mut writer),
-            Self::Error(refusal) => writer.bytes(&[refusal.kind, refusal.code.code()]),
+            Self::Telemetry(telemetry) => telemetry.write(writer),
+            Self::CaptureStatus(status) => status.write(writer),
+            Self::CaptureBlock(block) => block.write(writer),
+            Self::Error(refusal) => writer.extend(&[refusal.kind, refusal.code.code()]),
         }
-        writer.at
     }
 
     /// `None` if the payload is too short or carries a code that does not exist.
@@ -207,100 +205,5 @@ impl Message {
             }
         };
         Some(message)
-    }
-}
-
-/// Fills a payload; the buffer holds the longest one.
-pub(super) struct Writer<'a> {
-    out: &'a mut [u8],
-    at: usize,
-}
-
-impl Writer<'_> {
-    pub(super) fn bytes(&mut self, bytes: &[u8]) {
-        self.out[self.at..self.at + bytes.len()].copy_from_slice(bytes);
-        self.at += bytes.len();
-    }
-
-    fn words(&mut self, words: &[u16]) {
-        for word in words {
-            self.bytes(&word.to_be_bytes());
-        }
-    }
-}
-
-impl Sink for Writer<'_> {
-    fn raw(&mut self, register: &Register, raw: i64) {
-        // The frame's header carries the time.
-        if *register == r::TIME {
-            return;
-        }
-        let bytes = raw.to_be_bytes();
-        self.bytes(&bytes[8 - 2 * usize::from(register.words)..]);
-    }
-
-    fn value(&mut self, register: &Register, value: f64) {
-        let register = on_stream(register);
-        self.raw(&register, register.encode(value));
-    }
-}
-
-/// Takes a payload apart. After the end it gives zeros and remembers that it did.
-pub(super) struct Reader<'a> {
-    rest: &'a [u8],
-    time_us: u32,
-    short: bool,
-}
-
-impl<'a> Reader<'a> {
-    pub(super) const fn new(payload: &'a [u8], time_us: u32) -> Self {
-        Self {
-            rest: payload,
-            time_us,
-            short: false,
-        }
-    }
-
-    /// Neither a byte too few nor one too many.
-    pub(super) const fn is_used_up(&self) -> bool {
-        self.rest.is_empty() && !self.short
-    }
-
-    pub(super) fn bytes<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let Some((bytes, rest)) = self.rest.split_first_chunk() else {
-            self.short = true;
-            return None;
-        };
-        self.rest = rest;
-        Some(*bytes)
-    }
-
-    fn words<const N: usize>(&mut self) -> Option<[u16; N]> {
-        let mut words = [0; N];
-        for word in &mut words {
-            *word = u16::from_be_bytes(self.bytes()?);
-        }
-        Some(words)
-    }
-}
-
-impl Source for Reader<'_> {
-    fn raw(&mut self, register: &Register) -> i64 {
-        if *register == r::TIME {
-            return self.time_us.into();
-        }
-        let words = if register.words == 1 {
-            self.words::<1>().map(|[word]| [word, 0])
-        } else {
-            self.words::<2>()
-        };
-        let [first, second] = words.unwrap_or_default();
-        register.kind.number(first, second)
-    }
-
-    fn value(&mut self, register: &Register) -> f64 {
-        let register = on_stream(register);
-        let raw = self.raw(&register);
-        register.decode(raw)
     }
 }

@@ -10,14 +10,16 @@
 mod capture;
 mod cobs;
 mod message;
+mod payload;
 
 pub use capture::{CAPTURE_BLOCK_SAMPLES, CaptureBlock, CaptureStatus};
 pub use message::{ErrorCode, Frame, Message, MessageType, Refusal};
 
 use crc::{CRC_16_IBM_3740, Crc};
 
+use crate::bytes::Bytes;
 use crate::registers::PROTOCOL_VERSION;
-use message::Reader;
+use payload::{Plain, Reader};
 
 /// Type, version, sequence number, drive time.
 pub const HEADER: usize = 8;
@@ -25,7 +27,7 @@ pub const HEADER: usize = 8;
 pub const MAX_PAYLOAD: usize = capture::HEADER + CAPTURE_BLOCK_SAMPLES * capture::SAMPLE;
 /// Longest frame before COBS, checksum included.
 const MAX_PLAIN: usize = HEADER + MAX_PAYLOAD + 2;
-/// Longest frame on the wire, delimiter included: room that always suffices for [`encode`].
+/// Longest frame on the wire, delimiter included.
 pub const MAX_FRAME: usize = MAX_PLAIN + MAX_PLAIN.div_ceil(254) + 1;
 
 const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
@@ -35,17 +37,14 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     CRC.checksum(bytes)
 }
 
-/// Encodes one frame with its delimiter; returns the bytes used.
-pub fn encode(frame: &Frame, out: &mut [u8; MAX_FRAME]) -> usize {
-    let mut plain = [0; MAX_PLAIN];
-    plain[0] = frame.message.kind().code();
-    plain[1] = VERSION;
-    plain[2..4].copy_from_slice(&frame.seq.to_be_bytes());
-    plain[4..8].copy_from_slice(&frame.time_us.to_be_bytes());
-    let end = HEADER + frame.message.encode_payload(&mut plain[HEADER..]);
-    let crc = crc16(&plain[..end]);
-    plain[end..end + 2].copy_from_slice(&crc.to_be_bytes());
-    cobs::encode(&plain[..end + 2], out)
+/// Encodes one frame with its delimiter.
+pub fn encode(frame: &Frame) -> Bytes<MAX_FRAME> {
+    let mut plain = Plain::of(&[frame.message.kind().code(), VERSION]);
+    plain.extend(&frame.seq.to_be_bytes());
+    plain.extend(&frame.time_us.to_be_bytes());
+    frame.message.encode_payload(&mut plain);
+    plain.extend(&crc16(&plain).to_be_bytes());
+    cobs::encode(&plain)
 }
 
 /// The version byte of every frame.
@@ -149,11 +148,7 @@ fn decode_plain(plain: &[u8]) -> Result<Frame, FrameError> {
     let message = Message::decode_payload(known, seq, &mut reader)
         .filter(|_| reader.is_used_up())
         .ok_or(FrameError::Payload { kind, seq })?;
-    Ok(Frame {
-        seq,
-        time_us,
-        message,
-    })
+    Ok(Frame::answer(seq, time_us, message))
 }
 
 #[cfg(test)]
@@ -166,9 +161,7 @@ mod tests {
     fn receive(body: &[u8]) -> Result<Frame, FrameError> {
         let mut plain = Vec::from(body);
         plain.extend(crc16(body).to_be_bytes());
-        let mut out = [0; MAX_FRAME];
-        let length = cobs::encode(&plain, &mut out);
-        push_all(&mut Decoder::new(), &out[..length])
+        push_all(&mut Decoder::new(), &cobs::encode::<MAX_FRAME>(&plain))
     }
 
     fn push_all(decoder: &mut Decoder, bytes: &[u8]) -> Result<Frame, FrameError> {
@@ -217,10 +210,8 @@ mod tests {
         }
         assert_eq!(decoder.push(0), Some(Err(FrameError::TooLong)));
         assert_eq!(decoder.push(0), None, "an idle line may be zeros");
-        let mut out = [0; MAX_FRAME];
         let hello = Frame::ask(3, Message::Hello);
-        let length = encode(&hello, &mut out);
-        assert_eq!(push_all(&mut decoder, &out[..length]), Ok(hello));
+        assert_eq!(push_all(&mut decoder, &encode(&hello)), Ok(hello));
     }
 
     #[test]
@@ -230,8 +221,7 @@ mod tests {
         let Ok(frame) = receive(&longest) else {
             panic!("a full block is a message");
         };
-        let mut out = [0; MAX_FRAME];
-        let length = encode(&frame, &mut out);
+        let length = encode(&frame).len();
         assert!(length <= MAX_FRAME && length + 1 >= MAX_FRAME, "{length}");
     }
 }

@@ -281,12 +281,7 @@ fn answer(bank: &mut Bank, received: &Result<Frame, FrameError>) -> Option<Frame
     if let Message::Telemetry(telemetry) = message {
         return Some(Frame::telemetry(seq, telemetry));
     }
-    let time_us = bank.telemetry.time_us;
-    Some(Frame {
-        seq,
-        time_us,
-        message,
-    })
+    Some(Frame::answer(seq, bank.telemetry.time_us, message))
 }
 
 fn reply(bank: &mut Bank, question: &Message) -> Option<Message> {

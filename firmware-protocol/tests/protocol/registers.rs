@@ -96,10 +96,7 @@ fn every_command_survives_the_block() {
         let back = DriveCommand::from_registers(&command.to_registers());
         assert_eq!(back, Ok(command));
     }
-    let nonsense = DriveCommand {
-        seq: 1,
-        control: Control::Speed(f64::NAN),
-    };
+    let nonsense = DriveCommand::new(1, Control::Speed(f64::NAN));
     assert!(DriveCommand::from_registers(&nonsense.to_registers()).is_err());
     assert!(DriveCommand::from_registers(&[0, 6, 0, 0]).is_err());
 }

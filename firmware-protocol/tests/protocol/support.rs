@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use firmware_protocol::modbus::{Exception, MAX_PDU, RegisterBank, RtuReceiver, respond, rtu, tcp};
+use firmware_protocol::modbus::{Exception, RegisterBank, RtuReceiver, respond, rtu, tcp};
 use firmware_protocol::registers::{
     self, CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
     TELEMETRY_ADDRESS, WATCHDOG, WINDOW_CURRENT, WINDOW_SPEED, WINDOW_VOLTAGE,
@@ -36,10 +36,7 @@ impl Bank {
         }
         let names = [(0, "drivebench"), (1, "DB-EMU"), (2, "1.2")];
         let mut command = CommandBlock::default();
-        command.set(DriveCommand {
-            seq: telemetry().seq,
-            control: Control::Voltage(24.0),
-        });
+        command.set(DriveCommand::new(telemetry().seq, Control::Voltage(24.0)));
         Self {
             memory,
             command,
@@ -193,21 +190,15 @@ pub(crate) fn identity() -> Identity {
 }
 
 pub(crate) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-    let mut out = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(unit, pdu, &mut out);
-    out[..length].to_vec()
+    rtu::encode_frame(unit, pdu).to_vec()
 }
 
 pub(crate) fn tcp_frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
-    let mut out = [0; tcp::MAX_FRAME];
-    let length = tcp::encode_frame(transaction, unit, pdu, &mut out);
-    out[..length].to_vec()
+    tcp::encode_frame(transaction, unit, pdu).to_vec()
 }
 
 pub(crate) fn stream_frame(frame: &Frame) -> Vec<u8> {
-    let mut out = [0; stream::MAX_FRAME];
-    let length = stream::encode(frame, &mut out);
-    out[..length].to_vec()
+    stream::encode(frame).to_vec()
 }
 
 /// Every frame, and every damage, in the bytes of a stream.
@@ -221,9 +212,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
 
 /// The response to a request, both without their frames.
 pub(crate) fn response(bank: &mut impl RegisterBank, request: &[u8]) -> Vec<u8> {
-    let mut out = [0; MAX_PDU];
-    let length = respond(bank, request, &mut out);
-    out[..length].to_vec()
+    respond(bank, request).to_vec()
 }
 
 /// What a drive answers to everything found in `line`, with a silent gap after it if `gap`; a broadcast gets nothing.
@@ -236,9 +225,7 @@ pub(crate) fn serve(
     let mut answers = Vec::new();
     let mut drain = |receiver: &mut RtuReceiver| {
         while let Some(request) = receiver.take_frame() {
-            let mut out = [0; rtu::MAX_FRAME];
-            let length = request.answer(bank, &mut out);
-            answers.push(hex(&out[..length]));
+            answers.push(hex(&request.answer(bank)));
         }
     };
     for &byte in line {

@@ -4,6 +4,13 @@
 //! pseudo-terminal two thousand, or a hundred thousand.
 
 mod bounded;
+#[path = "../../../tests/witness/codec.rs"]
+#[allow(
+    dead_code,
+    clippy::duplicate_mod,
+    reason = "each user of the witness needs its part"
+)]
+mod codec;
 mod profiled;
 mod stranger;
 

@@ -1,4 +1,4 @@
-//! A drive that the host knows nothing of, with its own checksum and framing, and seventeen ways in which a line or a drive
+//! A drive that the host knows nothing of, with the witness's checksum and framing, and seventeen ways in which a line or a drive
 //! goes wrong, done to the bytes of some of its replies.
 
 use std::time::{Duration, Instant};
@@ -9,6 +9,7 @@ use firmware_protocol::{Control, DriveCommand, State, Status, Telemetry};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 
+use super::codec;
 use crate::drive::fake::stream_frame;
 use crate::drive::guard::now;
 use crate::drive::virtual_line::Device;
@@ -108,20 +109,14 @@ impl Stranger {
 
     fn hear_rtu(&mut self, byte: u8) -> Vec<(Duration, Vec<u8>)> {
         self.line.push(byte);
-        let needed = match self.line.get(1) {
-            None => return Vec::new(),
-            Some(3 | 4 | 6 | 8) => 8,
-            Some(23) => self
-                .line
-                .get(10)
-                .map_or(usize::MAX, |n| 13 + usize::from(*n)),
-            Some(code) => panic!("function {code} is not asked here"),
-        };
-        if self.line.len() < needed {
+        let Some(asked) = codec::request(&self.line) else {
             return Vec::new();
-        }
+        };
+        assert!(asked.is_ok(), "the host sends whole frames");
         let request = std::mem::take(&mut self.line);
-        assert_eq!(crc(&request), 0, "the host sends whole frames");
+        let code = request[1];
+        let is_asked = matches!(code, 3 | 4 | 6 | 8 | 23);
+        assert!(is_asked, "function {code} is not asked here");
         let word = |at: usize| u16::from_be_bytes([request[at], request[at + 1]]);
         let content = match request[1] {
             6 | 8 => request[2..6].to_vec(),
@@ -231,27 +226,7 @@ fn counted(words: &[u16]) -> Vec<u8> {
 }
 
 fn frame(unit: u8, code: u8, content: &[u8]) -> Vec<u8> {
-    let mut frame = vec![unit, code];
-    frame.extend_from_slice(content);
-    let crc = crc(&frame);
-    frame.extend(crc.to_le_bytes());
-    frame
-}
-
-/// The checksum of Modbus, bit by bit (MODBUS over Serial Line V1.02, 6.2.2); 0 over a whole frame.
-fn crc(bytes: &[u8]) -> u16 {
-    let mut crc = 0xFFFF_u16;
-    for byte in bytes {
-        crc ^= u16::from(*byte);
-        for _ in 0..8 {
-            crc = if crc & 1 == 1 {
-                (crc >> 1) ^ 0xA001
-            } else {
-                crc >> 1
-            };
-        }
-    }
-    crc
+    codec::framed(&[&[unit, code], content].concat())
 }
 
 const _: () = assert!(TELEMETRY_WORDS == 16, "one request reads the telemetry");

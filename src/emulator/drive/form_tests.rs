@@ -65,10 +65,7 @@ fn recorded(hidden: &[HiddenEffect]) -> Scenario {
     for k in 0..6000_u16 {
         drive.advance_to(f64::from(k) * 1e-3);
         let volts = voltage(f64::from(k) * 1e-3);
-        drive.command(DriveCommand {
-            seq: k,
-            control: Control::Voltage(volts),
-        });
+        drive.command(DriveCommand::new(k, Control::Voltage(volts)));
         let told = drive.telemetry();
         for (column, value) in rows.iter_mut().zip([
             drive.time_s(),

@@ -23,11 +23,7 @@ pub(in crate::emulator) fn answer(
         }
         Err(_) => return None,
     };
-    Some(Frame {
-        seq,
-        time_us: micros(drive.tick),
-        message,
-    })
+    Some(Frame::answer(seq, micros(drive.tick), message))
 }
 
 fn respond(drive: &mut SoftDrive, frame: &Frame) -> Option<Message> {

@@ -314,10 +314,7 @@ fn registers_refuse_what_the_table_forbids() {
 fn registers_show_the_drive() {
     let mut drive = drive();
     drive.write(73, &[150]).unwrap();
-    let command = DriveCommand {
-        seq: 513,
-        control: Control::Voltage(-12.345),
-    };
+    let command = DriveCommand::new(513, Control::Voltage(-12.345));
     let words = command.to_registers();
     drive.write(r::COMMAND_ADDRESS, &words).unwrap();
     let mut block = [0; r::TELEMETRY_WORDS];

@@ -1,6 +1,6 @@
 //! Requests as this drive answers them: its function codes, its limits of length, its registers.
 
-use firmware_protocol::modbus::{Exception, MAX_PDU, RegisterBank, respond};
+use firmware_protocol::modbus::{Exception, RegisterBank, respond};
 
 use super::ForeignDrive;
 use crate::drive::{KickedBy, RegisterTable};
@@ -22,8 +22,7 @@ impl ForeignDrive {
             4 => RegisterTable::Input,
             _ => RegisterTable::Holding,
         };
-        let mut response = [0; MAX_PDU];
-        let length = respond(&mut Bank { drive: self, table }, request, &mut response);
+        let response = respond(&mut Bank { drive: self, table }, request);
         if response[0] == function {
             let by = if writes {
                 KickedBy::Write
@@ -32,7 +31,7 @@ impl ForeignDrive {
             };
             self.kick(by);
         }
-        response[..length].to_vec()
+        response.to_vec()
     }
 
     fn is_writable(&self, address: u16) -> bool {

@@ -283,10 +283,7 @@ impl ForeignDrive {
             Turn::On => self.reference(),
         };
         self.seq = self.seq.wrapping_add(1);
-        self.soft.command(DriveCommand {
-            seq: self.seq,
-            control,
-        });
+        self.soft.command(DriveCommand::new(self.seq, control));
     }
 
     /// What the references say that the motor should do.
@@ -385,10 +382,8 @@ impl ForeignDrive {
             {
                 self.fault = None;
                 self.seq = self.seq.wrapping_add(1);
-                self.soft.command(DriveCommand {
-                    seq: self.seq,
-                    control: Control::ResetFault,
-                });
+                let reset = DriveCommand::new(self.seq, Control::ResetFault);
+                self.soft.command(reset);
             }
         }
     }

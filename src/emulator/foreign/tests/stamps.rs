@@ -2,7 +2,7 @@
 
 use super::*;
 
-const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 900.0));
+const REFERENCE: Reference<'static> = speed_ref(900.0);
 const CHANGED: [f64; 2] = [400.0, 401.0];
 /// All of its fast signals in one request.
 const ONE_BLOCK: (&str, &str) = (
@@ -54,8 +54,7 @@ fn a_silence_before_a_read_moves_no_stamp_and_the_half_width_holds_the_truth() {
 fn one_block_is_stamped_as_well_behind_a_silence_as_without_one() {
     let half_width_s = |silence_s: f64| {
         let mut table = servo(&[ONE_BLOCK]);
-        table.enable(REFERENCE);
-        table.hold(REFERENCE, 0.2);
+        table.drive(REFERENCE, 0.2);
         table.link.bus_mut().keep_silence(silence_s);
         let sample = table.run(REFERENCE).unwrap();
         let offset_s = (sample.time_s - table.far().time_s()).abs();
@@ -71,10 +70,9 @@ fn one_block_is_stamped_as_well_behind_a_silence_as_without_one() {
 #[test]
 fn a_set_point_is_applied_within_its_own_write_whatever_the_read_behind_it_waits_for() {
     let mut table = servo(&[]);
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.2);
+    table.drive(REFERENCE, 0.2);
     table.link.bus_mut().keep_silence(0.2);
-    let sample = table.run(Some(("speed_ref", CHANGED[0]))).unwrap();
+    let sample = table.run(speed_ref(CHANGED[0])).unwrap();
     let applied_s = sample.applied.unwrap().time_s;
     let write_s = table.link.bus().wire_s(8, 8).unwrap();
     let since_s = applied_s - table.time_s;
@@ -92,13 +90,13 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
     ] {
         let clock = with_clock(kind, unit, scale);
         let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
-        let first = table.demand(Demand::Disable).unwrap();
+        let first = table.rest();
         let began_s = table.far().time_s() - first.time_s;
         // A u16 of 0.1 ms comes round every 6.6 s, one of 1 ms every 65.5 s.
         for _ in 0..pauses {
             table.pass(9.3);
             for _ in 0..3 {
-                let sample = table.demand(Demand::Disable).unwrap();
+                let sample = table.rest();
                 let off_s = sample.time_s + began_s - table.far().time_s();
                 // The count is cut off in both.
                 assert!(off_s.abs() < 1.01 * count_s, "{kind} {unit}: {off_s}");
@@ -114,13 +112,13 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
 fn a_silence_does_not_move_what_the_drive_stamps_and_a_command_is_on_the_same_clock() {
     let clock = with_clock("u32", "us", "1.0");
     let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
-    let first = table.demand(Demand::Disable).unwrap();
+    let first = table.rest();
     let began_s = table.far().time_s() - first.time_s;
     table.enable(REFERENCE);
     table.link.bus_mut().keep_silence(0.05);
     for k in 0..40 {
         let rpm = CHANGED[k % 2];
-        let sample = table.run(Some(("speed_ref", rpm))).unwrap();
+        let sample = table.run(speed_ref(rpm)).unwrap();
         let off_s = sample.time_s + began_s - table.far().time_s();
         assert!(off_s.abs() < 2e-6, "{off_s}");
         let before_s = sample.time_s - sample.applied.unwrap().time_s;
@@ -166,11 +164,11 @@ fn at_19200(functions: &str) -> Table {
 /// Cycles a second where each begins when the last has ended, and each has a new reference.
 fn cycles_hz(table: &mut Table) -> f64 {
     table.period_s = 0.0;
-    let (began_s, cycles) = (table.link.bus().now_s(), 200);
+    let (began_s, cycles) = (table.now_s(), 200);
     for k in 0..cycles {
-        table.run(Some(("speed_ref", CHANGED[k % 2]))).unwrap();
+        table.run(speed_ref(CHANGED[k % 2])).unwrap();
     }
-    cycles as f64 / (table.link.bus().now_s() - began_s)
+    cycles as f64 / (table.now_s() - began_s)
 }
 
 #[test]
@@ -187,7 +185,7 @@ fn one_transaction_a_cycle_is_faster_than_two_and_applies_before_it_reads() {
         assert!(off < 0.05, "{promised} {found}");
     }
     // The drive writes first and reads then, at one instant of its own.
-    let sample = one.run(Some(("speed_ref", 700.0))).unwrap();
+    let sample = one.run(speed_ref(700.0)).unwrap();
     assert_eq!(one.told("speed_ref"), Some(700));
     let applied_s = sample.applied.unwrap().time_s;
     assert_eq!(applied_s.to_bits(), sample.time_s.to_bits());
@@ -197,7 +195,7 @@ fn one_transaction_a_cycle_is_faster_than_two_and_applies_before_it_reads() {
 fn a_lost_reply_of_both_in_one_leaves_the_set_point_in_doubt_and_a_stop_does_not_wait_for_it() {
     let mut table = at_19200("functions = [3, 6, 16, 23]");
     table.link.bus_mut().lose_replies(1);
-    let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
+    let lost = table.run(speed_ref(700.0)).unwrap_err();
     assert!(lost.is_transient(), "{lost}");
     assert_eq!(table.told("speed_ref"), Some(700));
     // The value before it has to be written again.
@@ -229,14 +227,13 @@ fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter()
     ] {
         let position = with_position(kind, wraps);
         let mut table = servo(&[device, speed, (FIRST, &position)]);
-        table.enable(REFERENCE);
-        let mut last = table.hold(REFERENCE, 0.1);
+        let mut last = table.drive(REFERENCE, 0.1);
         for k in 0..400 {
             // Both ways, some twenty turns of a u16 and three hundred of the shaft.
             let rpm = if k < 150 { 900.0 } else { -900.0 };
-            let sample = table.run(Some(("speed_ref", rpm))).unwrap();
+            let sample = table.run(speed_ref(rpm)).unwrap();
             let angle = sample.get(Channel::Angle).unwrap();
-            let true_rad_s = table.far().speed_rad_s();
+            let true_rad_s = table.speed_rad_s();
             let speed_rad_s = sample.get(Channel::Speed).unwrap();
             let is_steady = k == 149 || k == 399;
             let off_rad_s = speed_rad_s - true_rad_s;

@@ -12,13 +12,12 @@ fn table() -> Table {
     Table::identified("epulse50-dc", &[(RUNNING, WITH_STATES)])
 }
 
-const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 400.0));
+const REFERENCE: Reference<'static> = speed_ref(400.0);
 
 #[test]
 fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_point() {
     let mut table = table();
-    table.enable(REFERENCE);
-    let sample = table.hold(REFERENCE, 0.5);
+    let sample = table.drive(REFERENCE, 0.5);
     assert_eq!(sample.hindrance, None);
     table.far().take_local(true);
     let sample = table.run(REFERENCE).unwrap();
@@ -35,7 +34,7 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
         let sample = table.run(REFERENCE).unwrap();
         assert_ne!(sample.state, Some(DriveState::Running));
     }
-    table.demand(Demand::Disable).unwrap();
+    table.rest();
     table.enable(REFERENCE);
 }
 
@@ -45,7 +44,7 @@ fn safe_torque_off_refuses_the_start_and_ends_a_run() {
     let mut table = Table::of(&profile, None);
     table.far().switch_torque_off(true);
     table.link.identify().unwrap();
-    let rest = table.demand(Demand::Disable).unwrap();
+    let rest = table.rest();
     assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
     assert_says(
         &table.run(REFERENCE).unwrap_err(),
@@ -53,7 +52,7 @@ fn safe_torque_off_refuses_the_start_and_ends_a_run() {
     );
     assert_eq!(table.told("enable_word"), None);
     table.far().switch_torque_off(false);
-    table.demand(Demand::Disable).unwrap();
+    table.rest();
     table.enable(REFERENCE);
     table.far().switch_torque_off(true);
     let sample = table.run(REFERENCE).unwrap();
@@ -82,8 +81,7 @@ fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
 #[test]
 fn a_busy_drive_is_asked_less_often_keeps_its_set_point_and_is_stopped_at_once_when_asked() {
     let mut table = table();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    table.drive(REFERENCE, 0.5);
     table.period_s = 0.01;
     table.far().refuse(Some(6));
     let before = table.link.statistics().exception;
@@ -105,8 +103,7 @@ fn a_drive_whose_supply_was_lost_does_not_resume_and_is_brought_to_rest() {
     let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
     let mut table = Table::of(&profile, None);
     let before = table.link.identify().unwrap();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    table.drive(REFERENCE, 0.5);
     table.link.bus_mut().lose(u32::MAX);
     for _ in 0..5 {
         assert!(table.run(REFERENCE).is_err());
@@ -128,12 +125,8 @@ fn a_drive_whose_supply_was_lost_does_not_resume_and_is_brought_to_rest() {
 
 #[test]
 fn recognising_a_drive_writes_nothing_also_where_the_profile_sets_its_watchdog() {
-    for name in DriveProfile::names().filter(|name| *name != "own") {
-        let profile = profile_with(name, &[]);
-        if profile.registers.is_none() {
-            continue;
-        }
-        let mut table = Table::of(&profile, None);
+    for name in foreign_names() {
+        let mut table = Table::new(name);
         table.link.recognise().unwrap();
         assert!(table.far().written.is_empty(), "{name}");
         let tells = table.link.map().state("running").is_some();
@@ -145,9 +138,9 @@ fn recognising_a_drive_writes_nothing_also_where_the_profile_sets_its_watchdog()
 fn a_fault_code_is_read_at_once_and_told_in_words() {
     let codes = "[fault_codes]\n5 = \"overbraking\"\n\n[watchdog]";
     let mut table = Table::identified("schneider-atv312", &[("[watchdog]", codes)]);
-    table.enable(Some(("speed_ref", 900.0)));
+    table.enable(speed_ref(900.0));
     table.far().trip();
-    let sample = table.run(Some(("speed_ref", 900.0))).unwrap();
+    let sample = table.run(speed_ref(900.0)).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
     assert_eq!(sample.fault, Some(5));
     assert_eq!(sample.fault_text.as_deref(), Some("overbraking"));
@@ -164,7 +157,7 @@ fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
     let mut idle = Table::new("siemens-v20");
     assert_eq!(time(&mut idle), 1000);
     let mut runs = Table::identified("siemens-v20", &[]);
-    runs.enable(Some(("speed_ref", 10.0)));
+    runs.enable(speed_ref(10.0));
     runs.link.bus_mut().write(16, 0, &[0]).unwrap();
     assert_eq!(time(&mut runs), 0, "as somebody else has set it");
     runs.pass(60.0);
@@ -176,10 +169,10 @@ const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
 
 #[test]
 fn a_set_point_whose_acknowledgement_was_lost_is_written_again_whatever_is_asked_next() {
-    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
     let before = table.told("speed_ref");
     table.link.bus_mut().lose_replies(1);
-    let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
+    let lost = table.run(speed_ref(700.0)).unwrap_err();
     assert!(lost.is_transient(), "{lost}");
     assert_ne!(table.told("speed_ref"), before);
     // As asked before the reply was lost: the drive must not keep what nobody wants any more.
@@ -193,13 +186,11 @@ fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
         "limits = [-3000, 3000]",
         "limits = [-3000, 3000]\nslew_per_s = 100.0",
     );
-    let mut table = Table::identified("epulse50-dc", &[slow, NO_REFRESH]);
-    table.enable(Some(("speed_ref", 0.0)));
-    table.hold(Some(("speed_ref", 0.0)), 8.0);
-    let sample = table.run(Some(("speed_ref", 500.0))).unwrap();
+    let mut table = Table::running("epulse50-dc", &[slow, NO_REFRESH], speed_ref(0.0), 8.0);
+    let sample = table.run(speed_ref(500.0)).unwrap();
     assert!(sample.limited);
-    table.hold(Some(("speed_ref", 500.0)), 1.0);
-    let speed = table.far().speed_rad_s();
+    table.hold(speed_ref(500.0), 1.0);
+    let speed = table.speed_rad_s();
     assert!(speed < 20.0, "{speed} rad/s after 1 s at 100 rpm/s");
 }
 
@@ -213,8 +204,7 @@ const TELLING_COMM_LOSS: (&str, &str) = (
 fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
     let profile = profile_with("epulse50-dc", &[TELLING_COMM_LOSS]);
     let mut table = Table::of(&profile, Some(0.3)).known();
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 0.5);
+    table.drive(REFERENCE, 0.5);
     table.far().force("enabled", Some(0x08));
     let sample = table.run(REFERENCE).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
@@ -228,7 +218,7 @@ fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
 #[test]
 fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
     let mut table = Table::identified("schneider-atv312", &[]);
-    let reference = Some(("speed_ref", 900.0));
+    let reference = speed_ref(900.0);
     table.enable(reference);
     table.far().trip();
     table.far().refuse_writes(Some(4));
@@ -240,7 +230,7 @@ fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
 #[test]
 fn a_busy_drive_that_takes_no_word_of_its_enable_command_is_the_reason_that_is_told() {
     let mut table = table();
-    table.demand(Demand::Disable).unwrap();
+    table.rest();
     table.far().refuse_writes(Some(6));
     let mut errors = (0..200).filter_map(|_| table.run(REFERENCE).err());
     let last = errors.find(|error| matches!(error, LinkError::Sequence { .. }));
@@ -259,7 +249,7 @@ const WORD_BEHIND_A_WAIT: (&str, &str) = (
 fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
     let profile = profile_with("schneider-atv312", &[WORD_BEHIND_A_WAIT]);
     let mut table = Table::of(&profile, None).known();
-    let reference = Some(("speed_ref", 900.0));
+    let reference = speed_ref(900.0);
     table.enable(reference);
     let running = table.told("control_word");
     table.far().trip();
@@ -278,16 +268,16 @@ fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
 #[test]
 fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
     for lost in 1..=2 {
-        let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
+        let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
         table.next_cycle();
-        let began_s = table.link.bus().now_s();
+        let began_s = table.now_s();
         table.link.bus_mut().lose_replies(lost);
         let (seq, demand) = (table.seq, Demand::Stop);
         let error = table.link.exchange(Command { seq, demand }).unwrap_err();
         assert!(error.is_transient(), "{error}");
         table.assert_told_to_stop();
         // Both writes and one deadline of 100 ms.
-        let took_s = table.link.bus().now_s() - began_s;
+        let took_s = table.now_s() - began_s;
         let write_s = table.link.bus().wire_s(11, 8).unwrap();
         assert!(took_s < 0.1 + 2.0 * write_s, "{lost}: {took_s}");
         // Nothing was heard: it goes out again.
@@ -298,7 +288,7 @@ fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
 
 #[test]
 fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over() {
-    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE);
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
     table.link.bus_mut().lose(1);
     assert!(table.demand(Demand::Stop).unwrap_err().is_transient());
     // The first of both was lost, the second has come.
@@ -309,9 +299,7 @@ fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over
 #[test]
 fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
     let readback = ("refresh_ms = 100.0", "readback = true");
-    let mut table = Table::identified("epulse50-dc", &[readback]);
-    table.enable(REFERENCE);
-    table.hold(REFERENCE, 3.0);
+    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE, 3.0);
     let ours = table.told("speed_ref").unwrap();
     table.far().overwrite("speed_ref", ours / 2);
     let text = table.first_error(REFERENCE).to_string();
@@ -319,7 +307,7 @@ fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
     assert!(!text.contains("ignores"), "{text}");
     assert_eq!(table.told("enable_word"), Some(0));
     // One that takes nothing keeps what it had.
-    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE);
+    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE, 0.5);
     table.far().ignore(Some("speed_ref"));
     let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
     assert_says(&error, "so it ignores what is written");

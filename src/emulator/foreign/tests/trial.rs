@@ -31,7 +31,7 @@ fn the_example_with_its_identity_is_identified_enabled_and_stopped() {
     let mut table = Table::of(&acme_with(&[]), None);
     let identity = table.link.identify().unwrap();
     assert!(identity.is_emulator);
-    table.enable(Some(("speed_ref", 0.0)));
+    table.enable(speed_ref(0.0));
     table.link.stop().unwrap();
     assert!(!table.far().is_running());
 }
@@ -68,8 +68,7 @@ fn a_factor_that_the_identity_asks_for_is_the_one_that_others_are_scaled_with() 
     let identity = "\n[[identity]]\nsignal = \"speed_scaling\"\nwithin = [500, 2000]\n\n[rates]";
     let mut table = Table::identified("abb-efb", &[("\n[rates]", identity)]);
     assert_eq!(table.link.reading("speed_scaling"), Some(1250.0));
-    table.enable(Some(("speed_ref", 900.0)));
-    let sample = table.hold(Some(("speed_ref", 900.0)), 6.0);
+    let sample = table.drive(speed_ref(900.0), 6.0);
     let speed = sample.get(Channel::Speed).unwrap();
     let off = speed - crate::units::rad_s_from_rpm(900.0);
     assert!(off.abs() < 6.0, "{speed}");
@@ -92,7 +91,7 @@ fn an_object_that_the_identity_asks_for_is_told_beside_that_it_is_software() {
 #[test]
 fn a_wait_before_the_first_word_is_fulfilled_by_a_drive_at_rest() {
     let mut table = acme_table(&[READY_FIRST]);
-    table.enable(Some(("speed_ref", 0.0)));
+    table.enable(speed_ref(0.0));
 }
 
 #[test]
@@ -115,7 +114,7 @@ fn a_drive_at_rest_does_not_show_that_it_runs() {
 #[test]
 fn an_enable_command_without_a_wait_for_running_is_enough_for_the_emulated_drive() {
     let mut table = acme_table(&[NO_RUNNING_WAIT]);
-    table.enable(Some(("speed_ref", 0.0)));
+    table.enable(speed_ref(0.0));
 }
 
 #[test]
