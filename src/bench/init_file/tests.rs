@@ -3,7 +3,7 @@ use crate::bench::limits::Nameplate;
 use crate::bench::testing::{has, near, within};
 
 fn plate() -> MotorSection {
-    (&Nameplate::zk_22fc()).into()
+    BenchFile::embedded_default().motor
 }
 
 fn told() -> Told {
