@@ -74,7 +74,6 @@ pub struct BenchFile {
     #[serde(default)]
     pub runs: RunsSection,
     /// What `drivebench speed` does; left out: it is not for this bench.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed: Option<SpeedSection>,
     pub sequence: Vec<Segment>,
 }
@@ -94,14 +93,12 @@ pub struct LinkSection {
     #[serde(default)]
     pub protocol: Protocol,
     /// Left out: that of the drive's profile.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub baud: Option<u32>,
     #[serde(default = "default_unit")]
     pub unit: u8,
     #[serde(default = "default_rate_hz")]
     pub rate_hz: f64,
     /// Longest wait for a reply; left out: nine tenths of a period.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<f64>,
 }
 
@@ -169,38 +166,30 @@ impl Default for EmulatorSection {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
 #[serde(deny_unknown_fields, default)]
 pub struct LimitsSection {
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub current_a: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_rad_s: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub voltage_v: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub slew_v_per_s: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bus_min_v: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bus_max_v: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub link_silence_s: Option<f64>,
 }
 
 impl LimitsSection {
-    fn values(&self) -> [(&'static str, Option<f64>); 9] {
+    /// Every limit: its key, what it counts, and its place.
+    pub(super) fn rows(&mut self) -> [(&'static str, &'static str, &mut Option<f64>); 9] {
         [
-            ("current_a", self.current_a),
-            ("speed_rad_s", self.speed_rad_s),
-            ("voltage_v", self.voltage_v),
-            ("slew_v_per_s", self.slew_v_per_s),
-            ("travel_rad", self.travel_rad),
-            ("bus_min_v", self.bus_min_v),
-            ("bus_max_v", self.bus_max_v),
-            ("time_s", self.time_s),
-            ("link_silence_s", self.link_silence_s),
+            ("current_a", "A, either sign", &mut self.current_a),
+            ("speed_rad_s", "rad/s, either sign", &mut self.speed_rad_s),
+            ("voltage_v", "V, either sign", &mut self.voltage_v),
+            ("slew_v_per_s", "V/s", &mut self.slew_v_per_s),
+            ("travel_rad", "rad", &mut self.travel_rad),
+            ("bus_min_v", "V", &mut self.bus_min_v),
+            ("bus_max_v", "V", &mut self.bus_max_v),
+            ("time_s", "s with the output on", &mut self.time_s),
+            ("link_silence_s", "s", &mut self.link_silence_s),
         ]
     }
 }
@@ -219,7 +208,6 @@ pub struct RunsSection {
     /// Repeats an earlier run, for the repeatability floor.
     pub repeat: u64,
     /// Part of the sequence, from 1, with whose first command the drive starts a burst capture.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub burst_at: Option<usize>,
 }
 
@@ -362,7 +350,7 @@ impl BenchFile {
         if let Some((key, value)) = self.motor.refused() {
             return no(&format!("motor.{key}"), value.to_string(), POSITIVE);
         }
-        for (key, value) in self.limits.values() {
+        for (key, _, value) in self.limits.clone().rows() {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
                 let key = format!("limits.{key}");
                 return no(&key, value.to_string(), "a positive number");

@@ -49,15 +49,10 @@ pub struct MotorSection {
     pub rated_voltage_v: f64,
     pub rated_current_a: f64,
     pub rated_speed_rad_s: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub resistance_ohm: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inductance_h: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub back_emf_v_s_per_rad: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_kg_m2: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub load_torque_n_m: Option<f64>,
 }
 
@@ -282,11 +277,12 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::bench_file::BenchFile;
     use crate::bench::testing::{has, within};
 
     #[test]
     fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
-        let plate: MotorSection = (&Nameplate::zk_22fc()).into();
+        let plate: MotorSection = BenchFile::embedded_default().motor;
         assert_eq!(plate.doubts(), Vec::<String>::new());
         let mut in_rpm = plate.clone();
         in_rpm.rated_speed_rad_s = 2800.0;

@@ -94,9 +94,7 @@ fn keyed(estimates: &[ParameterEstimate]) -> Map<String, Value> {
 pub struct OnlineSettings {
     pub electrical_forgetting: f64,
     pub mechanical_forgetting: f64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub torque_n_m_per_a: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<StartValues>,
 }
 

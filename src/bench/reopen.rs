@@ -210,11 +210,8 @@ impl Search<'_> {
             return Found::Nothing(format!("it is back, and was not brought to rest: {error}"));
         }
         let seq = self.options.seq.wrapping_add(1);
-        let look = link.exchange(Command {
-            seq,
-            demand: Demand::Disable,
-        });
-        match look {
+        let demand = Demand::Disable;
+        match link.exchange(Command { seq, demand }) {
             Ok(sample) if sample.state == Some(DriveState::Running) => {
                 Found::Nothing("it is back, and says that it runs".to_owned())
             }

@@ -8,6 +8,7 @@
 //! the byte for each seed.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
@@ -21,7 +22,7 @@ use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
 use super::live_online::{Excitation, LiveEstimator};
 use super::reopen::{Reopened, RunEnd};
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
-use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
+use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkStatistics};
@@ -524,16 +525,17 @@ impl Runner<'_> {
     }
 
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
-        let state = RunState {
-            session: &self.session,
-            link: self.link.0.statistics(),
-            timing: self.punctuality.timing(rate_hz),
-            recorder: self.recorder.status(),
-            estimates: self.estimates(),
-            excitation: self.excitation(),
-            outcome,
-        };
-        self.publisher.publish(now_s, state);
+        let (estimates, excitation) = (self.estimates(), self.excitation());
+        let recorder = self.recorder.status();
+        let session = &self.session;
+        self.publisher.publish(now_s, session, estimates, |shown| {
+            shown.excitation = Arc::new(excitation);
+            shown.link_statistics = self.link.0.statistics();
+            shown.timing = self.punctuality.timing(rate_hz);
+            shown.rows = recorder.rows as u64;
+            shown.recorder_error = recorder.error;
+            shown.outcome = outcome;
+        });
     }
 }
 

@@ -12,7 +12,6 @@ use super::session::{Notice, Phase, Session};
 use super::timing::Timing;
 use crate::drive::{Identity, LinkStatistics};
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
-use crate::recording::RecorderStatus;
 use crate::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
 /// Software or copper: shown on every screen.
@@ -137,18 +136,6 @@ const NOTICES: usize = 50;
 /// Snapshots per second of the run.
 const SNAPSHOT_RATE_HZ: f64 = 20.0;
 
-/// What the runner knows at one instant.
-pub(super) struct RunState<'a> {
-    pub(super) session: &'a Session,
-    pub(super) link: LinkStatistics,
-    pub(super) timing: Timing,
-    pub(super) recorder: RecorderStatus,
-    pub(super) estimates: Vec<ParameterEstimate>,
-    pub(super) excitation: Excitation,
-    /// Only at the end.
-    pub(super) outcome: Option<&'static str>,
-}
-
 pub(super) struct Publisher {
     cell: SnapshotCell,
     snapshot: Snapshot,
@@ -198,11 +185,17 @@ impl Publisher {
         now_s >= self.next_s
     }
 
-    pub(super) fn publish(&mut self, now_s: f64, state: RunState<'_>) {
-        let session = state.session;
+    /// Shows the run as it stands: what the session knows, and what the runner puts in with `rest`.
+    pub(super) fn publish(
+        &mut self,
+        now_s: f64,
+        session: &Session,
+        estimates: Vec<ParameterEstimate>,
+        rest: impl FnOnce(&mut Snapshot),
+    ) {
         self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
         if !self.model.is_identified {
-            self.model.learn(&state.estimates);
+            self.model.learn(&estimates);
         }
         let snapshot = &mut self.snapshot;
         snapshot.phase = Some(session.phase());
@@ -210,15 +203,10 @@ impl Publisher {
         (snapshot.elapsed_s, snapshot.total_s) = session.progress_s(now_s);
         snapshot.segment = session.segment_name().map(str::to_owned);
         snapshot.trace = Arc::new(self.points.iter().copied().collect());
-        snapshot.estimates = Arc::new(state.estimates);
-        snapshot.excitation = Arc::new(state.excitation);
+        snapshot.estimates = Arc::new(estimates);
         snapshot.model_is_identified = self.model.is_identified;
-        snapshot.link_statistics = state.link;
-        snapshot.timing = state.timing;
-        snapshot.rows = state.recorder.rows as u64;
-        snapshot.recorder_error = state.recorder.error;
         snapshot.trip = session.guard().tripped().cloned();
-        snapshot.outcome = state.outcome;
+        rest(snapshot);
         self.cell.publish(snapshot.clone());
     }
 }

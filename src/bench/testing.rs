@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 
+use super::bench_file::BenchFile;
 use super::clock::Clock;
 use super::describe::layout;
 use super::guard::TripKind;
@@ -49,18 +50,9 @@ pub(super) fn within(value: f64, range: impl RangeBounds<f64> + Debug) {
 }
 
 impl Nameplate {
+    /// The paper's motor.
     pub(super) fn zk_22fc() -> Self {
-        Self {
-            name: "ZK-22FC".to_owned(),
-            rated_voltage_v: 110.0,
-            rated_current_a: 5.7,
-            rated_speed_rad_s: 293.2,
-            resistance_ohm: 1.1,
-            inductance_h: 0.0099,
-            back_emf_v_s_per_rad: 0.3538,
-            inertia_kg_m2: 0.0045,
-            load_torque_n_m: 0.455,
-        }
+        BenchFile::embedded_default().nameplate().unwrap()
     }
 }
 
@@ -109,6 +101,7 @@ pub(super) enum Fault {
 }
 
 /// A drive with a first-order shaft and the current that goes with it: no physics, only states, stamps and faults.
+#[derive(Default)]
 pub(super) struct ScriptedDrive {
     pub(super) period_s: f64,
     pub(super) faults: VecDeque<(u64, u64, Fault)>,
@@ -136,23 +129,10 @@ impl ScriptedDrive {
     pub(super) fn new(period_s: f64) -> Self {
         Self {
             period_s,
-            faults: VecDeque::new(),
-            demands: Vec::new(),
             watchdog_s: Some(0.2),
-            stops: 0,
             is_emulator: true,
-            serial_number: "",
             confirms_stop: true,
-            asked: Arc::default(),
-            shortest_cycle_s: None,
-            times: CommandTimes::default(),
-            stop_fails: None,
-            state: DriveState::Disabled,
-            time_s: 0.0,
-            voltage_v: 0.0,
-            speed_rad_s: 0.0,
-            angle_rad: 0.0,
-            statistics: LinkStatistics::default(),
+            ..Self::default()
         }
     }
 

@@ -97,7 +97,6 @@ pub struct SupplySection {
     /// The supply takes braking energy back, or stores it.
     pub regenerates: bool,
     /// What a brake resistor burns, W; beside it only the motor's own winding does.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub brake_power_w: Option<f64>,
 }
 

@@ -442,11 +442,8 @@ fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
     for reset_fault in [false, true] {
         let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
         // A host that was killed while the drive ran: its watchdog has tripped.
-        let left = Command {
-            seq: 1,
-            demand: Demand::Voltage(0.0),
-        };
-        link.exchange(left).unwrap();
+        let (seq, demand) = (1, Demand::Voltage(0.0));
+        link.exchange(Command { seq, demand }).unwrap();
         clock.set_time_s(1.0);
         let asked = asking(|options| options.reset_fault = reset_fault);
         let report = check(&mut link, &mut clock, &limits(), asked).unwrap();

@@ -40,19 +40,11 @@ pub(super) fn reasons(request: &InitRequest<'_>, bench: &BenchFile) -> Vec<Reaso
 
 /// Puts the values where the bench file has them.
 pub(super) fn apply(section: &mut LimitsSection, reasons: &[Reasoned]) {
-    for reason in reasons {
-        let slot = match reason.key.as_str() {
-            "limits.current_a" => &mut section.current_a,
-            "limits.speed_rad_s" => &mut section.speed_rad_s,
-            "limits.voltage_v" => &mut section.voltage_v,
-            "limits.bus_min_v" => &mut section.bus_min_v,
-            "limits.bus_max_v" => &mut section.bus_max_v,
-            "limits.link_silence_s" => &mut section.link_silence_s,
-            "limits.slew_v_per_s" => &mut section.slew_v_per_s,
-            "limits.time_s" => &mut section.time_s,
-            _ => continue,
-        };
-        *slot = reason.value;
+    for (key, _, slot) in section.rows() {
+        let key = format!("limits.{key}");
+        if let Some(reason) = reasons.iter().find(|reason| reason.key == key) {
+            *slot = reason.value;
+        }
     }
 }
 

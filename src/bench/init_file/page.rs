@@ -68,19 +68,9 @@ pub(super) fn text(
     page.line("");
     page.comment("Crossing one ends the run at zero output; the trip stays latched until it is re-armed by hand at rest.");
     page.line("[limits]");
-    for (key, unit) in [
-        ("current_a", "A, either sign"),
-        ("speed_rad_s", "rad/s, either sign"),
-        ("voltage_v", "V, either sign"),
-        ("slew_v_per_s", "V/s"),
-        ("travel_rad", "rad"),
-        ("bus_min_v", "V"),
-        ("bus_max_v", "V"),
-        ("time_s", "s with the output on"),
-        ("link_silence_s", "s"),
-    ] {
+    for (key, unit, _) in bench.limits.clone().rows() {
         let whole = format!("limits.{key}");
-        let Some(found) = reasons.iter().find(|reason| reason.key == whole) else {
+        let Some(found) = reason_of(reasons, &whole) else {
             continue;
         };
         match found.value {
@@ -91,6 +81,10 @@ pub(super) fn text(
     speed(&mut page, bench, reasons);
     sequence(&mut page, bench, purpose, plan);
     page.0
+}
+
+fn reason_of<'a>(reasons: &'a [Reasoned], key: &str) -> Option<&'a Reasoned> {
+    reasons.iter().find(|reason| reason.key == key)
 }
 
 fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
@@ -141,7 +135,7 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
     page.value("baud", &bench.baud().to_string(), why);
     let why = "the profile's, unless --unit was given";
     page.value("unit", &bench.link.unit.to_string(), why);
-    if let Some(rate) = reasons.iter().find(|reason| reason.key == "link.rate_hz") {
+    if let Some(rate) = reason_of(reasons, "link.rate_hz") {
         let why = format!("Hz: {}", rate.reason);
         page.value("rate_hz", &number(bench.link.rate_hz), &why);
     }
@@ -209,9 +203,7 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
             "s in which the drive's own loop follows its reference. Not measured: a cautious guess, put in what you measure",
         );
     }
-    let reason = reasons
-        .iter()
-        .find(|reason| reason.key == "speed.reference");
+    let reason = reason_of(reasons, "speed.reference");
     for part in &speed.reference {
         page.line("");
         if let Some(reason) = reason {

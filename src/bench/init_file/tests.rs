@@ -1,9 +1,8 @@
 use super::*;
-use crate::bench::limits::Nameplate;
 use crate::bench::testing::{has, near, within};
 
 fn plate() -> MotorSection {
-    (&Nameplate::zk_22fc()).into()
+    BenchFile::embedded_default().motor
 }
 
 fn told() -> Told {
@@ -172,30 +171,22 @@ fn every_line_gets_a_rate_that_it_carries() {
 
 #[test]
 fn motors_of_other_sizes_get_a_sequence_of_their_own() {
-    let servo = Nameplate {
-        name: "small servo".to_owned(),
-        rated_voltage_v: 24.0,
-        rated_current_a: 3.0,
-        rated_speed_rad_s: 400.0,
-        resistance_ohm: 0.6,
-        inductance_h: 0.0004,
-        back_emf_v_s_per_rad: 0.05,
-        inertia_kg_m2: 3e-5,
-        load_torque_n_m: 0.01,
-    };
-    let big = Nameplate {
-        name: "30 kW".to_owned(),
-        rated_voltage_v: 440.0,
-        rated_current_a: 78.0,
-        rated_speed_rad_s: 157.0,
-        resistance_ohm: 0.4,
-        inductance_h: 0.006,
-        back_emf_v_s_per_rad: 2.6,
-        inertia_kg_m2: 0.9,
-        load_torque_n_m: 12.0,
-    };
-    for plate in [servo, big] {
-        let motor = MotorSection::from(&plate);
+    // Rated V, A and rad/s; then ohm, H, V.s/rad, kg.m2 and N.m.
+    let servo = ([24.0, 3.0, 400.0], [0.6, 0.0004, 0.05, 3e-5, 0.01]);
+    let big = ([440.0, 78.0, 157.0], [0.4, 0.006, 2.6, 0.9, 12.0]);
+    for (name, (rated, [r, l, ke, j, mc])) in [("small servo", servo), ("30 kW", big)] {
+        let motor = MotorSection {
+            name: name.to_owned(),
+            unknown: false,
+            rated_voltage_v: rated[0],
+            rated_current_a: rated[1],
+            rated_speed_rad_s: rated[2],
+            resistance_ohm: Some(r),
+            inductance_h: Some(l),
+            back_emf_v_s_per_rad: Some(ke),
+            inertia_kg_m2: Some(j),
+            load_torque_n_m: Some(mc),
+        };
         let free = Told {
             current_limit_a: None,
             voltage_limit_v: None,
@@ -204,9 +195,9 @@ fn motors_of_other_sizes_get_a_sequence_of_their_own() {
         };
         let file = made("own", &motor, free).unwrap();
         let plan = file.plan.as_ref().unwrap();
-        assert!(!plan.is_refused(), "{}: {:?}", plate.name, plan.refusals);
+        assert!(!plan.is_refused(), "{name}: {:?}", plan.refusals);
         let ratio = plan.peak_current_ratio;
-        assert!(ratio > 0.5, "{}: {ratio}", plate.name);
+        assert!(ratio > 0.5, "{name}: {ratio}");
     }
 }
 

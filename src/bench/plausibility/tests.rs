@@ -12,8 +12,9 @@ use crate::emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// What is wrong on the way.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Wrong {
+    #[default]
     Nothing,
     /// Speed and angle stay as they are.
     Frozen,
@@ -36,7 +37,7 @@ enum Wrong {
 }
 
 /// What is odd about a drive, each for itself.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Oddities {
     wrong: Wrong,
     from_s: f64,
@@ -170,9 +171,7 @@ impl Trial {
                 wrong,
                 from_s,
                 stale: 1,
-                coarse: false,
-                unsigned: false,
-                foreign: false,
+                ..Oddities::default()
             },
             rate_hz: 100.0,
             waived: false,

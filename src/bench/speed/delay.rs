@@ -105,11 +105,8 @@ pub fn measure_delay(
         if let Some(sample) = last.take() {
             meter.sent(seq, sample.time_s);
         }
-        let command = Command {
-            seq,
-            demand: Demand::Disable,
-        };
-        match link.exchange(command) {
+        let demand = Demand::Disable;
+        match link.exchange(Command { seq, demand }) {
             Ok(sample) => {
                 meter.sample(&sample);
                 last = Some(sample);

@@ -110,25 +110,18 @@ pub struct SpeedSection {
     #[serde(default)]
     pub controller: ControllerKind,
     /// Left out: the modulus optimum, and the symmetrical one for a current command, behind which the shaft integrates.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rule: Option<Rule>,
     /// Closed-loop bandwidth; left out: what the rule makes of the loop's small time constant.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bandwidth_rad_s: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub current_limit_a: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub slew_v_per_s: Option<f64>,
     /// The quantity that is commanded; left out: the first that the drive takes of voltage, current, speed.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator: Option<Actuator>,
     /// Time in which the drive's own loop follows a current or speed command, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub drive_lag_s: Option<f64>,
     #[serde(default)]
     pub feed_forward: ForwardUse,
     /// Only for `pi` over a voltage: instead of a rule.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gains: Option<GainsSection>,
     pub reference: Vec<ReferencePart>,
 }

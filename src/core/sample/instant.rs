@@ -15,8 +15,9 @@ pub enum Quality {
 }
 
 /// The drive's own state machine, as far as every drive has it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveState {
+    #[default]
     Disabled,
     Ready,
     Running,
