@@ -7,7 +7,7 @@
 //! ending: whatever returns, fails, panics or hangs up -> zero, disable, the drive's word -> status
 //! ```
 //!
-//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; drives that are only looked at.
+//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`: drives that are only looked at.
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
@@ -32,6 +32,7 @@ mod run;
 pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;
+pub(crate) mod survey;
 
 pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};

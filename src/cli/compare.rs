@@ -9,8 +9,9 @@ use super::output::{self, lines};
 use super::{progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::pages;
-use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
-use crate::text::number::{fixed, percent, significant};
+use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, compare};
+use crate::report::SignalFigures;
+use crate::text::number::{percent, significant};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
@@ -75,20 +76,15 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
         let headline = format!("--min-fit {least} is not a number of per cent");
         return Err(Failure::new(USAGE, headline));
     }
-    let signals = &comparison.signals;
-    let fit = |signal: Option<SignalComparison>| signal.map(|signal| signal.holdout.fit_percent);
-    let torque = signals.torque_n_m.as_ref();
-    let fits = [
-        ("speed", fit(signals.speed_rad_s)),
-        ("current", fit(signals.current_a)),
-        ("torque", torque.map(|torque| torque.holdout.fit_percent)),
-    ];
-    if fits.iter().all(|(_, fit)| fit.is_none()) {
+    let figures = SignalFigures::all(&comparison.signals);
+    if figures.is_empty() {
         let headline = "no signal stands in both runs: there is no fit to judge";
         return Err(Failure::new(REFUSED, headline));
     }
-    for (name, fit) in fits {
-        if let Some(found) = fit.filter(|found| *found < least) {
+    for own in figures {
+        let found = own.holdout.fit_percent;
+        if found < least {
+            let name = own.signal;
             let headline = format!("held-out {name} fit {found:.1} % is below {least} %");
             return Err(Failure::new(REFUSED, headline));
         }
@@ -105,42 +101,29 @@ pub(super) fn text(comparison: &Comparison) -> String {
         "{:<width$}  held-out fit   held-out rmse   noise floor   times floor | training fit   one-step rmse\n",
         "signal"
     );
-    let mut row = |name: &str,
-                   unit: &str,
-                   [fit, held_fit, rmse]: [f64; 3],
-                   floor: Option<f64>,
-                   one_step: Option<f64>| {
-        let known = |text: Option<String>, otherwise: &str| text.unwrap_or(otherwise.to_owned());
-        let (fit, held_fit) = (percent(fit), percent(held_fit));
-        let times = known(floor.map(|floor| fixed(rmse / floor, 2)), "unknown");
-        let floor = known(floor.map(|floor| significant(floor, 3)), "unknown");
-        let one_step = known(one_step.map(|error| significant(error, 3)), "-");
-        let rmse = significant(rmse, 3);
+    for own in SignalFigures::all(signals) {
+        let or = |text: Option<String>, word: &str| text.unwrap_or(word.to_owned());
+        let digits = |value| significant(value, 3);
+        let (name, unit, rmse) = (&own.name, own.unit, digits(own.holdout.rmse));
+        let (fit, held_fit) = (percent(own.fit_percent), percent(own.holdout.fit_percent));
+        let times = or(own.times_noise(), "unknown");
+        let floor = or(own.noise_floor.map(digits), "unknown");
+        let one_step = or(own.one_step_rmse.map(digits), "-");
         let _ = writeln!(
             text,
             "{name:<width$} {held_fit:>13}  {rmse:>8} {unit:<5} {floor:>13} {times:>13} | {fit:>12} {one_step:>15}"
         );
-    };
-    for (name, unit, signal) in [
-        (speed.as_str(), "rad/s", signals.speed_rad_s),
-        ("current", "A", signals.current_a),
-    ] {
-        let Some(signal) = signal else { continue };
-        let (held, one_step) = (signal.holdout, Some(signal.one_step_rmse));
-        let figures = [signal.fit_percent, held.fit_percent, held.rmse];
-        row(name, unit, figures, signal.noise_floor, one_step);
     }
-    if let Some(torque) = &signals.torque_n_m {
-        let held = torque.holdout;
-        let figures = [torque.fit_percent, held.fit_percent, held.rmse];
-        row("torque", "N.m", figures, torque.noise_floor, None);
-        for error in &torque.processing {
-            let _ = writeln!(
-                text,
-                "relative torque error {:.2} % held out, {:.2} % in training: {}",
-                error.holdout_relative_error_percent, error.relative_error_percent, error.sentence
-            );
-        }
+    for error in signals
+        .torque_n_m
+        .iter()
+        .flat_map(|torque| &torque.processing)
+    {
+        let _ = writeln!(
+            text,
+            "relative torque error {:.2} % held out, {:.2} % in training: {}",
+            error.holdout_relative_error_percent, error.relative_error_percent, error.sentence
+        );
     }
     let _ = writeln!(text, "residual {}", lights(&comparison.residual));
     if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {

@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::arguments::{WireArguments, open_line};
 use super::failure::{Failure, LINK};
 use super::output::{self, lines};
-use crate::app::opening::{Scan, scan};
+use crate::app::survey::{Scan, scan};
 use crate::drive::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use crate::drive::{
     Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, ReadRequest,

@@ -1,7 +1,7 @@
 //! `init`: a bench file from a drive profile, a port and a nameplate, every limit with its reason.
 //!
 //! ```text
-//! profile, nameplate -> app::opening: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
+//! profile, nameplate -> app::survey: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::failure::Failure;
 use super::{opening, output};
 use crate::app::files::read_text;
-use crate::app::opening::told;
+use crate::app::survey::told;
 use crate::bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
 use crate::config_text::{self, ConfigError};
 use crate::drive::serial_ports::describe;

@@ -1,8 +1,8 @@
 //! `probe`: is this the drive of that profile, and are its registers where the profile says? Only read.
 //!
 //! ```text
-//! --drive    -> app::opening::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
-//! no --drive -> app::opening::survey: every built-in profile in turn
+//! --drive    -> app::survey::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
+//! no --drive -> app::survey::survey: every built-in profile in turn
 //! ```
 
 use std::fmt::Write as _;
@@ -14,7 +14,7 @@ use super::failure::{Failure, LINK, REFUSED};
 use super::opening;
 use super::output::{self, lines};
 use crate::app::Tap;
-use crate::app::opening::{Asking, Survey, far_end, look, survey};
+use crate::app::survey::{Asking, Survey, far_end, look, survey};
 use crate::drive::{Framing, ProbeReport, ProbeVerdict, ProbedSignal};
 use crate::text::number::{reading, with_unit};
 

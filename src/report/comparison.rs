@@ -4,7 +4,9 @@
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
 use super::{Context, tables};
-use crate::diagnosis::{Comparison, FailureLocation, HoldoutFrom};
+use crate::diagnosis::{
+    Comparison, FailureLocation, HoldoutFrom, SignalComparison, SignalScore, Signals,
+};
 use crate::identification::noise::FloorSource;
 use crate::sample::ParameterEstimate;
 use crate::text::lines::capitalised;
@@ -74,64 +76,57 @@ impl ComparisonReport<'_> {
 /// A comparison with what its model is called.
 pub(super) type Named<'a> = (&'static str, Option<&'a Comparison>);
 
-/// Figures of one signal under one model.
-struct Signal {
-    name: String,
-    unit: &'static str,
-    model: &'static str,
-    holdout_fit_percent: f64,
-    holdout_rmse: f64,
-    noise_floor: Option<f64>,
-    fit_percent: f64,
-    rmse: f64,
-    one_step_rmse: Option<f64>,
+/// Figures of one signal under one model: terminal, screen and page show these.
+#[derive(Clone, Debug)]
+pub struct SignalFigures {
+    pub signal: &'static str,
+    /// With the length of the windows, where the figures are of those.
+    pub name: String,
+    pub unit: &'static str,
+    pub holdout: SignalScore,
+    pub noise_floor: Option<f64>,
+    pub fit_percent: f64,
+    pub rmse: f64,
+    pub one_step_rmse: Option<f64>,
 }
 
-impl Signal {
-    /// Speed, current and torque, each under every model that has it.
-    fn all(comparisons: &[Named<'_>]) -> Vec<Self> {
-        let of = |which: usize, model, comparison: &Comparison| -> Option<Self> {
-            let signals = &comparison.signals;
-            let (name, unit, signal) = match which {
-                0 => (signals.speed_name(), "rad/s", signals.speed_rad_s?),
-                1 => ("current".to_owned(), "A", signals.current_a?),
-                _ => {
-                    let torque = signals.torque_n_m.as_ref()?;
-                    return Some(Self {
-                        name: "torque".to_owned(),
-                        unit: "N.m",
-                        model,
-                        holdout_fit_percent: torque.holdout.fit_percent,
-                        holdout_rmse: torque.holdout.rmse,
-                        noise_floor: torque.noise_floor,
-                        fit_percent: torque.fit_percent,
-                        rmse: torque.rmse,
-                        one_step_rmse: None,
-                    });
-                }
-            };
-            Some(Self {
-                name,
-                unit,
-                model,
-                holdout_fit_percent: signal.holdout.fit_percent,
-                holdout_rmse: signal.holdout.rmse,
-                noise_floor: signal.noise_floor,
-                fit_percent: signal.fit_percent,
-                rmse: signal.rmse,
-                one_step_rmse: Some(signal.one_step_rmse),
-            })
+impl SignalFigures {
+    /// Speed, current and torque, as far as they are compared.
+    pub fn all(signals: &Signals) -> Vec<Self> {
+        let of = |signal, name, unit, own: SignalComparison| Self {
+            signal,
+            name,
+            unit,
+            holdout: own.holdout,
+            noise_floor: own.noise_floor,
+            fit_percent: own.fit_percent,
+            rmse: own.rmse,
+            one_step_rmse: Some(own.one_step_rmse),
         };
-        let models = || {
-            comparisons
-                .iter()
-                .filter_map(|(label, own)| Some((*label, (*own)?)))
-        };
-        let each = |which| models().filter_map(move |(label, own)| of(which, label, own));
-        (0..3).flat_map(each).collect()
+        let speed = signals.speed_rad_s;
+        let speed = speed.map(|own| of("speed", signals.speed_name(), "rad/s", own));
+        let current = signals.current_a;
+        let current = current.map(|own| of("current", "current".to_owned(), "A", own));
+        let torque = signals.torque_n_m.as_ref().map(|own| Self {
+            signal: "torque",
+            name: "torque".to_owned(),
+            unit: "N.m",
+            holdout: own.holdout,
+            noise_floor: own.noise_floor,
+            fit_percent: own.fit_percent,
+            rmse: own.rmse,
+            one_step_rmse: None,
+        });
+        [speed, current, torque].into_iter().flatten().collect()
     }
 
-    fn figure(&self, value: f64) -> Cell {
+    /// The held-out error over the noise floor, where that is known.
+    pub fn times_noise(&self) -> Option<String> {
+        self.noise_floor
+            .map(|floor| fixed(self.holdout.rmse / floor, 2))
+    }
+
+    fn cell(&self, value: f64) -> Cell {
         let cell = Cell::text(format!("{} {}", significant(value, 3), self.unit));
         if self.unit == "rad/s" && value.is_finite() {
             cell.with_note(r_min(value))
@@ -143,24 +138,36 @@ impl Signal {
 
 /// Fit and error of every signal, what is left in the residual, and its lights.
 pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
-    let or = |value: Option<f64>, row: &Signal, word: &str| {
-        value.map_or_else(|| Cell::text(word), |value| row.figure(value))
-    };
-    page.table(
-        Table::of(Signal::all(comparisons))
-            .column("signal", |row| row.name.clone())
-            .column("model", |row| row.model)
-            .column("held-out fit", |row| percent(row.holdout_fit_percent))
-            .column("held-out rms error", |row| row.figure(row.holdout_rmse))
-            .column("noise floor", |row| or(row.noise_floor, row, "not known"))
-            .column("training fit", |row| percent(row.fit_percent))
-            .column("training rms error", |row| row.figure(row.rmse))
-            .column("one-step rms error", |row| or(row.one_step_rmse, row, "-")),
-    );
     let known = comparisons.iter();
     let known: Vec<_> = known
         .filter_map(|(label, own)| Some((*label, (*own)?)))
         .collect();
+    let mut rows = Vec::new();
+    for (label, own) in &known {
+        let figures = SignalFigures::all(&own.signals).into_iter();
+        rows.extend(figures.map(|figures| (*label, figures)));
+    }
+    // Each signal under one model after the other.
+    let place = |signal| ["speed", "current"].iter().position(|one| *one == signal);
+    rows.sort_by_key(|(_, row)| place(row.signal).unwrap_or(2));
+    let or = |value: Option<f64>, row: &SignalFigures, word: &str| {
+        value.map_or_else(|| Cell::text(word), |value| row.cell(value))
+    };
+    page.table(
+        Table::of(rows)
+            .column("signal", |(_, row)| row.name.clone())
+            .column("model", |(label, _)| *label)
+            .column("held-out fit", |(_, row)| percent(row.holdout.fit_percent))
+            .column("held-out rms error", |(_, row)| row.cell(row.holdout.rmse))
+            .column("noise floor", |(_, row)| {
+                or(row.noise_floor, row, "not known")
+            })
+            .column("training fit", |(_, row)| percent(row.fit_percent))
+            .column("training rms error", |(_, row)| row.cell(row.rmse))
+            .column("one-step rms error", |(_, row)| {
+                or(row.one_step_rmse, row, "-")
+            }),
+    );
     let residual = |(label, comparison): &(&str, &Comparison)| {
         let residual = &comparison.residual;
         if !residual.enough_samples {

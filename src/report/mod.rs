@@ -22,7 +22,7 @@ pub mod run;
 mod tables;
 
 pub use commission::{CommissionReport, ConfirmRun};
-pub use comparison::ComparisonReport;
+pub use comparison::{ComparisonReport, SignalFigures};
 pub use page::Page;
 pub use run::{RunReport, SpeedLoop};
 

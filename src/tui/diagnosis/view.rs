@@ -12,14 +12,14 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
-    SignalScore, Status,
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights, Status,
 };
 use crate::plant::{Effect, effect};
+use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::{
-    fixed, percent, probability, share as per_cent, shortest, significant, with_std, with_unit,
+    percent, probability, share as per_cent, shortest, significant, with_std, with_unit,
 };
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
@@ -275,26 +275,18 @@ fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
 }
 
 fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
-    let mut figures = Vec::new();
-    let signals = &comparison.signals;
-    let mut figure = |name: &str, unit: &str, held: SignalScore, floor: Option<f64>| {
-        let times = floor.map(|floor| format!(" = {} x noise", fixed(held.rmse / floor, 2)));
-        let (fit, rmse) = (percent(held.fit_percent), significant(held.rmse, 3));
-        let times = times.unwrap_or_default();
+    let figure = |own: SignalFigures| {
+        let times = own.times_noise().map(|times| format!(" = {times} x noise"));
+        let (fit, rmse) = (
+            percent(own.holdout.fit_percent),
+            significant(own.holdout.rmse, 3),
+        );
+        let (name, unit, times) = (own.name, own.unit, times.unwrap_or_default());
         let text = format!(" {name} fit {fit}, error {rmse} {unit}{times} ");
-        figures.push(Span::styled(text, theme::BOLD));
+        Span::styled(text, theme::BOLD)
     };
-    if let Some(torque) = &signals.torque_n_m {
-        figure("torque", "N.m", torque.holdout, torque.noise_floor);
-    }
-    for (name, unit, signal) in [
-        (signals.speed_name(), "rad/s", signals.speed_rad_s),
-        ("current".to_owned(), "A", signals.current_a),
-    ] {
-        if let Some(signal) = signal {
-            figure(&name, unit, signal.holdout, signal.noise_floor);
-        }
-    }
+    let figures = SignalFigures::all(&comparison.signals).into_iter();
+    let figures: Vec<_> = figures.map(figure).collect();
     let mut lines: Vec<Line<'static>> = if area.width < SIDE_BY_SIDE && area.height >= TALL {
         figures.into_iter().map(Line::from).collect()
     } else {
@@ -600,20 +592,12 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
         return (format!("✗ refused: {}", result.reason), theme::CAREFUL);
     }
     let word = if added { "added" } else { "removed" };
-    let errors = |comparison: &Comparison| {
-        let signals = &comparison.signals;
-        [
-            (signals.torque_n_m.as_ref().map(|s| s.holdout.rmse), "N.m"),
-            (signals.speed_rad_s.map(|s| s.holdout.rmse), "rad/s"),
-            (signals.current_a.map(|s| s.holdout.rmse), "A"),
-        ]
-    };
-    let both = errors(&result.before)
-        .into_iter()
-        .zip(errors(&result.after));
-    let figures = both.filter_map(|((before, unit), (after, _))| {
-        let (before, after) = (significant(before?, 3), significant(after?, 3));
-        Some(format!("{before} -> {after} {unit}"))
+    let [before, after] =
+        [&result.before, &result.after].map(|own| SignalFigures::all(&own.signals));
+    let figures = before.iter().filter_map(|old| {
+        let new = after.iter().find(|new| new.signal == old.signal)?;
+        let [old_rmse, new_rmse] = [old, new].map(|own| significant(own.holdout.rmse, 3));
+        Some(format!("{old_rmse} -> {new_rmse} {}", old.unit))
     });
     let figures = figures.collect::<Vec<_>>().join(", ");
     let mut text = format!("✓ {word} {}: {figures}", result.effect);
