@@ -6,7 +6,7 @@ use super::joint::Noise;
 use super::joint::free_run::unseen_in;
 use super::location::{FailureLocation, locate_difference};
 use super::score::in_noise;
-use crate::identification::noise::{AT_THE_FLOOR, FloorSource};
+use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
 use crate::plant::Model;
 
@@ -50,7 +50,7 @@ impl<'a> Floor<'a> {
 
     /// Whether an error is no more than the noise.
     pub(super) fn is_reached(self, nrms: f64) -> bool {
-        nrms < self.highest() * self.evidence.noise.tolerance(AT_THE_FLOOR)
+        self.evidence.noise.is_at(self.highest(), nrms)
     }
 
     /// Share of the explainable error that is explained.

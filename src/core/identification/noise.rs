@@ -59,12 +59,17 @@ const SCALE_OF_SPREAD: f64 = 0.01;
 /// Samples after switching on that may still carry a transient.
 const SKIPPED: usize = 2;
 /// Error in units of the floor below which a model explains a run to the noise.
-pub const AT_THE_FLOOR: f64 = 1.1;
+const AT_THE_FLOOR: f64 = 1.1;
 
 impl NoiseFloor {
     /// Whether an error in units of the floor is one that a model may have that explains the run to the noise.
     pub fn is_at_the_floor(&self, nrms: f64) -> bool {
-        self.source != FloorSource::None && nrms <= self.tolerance(AT_THE_FLOOR)
+        self.is_at(1.0, nrms)
+    }
+
+    /// The same of a floor that is so many times as high, because not all of what noise does was seen at rest.
+    pub fn is_at(&self, height: f64, nrms: f64) -> bool {
+        self.source != FloorSource::None && nrms <= height * self.tolerance(AT_THE_FLOOR)
     }
 
     /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was

@@ -1,9 +1,8 @@
-//! Small statistics: moments, order statistics, correlation in time, quantiles, the bootstrap.
+//! Small statistics: moments, order statistics, correlation in time.
 
 use std::borrow::Borrow;
 
-use rand::{Rng, SeedableRng};
-use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Arithmetic mean; NaN for no values.
 pub fn mean(values: &[f64]) -> f64 {
@@ -133,50 +132,10 @@ pub fn ljung_box_limit(lags: usize, probability: f64) -> f64 {
     ChiSquared::new(lags as f64).map_or(f64::INFINITY, |chi| chi.inverse_cdf(1.0 - probability))
 }
 
-/// Ljung-Box statistic over `lags` and the probability of one as large if the values were white (Ljung and Box 1978).
-pub fn ljung_box(values: &[f64], lags: usize) -> Option<(f64, f64)> {
-    let correlation = autocorrelation(values, lags);
-    if correlation.is_empty() {
-        return None;
-    }
-    let statistic = ljung_box_statistic(&correlation, values.len());
-    let chi = ChiSquared::new(lags as f64).ok()?;
-    Some((statistic, 1.0 - chi.cdf(statistic)))
-}
-
-/// Student's t such that the middle of the distribution holds `confidence`; `None` outside `0 < confidence < 1` or
-/// without a degree of freedom.
-pub fn student_t(confidence: f64, degrees_of_freedom: f64) -> Option<f64> {
-    let inside = confidence > 0.0 && confidence < 1.0;
-    let t = StudentsT::new(0.0, 1.0, degrees_of_freedom).ok()?;
-    inside.then(|| t.inverse_cdf(0.5 + 0.5 * confidence))
-}
-
-/// `draws` resamples with replacement of `0..items`, each handed to `score`; the same seed gives the same draws.
-pub fn bootstrap<T>(
-    items: usize,
-    draws: usize,
-    seed: u64,
-    mut score: impl FnMut(&[usize]) -> T,
-) -> Vec<T> {
-    if items == 0 {
-        return Vec::new();
-    }
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let mut picked = vec![0; items];
-    (0..draws)
-        .map(|_| {
-            for pick in &mut picked {
-                *pick = rng.random_range(0..items);
-            }
-            score(&picked)
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{Rng as _, SeedableRng as _};
     use rand_distr::StandardNormal;
 
     fn noise(seed: u64, rows: usize) -> Vec<f64> {
@@ -207,62 +166,39 @@ mod tests {
 
     #[test]
     fn white_noise_passes_and_a_filtered_one_fails_the_test_of_whiteness() {
+        let statistic =
+            |values: &[f64]| ljung_box_statistic(&autocorrelation(values, 25), values.len());
         let white = noise(1, 2000);
-        let (_, probability) = ljung_box(&white, 25).unwrap();
-        assert!(probability > 0.01, "{probability}");
+        assert!(statistic(&white) < ljung_box_limit(25, 0.01));
         let filtered: Vec<f64> = white.windows(3).map(|w| w.iter().sum()).collect();
         let rho = autocorrelation(&filtered, 3);
         for (found, expected) in rho.iter().zip([2.0 / 3.0, 1.0 / 3.0, 0.0]) {
             assert!((found - expected).abs() < 0.08, "{rho:?}");
         }
-        assert!(ljung_box(&filtered, 25).unwrap().1 < 1e-6);
-        assert_eq!(ljung_box(&[1.0; 100], 25), None);
+        assert!(statistic(&filtered) > ljung_box_limit(25, 1e-6));
+        assert!(autocorrelation(&[1.0; 100], 25).is_empty());
     }
 
     #[test]
     fn one_strong_lag_is_colour_and_white_noise_is_hardly_ever() {
         // Ten in a hundred of what was five samples before: one lag stands out, the others are noise.
-        let echoed = |seed: u64| {
+        let echoed = |seed: u64| -> Vec<f64> {
             let white = noise(seed, 5000);
             let echo = |k: usize| if k >= 5 { 0.14 * white[k - 5] } else { 0.0 };
-            (0..white.len())
-                .map(|k| white[k] + echo(k))
-                .collect::<Vec<f64>>()
+            (0..5000).map(|k| white[k] + echo(k)).collect()
         };
         let seen = (0..50).filter(|seed| is_coloured(&echoed(*seed))).count();
         assert!(seen >= 48, "{seen} of 50");
-        let outside = autocorrelation(&echoed(1), WHITENESS_LAGS)
-            .iter()
-            .filter(|rho| rho.abs() > BAND_99 / 5000_f64.sqrt())
-            .count() as f64;
-        assert!(
-            outside <= OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64,
-            "the number of lags alone does not see it"
-        );
+        let correlations = autocorrelation(&echoed(1), WHITENESS_LAGS);
+        let is_outside = |rho: &&f64| rho.abs() > BAND_99 / 5000_f64.sqrt();
+        let outside = correlations.iter().filter(is_outside).count() as f64;
+        let sees_it = outside > OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64;
+        assert!(!sees_it, "the number of lags alone does not see it");
         for rows in [100, 500, 4000] {
-            let alarms = (0..2000)
-                .filter(|seed| is_coloured(&noise(10_000 + seed, rows)))
-                .count();
+            let is_alarm = |seed: &u64| is_coloured(&noise(10_000 + seed, rows));
+            let alarms = (0..2000).filter(is_alarm).count();
             // Two rare alarms of 1e-4 each: more than four in 2,000 happens to them in one case of a thousand.
             assert!(alarms <= 4, "{alarms} of 2000 with {rows} rows");
         }
-    }
-
-    #[test]
-    fn quantiles_are_those_of_the_tables() {
-        assert!((student_t(0.95, 10.0).unwrap() - 2.2281).abs() < 1e-4);
-        assert!((student_t(0.99, 4.0).unwrap() - 4.6041).abs() < 1e-4);
-        assert_eq!(student_t(1.0, 4.0), None);
-        assert_eq!(student_t(0.95, 0.0), None);
-    }
-
-    #[test]
-    fn the_bootstrap_finds_the_spread_of_a_mean_and_repeats_itself() {
-        let values = noise(5, 400);
-        let average = |picked: &[usize]| picked.iter().map(|p| values[*p]).sum::<f64>() / 400.0;
-        let means = bootstrap(values.len(), 1000, 9, average);
-        assert!((variance(&means).sqrt() - 0.05).abs() < 0.006);
-        assert_eq!(means, bootstrap(values.len(), 1000, 9, average));
-        assert!(bootstrap(0, 10, 1, |_| 0.0).is_empty());
     }
 }

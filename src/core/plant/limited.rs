@@ -143,107 +143,91 @@ fn sign(of: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::testing::{held, run_of};
     use crate::sample::Origin;
 
-    /// A ramp of 10 V a sample, held by the drive at `30 + 2 k` V while it is beyond it.
-    fn run() -> Run {
-        let rows = 12_usize;
-        let mut run = Run::new("r", (0..rows).map(|k| 0.01 * k as f64).collect()).unwrap();
-        let command: Vec<f64> = (0..rows)
-            .map(|k| if k < 7 { 10.0 * k as f64 } else { 0.0 })
-            .collect();
-        let measured = (0..rows)
-            .map(|k| command[k].min(30.0 + 2.0 * k as f64))
-            .collect();
-        run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
-            .unwrap();
-        run.set_column(Channel::Voltage, measured, Origin::Measured)
-            .unwrap();
-        run
+    /// A ramp of 10 V a sample, held by the drive at `30 + 2 k` V while it is beyond it, and its commands.
+    fn ramp() -> (Run, Vec<Point>) {
+        let row = |k: u8| f64::from(k);
+        let command = |k: u8| if k < 7 { 10.0 * row(k) } else { 0.0 };
+        let measured = (0..12).map(|k| command(k).min(30.0 + 2.0 * row(k)));
+        let columns = [
+            (
+                Channel::VoltageCmd,
+                (0..12).map(command).collect(),
+                Origin::Commanded,
+            ),
+            (Channel::Voltage, measured.collect(), Origin::Measured),
+        ];
+        let run = run_of("r", (0..12).map(|k| 0.01 * row(k)).collect(), columns);
+        let commands = run.points(Channel::VoltageCmd).collect();
+        (run, commands)
     }
 
-    fn at(events: &[Point], time_s: f64) -> f64 {
-        events[events.partition_point(|event| event.0 <= time_s) - 1].1
+    /// That the events have these levels at these instants.
+    #[track_caller]
+    fn assert_held<const N: usize>(events: &[Point], at: [f64; N], levels: [f64; N], within: f64) {
+        for (time_s, volts) in at.into_iter().zip(levels) {
+            let found = signal::held(events, time_s).unwrap();
+            let off = (found - volts).abs();
+            assert!(off < within, "{time_s} s: {found}: {events:?}");
+        }
     }
 
     #[test]
     fn without_a_limit_the_commands_stand() {
-        let run = run();
-        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
+        let (run, commands) = ramp();
         assert_eq!(applied(&run, &commands), commands);
     }
 
     #[test]
     fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
-        let mut run = run();
+        let (mut run, commands) = ramp();
         run.set_limited_rows(vec![4, 5, 6]);
-        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
         let events = applied(&run, &commands);
-        assert!(
-            events.windows(2).all(|pair| pair[0].0 < pair[1].0),
-            "{events:?}"
-        );
+        let grows = events.windows(2).all(|pair| pair[0].0 < pair[1].0);
+        assert!(grows, "{events:?}");
         // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
-        for (time_s, volts) in [(0.0451, 39.0), (0.0551, 41.0)] {
-            assert!(
-                (at(&events, time_s) - volts).abs() < 0.1,
-                "{time_s} s: {events:?}"
-            );
-        }
+        let (inside, volts) = ([0.0451, 0.0551, 0.0651], [39.0, 41.0, 43.0]);
+        assert_held(&events, inside, volts, 0.1);
         // Before the line is crossed the command of 30 V holds; after the release it is back.
-        assert!((at(&events, 0.025) - 20.0).abs() < 1e-12);
-        assert!((at(&events, 0.035) - 30.0).abs() < 1e-12);
-        assert!(at(&events, 0.0725).abs() < 1e-12);
-        assert!((at(&events, 0.0651) - 43.0).abs() < 0.1);
+        let (outside, volts) = ([0.025, 0.035, 0.0725], [20.0, 30.0, 0.0]);
+        assert_held(&events, outside, volts, 1e-12);
     }
 
     #[test]
     fn a_stretch_with_a_reversal_is_limited_on_both_sides() {
         // 60 V, and from 0.045 s -60 V: held at 30 + k V, then at -30 - k V, from 0.02 to 0.08 s.
-        let mut run = Run::new("r", (0..12).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
-        let command = |k: i32| match k {
+        let measured = (0..12_u8).map(|k| match k {
             0..2 => 0.0,
-            2..5 => 60.0,
-            5..9 => -60.0,
-            _ => -20.0,
-        };
-        let measured = (0..12).map(|k| match k {
             2..5 => 30.0 + f64::from(k),
             5..9 => -30.0 - f64::from(k),
-            _ => command(k),
+            _ => -20.0,
         });
-        run.set_column(Channel::Voltage, measured.collect(), Origin::Measured)
-            .unwrap();
+        let column = (Channel::Voltage, measured.collect(), Origin::Measured);
+        let times = (0..12).map(|k| 0.01 * f64::from(k)).collect();
+        let mut run = run_of("r", times, [column]);
         run.set_limited_rows((2..9).collect());
-        let commands = [(0.0, 0.0), (0.015, 60.0), (0.045, -60.0), (0.085, -20.0)];
+        let commands = held([0.0, 0.015, 0.045, 0.085], [0.0, 60.0, -60.0, -20.0]);
         let events = applied(&run, &commands);
-        for (time_s, volts) in [
-            (0.0121, 0.0),
-            (0.0171, 31.7),
-            (0.0351, 33.5),
-            // To the instant of the reversal on the one side, on the other from there.
-            (0.0421, 34.2),
-            (0.0449, 34.5),
-            (0.0451, -34.5),
-            (0.0481, -34.8),
-            (0.0651, -36.5),
-            (0.0831, -38.3),
-            (0.0871, -20.0),
-            (0.0951, -20.0),
-        ] {
-            let found = at(&events, time_s);
-            assert!(
-                (found - volts).abs() < 0.15,
-                "{time_s} s: {found}: {events:?}"
-            );
-        }
+        // To the instant of the reversal on the one side, on the other from there.
+        let (at, volts) = (
+            [0.0121, 0.0171, 0.0351, 0.0421, 0.0449],
+            [0.0, 31.7, 33.5, 34.2, 34.5],
+        );
+        assert_held(&events, at, volts, 0.15);
+        let (at, volts) = (
+            [0.0451, 0.0481, 0.0651, 0.0831, 0.0871, 0.0951],
+            [-34.5, -34.8, -36.5, -38.3, -20.0, -20.0],
+        );
+        assert_held(&events, at, volts, 0.15);
     }
 
     #[test]
     fn a_limit_that_nobody_measured_changes_nothing() {
-        let mut run = run().without(Channel::Voltage);
+        let (run, commands) = ramp();
+        let mut run = run.without(Channel::Voltage);
         run.set_limited_rows(vec![4, 5, 6]);
-        let commands: Vec<Point> = run.points(Channel::VoltageCmd).collect();
         assert_eq!(applied(&run, &commands), commands);
     }
 }

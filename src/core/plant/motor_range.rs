@@ -20,10 +20,8 @@ pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f
         (MotorKey::Inductance, Some(resistance_ohm), [first, .., last]) => {
             let period_s = (last - first) / (times.len() - 1) as f64;
             let resolved_h = LEAST_TIME_CONSTANT * period_s * resistance_ohm;
-            model
-                .motor
-                .get(key)
-                .map_or(resolved_h, |own_h| own_h.min(resolved_h))
+            let own_h = model.motor.get(key);
+            own_h.map_or(resolved_h, |own_h| own_h.min(resolved_h))
         }
         _ => LEAST,
     };
@@ -42,15 +40,12 @@ mod tests {
         model.motor.set(MotorKey::Resistance, 2.0);
         for period_s in [1e-3, 1e-2] {
             let run = record(&model, vec![(0.0, 10.0)], period_s, 1.0, 1);
-            let (least_h, _) = motor_range(MotorKey::Inductance, &model, &run);
-            assert!(
-                (least_h / (2e-2 * period_s) - 1.0).abs() < 1e-6,
-                "{least_h}"
-            );
             let mut small = model.clone();
             small.motor.set(MotorKey::Inductance, 1e-6);
-            let (least_h, _) = motor_range(MotorKey::Inductance, &small, &run);
-            assert!((least_h / 1e-6 - 1.0).abs() < 1e-6, "{least_h}");
+            for (model, expected_h) in [(&model, 2e-2 * period_s), (&small, 1e-6)] {
+                let (least_h, _) = motor_range(MotorKey::Inductance, model, &run);
+                assert!((least_h / expected_h - 1.0).abs() < 1e-6, "{least_h}");
+            }
             let others = MotorKey::ALL.into_iter();
             for key in others.filter(|key| *key != MotorKey::Inductance) {
                 assert_eq!(motor_range(key, &model, &run), (LEAST, MOST));

@@ -223,14 +223,6 @@ impl Scenario {
         self.unknown_input = holes;
     }
 
-    /// Whether the input is not known somewhere between two instants.
-    pub fn input_is_unknown(&self, from_s: f64, to_s: f64) -> bool {
-        let holes = &self.unknown_input;
-        let first = holes.partition_point(|hole| hole.to_s <= from_s);
-        let mut within = holes[first..].iter().take_while(|hole| hole.from_s < to_s);
-        within.any(|hole| hole.variance > 0.0)
-    }
-
     /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
     fn refuse_gaps(&self) -> Result<(), ScenarioError> {
         let times = self.sample_time_s.windows(2);
@@ -468,29 +460,16 @@ fn input_of(run: &Run) -> Option<(Input, Channel)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::testing::run_of;
 
     fn run(origin: Origin) -> Run {
         let times = (0..40).map(|row| f64::from(row) * 0.01).collect();
         let columns = [
-            (Channel::VoltageCmd, 2.0, origin),
-            (Channel::Voltage, 1.9, Origin::Measured),
-            (Channel::Speed, 0.0, Origin::Measured),
+            (Channel::VoltageCmd, vec![2.0; 40], origin),
+            (Channel::Voltage, vec![1.9; 40], Origin::Measured),
+            (Channel::Speed, vec![0.0; 40], Origin::Measured),
         ];
-        with_columns(
-            times,
-            columns.map(|(channel, value, origin)| (channel, vec![value; 40], origin)),
-        )
-    }
-
-    fn with_columns(
-        times: Vec<f64>,
-        columns: impl IntoIterator<Item = (Channel, Vec<f64>, Origin)>,
-    ) -> Run {
-        let mut run = Run::new("r", times).unwrap();
-        for (channel, cells, origin) in columns {
-            run.set_column(channel, cells, origin).unwrap();
-        }
-        run
+        run_of("r", times, columns)
     }
 
     #[test]
@@ -531,7 +510,7 @@ mod tests {
         for times in [milliseconds, [&seconds[..], &[1e12]].concat()] {
             let channels = [Channel::Voltage, Channel::Speed];
             let columns = channels.map(|channel| (channel, vec![1.0; 40], Origin::Unknown));
-            let refused = Scenario::from_run(&with_columns(times, columns));
+            let refused = Scenario::from_run(&run_of("r", times, columns));
             assert!(matches!(refused, Err(ScenarioError::Gap { .. })));
         }
     }
@@ -592,7 +571,8 @@ mod tests {
             (Channel::Voltage, cells(volts), Origin::Unknown),
             (Channel::Speed, cells(|row| row as f64), Origin::Measured),
         ];
-        Scenario::from_run(&with_columns(cells(|row| 1e-3 * row as f64), columns)).unwrap()
+        let times = cells(|row| 1e-3 * row as f64);
+        Scenario::from_run(&run_of("r", times, columns)).unwrap()
     }
 
     #[test]
@@ -600,10 +580,10 @@ mod tests {
         let holes = with_holes();
         assert_eq!(holes.unknown_input.len(), 2);
         let long = holes.unknown_input[1];
-        assert!(holes.input_is_unknown(1.15, 1.25) && !holes.input_is_unknown(0.6, 1.1999));
+        assert!((1.1999..1.25).contains(&long.from_s) && long.variance > 0.0);
         assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
-        assert!(whole.unknown_input.is_empty() && !whole.input_is_unknown(0.0, 1.0));
+        assert!(whole.unknown_input.is_empty());
         assert_eq!(whole.events.len(), 40);
     }
 

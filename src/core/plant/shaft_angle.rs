@@ -3,6 +3,8 @@
 
 use std::f64::consts::TAU;
 
+use crate::numerics::statistics::extent;
+
 /// Share of a turn by which the values of a wrapped angle may exceed one: an encoder's last count.
 const SLACK: f64 = 0.02;
 /// Longest step, in turns, up to which the nearest way round is taken without asking the speed.
@@ -34,14 +36,9 @@ pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f
 
 /// All values within one turn, and steps of more than half of it.
 fn is_wrapped(angle: &[(f64, f64)]) -> bool {
-    let (least, most) = angle.iter().fold(
-        (f64::INFINITY, f64::NEG_INFINITY),
-        |(least, most), point| (least.min(point.1), most.max(point.1)),
-    );
-    most - least < (1.0 + SLACK) * TAU
-        && angle
-            .windows(2)
-            .any(|pair| (pair[1].1 - pair[0].1).abs() > 0.5 * TAU)
+    let (least, most) = extent(angle.iter().map(|point| point.1));
+    let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
+    most - least < (1.0 + SLACK) * TAU && steps.any(|step| step.abs() > 0.5 * TAU)
 }
 
 /// Integral of a speed over intervals that come in the order of time.
@@ -88,48 +85,40 @@ mod tests {
         0.5 + 100.0 * (3.0 * t).sin()
     }
 
-    fn speed(period_s: f64) -> Vec<(f64, f64)> {
-        times(period_s)
-            .map(|t| (t, 300.0 * (3.0 * t).cos()))
-            .collect()
+    fn speed(t: f64) -> f64 {
+        300.0 * (3.0 * t).cos()
     }
 
-    fn times(period_s: f64) -> impl Iterator<Item = f64> {
-        (0..400).map(move |k| f64::from(k) * period_s)
+    /// A signal every `period_s`.
+    fn sampled(period_s: f64, of: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
+        let times = (0..400).map(|k| f64::from(k) * period_s);
+        times.map(|t| (t, of(t))).collect()
     }
 
     fn largest_error(angle: &[(f64, f64)]) -> f64 {
-        angle
-            .iter()
-            .fold(0.0, |most, (t, a)| f64::max(most, (a - motion(*t)).abs()))
+        crate::numerics::statistics::largest(angle.iter().map(|(t, a)| a - motion(*t)))
     }
 
     #[test]
     fn a_wrapped_angle_becomes_the_motion_from_any_start_of_the_turn() {
         for from in [0.0, -0.5 * TAU] {
-            let wrapped: Vec<(f64, f64)> = times(0.002)
-                .map(|t| (t, (motion(t) - from).rem_euclid(TAU) + from))
-                .collect();
+            let wrapped = sampled(0.002, |t| (motion(t) - from).rem_euclid(TAU) + from);
             assert!(largest_error(&continuous(wrapped, &[])) < 1e-9);
         }
     }
 
     #[test]
     fn where_half_a_turn_passes_between_samples_the_speed_tells_the_way() {
-        let wrapped = || {
-            times(0.015)
-                .map(|t| (t, motion(t).rem_euclid(TAU)))
-                .collect()
-        };
-        assert!(largest_error(&continuous(wrapped(), &speed(0.015))) < 1e-9);
+        let wrapped = || sampled(0.015, |t| motion(t).rem_euclid(TAU));
+        assert!(largest_error(&continuous(wrapped(), &sampled(0.015, speed))) < 1e-9);
         assert!(largest_error(&continuous(wrapped(), &[])) > 1.0);
     }
 
     #[test]
     fn what_does_not_wrap_stays_as_it_is() {
-        let long: Vec<(f64, f64)> = times(0.015).map(|t| (t, motion(t))).collect();
-        assert_eq!(continuous(long.clone(), &speed(0.015)), long);
-        let small: Vec<(f64, f64)> = times(0.01).map(|t| (t, 2.0 * t.sin())).collect();
+        let long = sampled(0.015, motion);
+        assert_eq!(continuous(long.clone(), &sampled(0.015, speed)), long);
+        let small = sampled(0.01, |t| 2.0 * t.sin());
         assert_eq!(continuous(small.clone(), &[]), small);
         assert!(continuous(vec![], &[]).is_empty());
     }

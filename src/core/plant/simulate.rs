@@ -226,13 +226,8 @@ impl Plant {
                 if let Some((at_s, _)) = again {
                     next_s = at_s.max(now_s);
                 }
-                self.advance(
-                    &mut state,
-                    now_s,
-                    next_s - now_s,
-                    events[event].1,
-                    &mut angle,
-                );
+                let (dt_s, input) = (next_s - now_s, events[event].1);
+                self.advance(&mut state, now_s, dt_s, input, &mut angle);
                 now_s = next_s;
                 if let Some((_, measured)) = again {
                     self.take_over(&mut state, measured);
@@ -244,19 +239,14 @@ impl Plant {
             }
             // A late command of the hole acts until behind it: up to then nobody knows where the state goes.
             if shadows.peek().is_some_and(|shadow| shadow.start < sample_s) {
-                self.take_over(
-                    &mut state,
-                    [scenario.current_a[sample], scenario.speed_rad_s[sample]],
-                );
+                let measured = [scenario.current_a[sample], scenario.speed_rad_s[sample]];
+                self.take_over(&mut state, measured);
                 shadows.next_if(|shadow| shadow.end <= sample_s);
             }
-            let (current_a, speed_rad_s) = self
-                .sensors
-                .as_ref()
-                .map_or((state.current_a, state.speed_rad_s), Sensors::read);
-            out.current_a.push(current_a);
-            out.speed_rad_s.push(speed_rad_s);
-            if let Some(change) = correct(sample, [current_a, speed_rad_s], &state) {
+            let shown = self.shown(&state);
+            out.current_a.push(shown[0]);
+            out.speed_rad_s.push(shown[1]);
+            if let Some(change) = correct(sample, shown, &state) {
                 self.anchor(&mut state, change.current_a, change.speed_rad_s);
                 self.equations.load_n_m = change.load_n_m;
                 self.equations.extra_v = change.voltage_v;
@@ -275,13 +265,16 @@ impl Plant {
         state.anchor(current_a, speed_rad_s);
     }
 
+    /// Current and speed as the sensors show them.
+    fn shown(&self, state: &State) -> [f64; 2] {
+        let direct = [state.current_a, state.speed_rad_s];
+        self.sensors.as_ref().map_or(direct, Sensors::read)
+    }
+
     /// Goes on from what was measured behind a hole in the input: how the state came there is not known.
     fn take_over(&mut self, state: &mut State, [current_a, speed_rad_s]: [f64; 2]) {
-        let shown = self
-            .sensors
-            .as_ref()
-            .map_or((state.current_a, state.speed_rad_s), Sensors::read);
-        self.anchor(state, current_a - shown.0, speed_rad_s - shown.1);
+        let shown = self.shown(state);
+        self.anchor(state, current_a - shown[0], speed_rad_s - shown[1]);
         // A load that had stopped or turned back in the simulation would now be torn along.
         if let Some(two_mass) = &mut self.two_mass {
             two_mass.start(state);
@@ -387,11 +380,7 @@ impl Plant {
             left -= cut;
             at.time_s += cut;
             state.mode = if mode == Mode::Stuck {
-                if self.equations.driving_torque(state, &at) > 0.0 {
-                    Mode::Forward
-                } else {
-                    Mode::Backward
-                }
+                Mode::towards(self.equations.driving_torque(state, &at))
             } else {
                 self.equations.mode_at(state, &at)
             };

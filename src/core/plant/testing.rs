@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
+use super::{ActiveEffect, Input, Model, Motor, MotorKey, Plant, Scenario, State, effect};
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -49,43 +49,59 @@ pub fn record(
     scenario
 }
 
-/// A record with its voltage in every row, without the rows that were lost.
-pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
-    let rows: Vec<usize> = (0..scenario.samples()).filter(|row| !lost(*row)).collect();
-    let pick =
-        |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
-    let times = &scenario.sample_time_s;
-    let mut run = Run::new("lossy", pick(&|row| times[row])).expect("stamps grow");
-    for (channel, cells, origin) in [
-        (
-            Channel::Voltage,
-            pick(&|row| scenario.input_at(times[row])),
-            Origin::Unknown,
-        ),
-        (
-            Channel::Current,
-            pick(&|row| scenario.current_a[row]),
-            Origin::Measured,
-        ),
-        (
-            Channel::Speed,
-            pick(&|row| scenario.speed_rad_s[row]),
-            Origin::Measured,
-        ),
-    ] {
+/// Levels of an input, each held from its instant until the next: `(time, value)`.
+pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)> {
+    times.into_iter().zip(levels).collect()
+}
+
+/// The motor of R, L, Ke, J, Mc.
+pub fn motor(name: &str, values: &[f64; 5]) -> Motor {
+    use MotorKey::{BackEmf, Inductance, Inertia, LoadTorque, Resistance};
+    let keys = [Resistance, Inductance, BackEmf, Inertia, LoadTorque];
+    let values = keys.into_iter().zip(values);
+    values.fold(Motor::new(name), |motor, (key, value)| {
+        motor.with(key, *value)
+    })
+}
+
+/// A run of these columns.
+pub fn run_of(
+    name: &str,
+    times: Vec<f64>,
+    columns: impl IntoIterator<Item = (Channel, Vec<f64>, Origin)>,
+) -> Run {
+    let mut run = Run::new(name, times).expect("stamps grow");
+    for (channel, cells, origin) in columns {
         run.set_column(channel, cells, origin)
             .expect("as many cells as rows");
     }
     run
 }
 
+/// A record with its voltage in every row, without the rows that were lost.
+pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
+    let kept = || (0..scenario.samples()).filter(|row| !lost(*row));
+    let pick = |values: &[f64]| -> Vec<f64> { kept().map(|row| values[row]).collect() };
+    let times = pick(&scenario.sample_time_s);
+    let volts = times.iter().map(|time_s| scenario.input_at(*time_s));
+    let (volts, current, speed) = (
+        volts.collect(),
+        pick(&scenario.current_a),
+        pick(&scenario.speed_rad_s),
+    );
+    let columns = [
+        (Channel::Voltage, volts, Origin::Unknown),
+        (Channel::Current, current, Origin::Measured),
+        (Channel::Speed, speed, Origin::Measured),
+    ];
+    run_of("lossy", times, columns)
+}
+
 /// Steps both ways of the motor of paper A with a fan on its shaft, from rest; `shift` makes another run of it.
 pub fn with_a_fan(shift: usize) -> Scenario {
     let mut truth = Model::baseline(Motor::zk_22fc());
-    truth.effects.push(ActiveEffect {
-        effect: effect::find("quadratic_load").expect("it is in the catalogue"),
-        values: vec![Some(4e-6)],
-    });
+    let fan = effect::find("quadratic_load").expect("it is in the catalogue");
+    truth.effects.push(ActiveEffect::with(fan, &[4e-6]));
     let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
     let mut events = vec![(0.0, 0.0)];
     for step in 0..levels.len() {

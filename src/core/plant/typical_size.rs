@@ -3,6 +3,7 @@
 use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;
 use super::scenario::{Input, Scenario};
+use crate::numerics::statistics::{finite, largest};
 
 /// Share of the run's largest voltage or torque that an effect of typical size reaches.
 const SHARE: f64 = 0.03;
@@ -23,80 +24,64 @@ pub fn typical_size(
     if !specs[parameter].is_coefficient() {
         return specs[parameter].guess();
     }
-    let values: Vec<f64> = specs
-        .iter()
-        .enumerate()
-        .map(
-            |(index, spec)| match (spec.is_coefficient(), index == parameter) {
-                // Nearly proportional there; a large size may saturate.
-                (true, true) => spec.scale,
-                (true, false) => 0.0,
-                (false, _) => spec.guess(),
-            },
-        )
-        .collect();
-    let terms = effect.terms(&values);
-    let (times, events) = (&scenario.sample_time_s, &scenario.events);
+    let values = specs.iter().enumerate().map(|(index, spec)| {
+        match (spec.is_coefficient(), index == parameter) {
+            // Nearly proportional there; a large size may saturate.
+            (true, true) => spec.scale,
+            (true, false) => 0.0,
+            (false, _) => spec.guess(),
+        }
+    });
+    let terms = effect.terms(&values.collect::<Vec<f64>>());
+    let times = &scenario.sample_time_s;
     let duration_s = times[times.len() - 1] - times[0];
-    let finite =
-        |values: &[f64]| -> Vec<f64> { values.iter().copied().filter(|v| v.is_finite()).collect() };
     let currents = finite(&scenario.current_a);
     let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
     // States of effects gather what the current leaves behind: by the end of the run as much as this.
     let own = vec![mean_square * duration_s; terms.states()];
     let supply_v = scenario.supply_v();
     let stride = times.len().div_ceil(LOOKS);
-    let largest_input = events
-        .iter()
-        .fold(0.0, |most, event| f64::max(most, event.1.abs()));
-    let largest_current = currents.iter().fold(0.0, |most, i| f64::max(most, i.abs()));
+    let largest_input = largest(scenario.events.iter().map(|event| event.1));
+    let largest_current = largest(&currents);
     let largest_torque = match scenario.input {
         Input::Torque => largest_input,
         Input::Voltage | Input::Current => {
             model.motor.torque_constant().unwrap_or(1.0) * largest_current
         }
     };
-    let reached = (0..times.len())
-        .step_by(stride)
-        .fold(0.0_f64, |most, sample| {
-            let input = scenario.input_at(times[sample]);
-            let by_torque = scenario.input == Input::Torque;
-            let motor = Instant::of(&model.motor);
-            let at = Instant {
-                time_s: times[sample] - scenario.begin_s(),
-                // A given torque is the current of a motor with a torque constant of one.
-                current_a: if by_torque {
-                    input
-                } else {
-                    scenario.current_a[sample]
-                },
-                torque_n_m_per_a: if by_torque {
-                    1.0
-                } else {
-                    motor.torque_n_m_per_a
-                },
-                speed_rad_s: scenario.speed_rad_s[sample],
-                voltage_v: input,
-                supply_v,
-                // Any angles will do, as long as they are many.
-                angle: ShaftAngle::at(sample as f64),
-                ..motor
-            };
-            let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
-            let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
-            // Comparisons that drop NaN, as of a sample without a speed.
-            most.max(voltage)
-                .max(torque / largest_torque)
-                .max(terms.current_rate_gain(&at).abs())
-                .max(OF_TORQUE * terms.inertia_gain(&at).abs())
-        });
-    let largest_speed = finite(&scenario.speed_rad_s)
-        .iter()
-        .fold(0.0_f64, |most, w| most.max(w.abs()));
+    let mut motor = Instant::of(&model.motor);
+    // A given torque is the current of a motor with a torque constant of one.
+    let by_torque = scenario.input == Input::Torque;
+    if by_torque {
+        motor.torque_n_m_per_a = 1.0;
+    }
+    let mut reached = 0.0_f64;
+    for sample in (0..times.len()).step_by(stride) {
+        let input = scenario.input_at(times[sample]);
+        let measured_a = || scenario.current_a[sample];
+        let at = Instant {
+            time_s: times[sample] - scenario.begin_s(),
+            current_a: if by_torque { input } else { measured_a() },
+            speed_rad_s: scenario.speed_rad_s[sample],
+            voltage_v: input,
+            supply_v,
+            // Any angles will do, as long as they are many.
+            angle: ShaftAngle::at(sample as f64),
+            ..motor
+        };
+        let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
+        let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
+        // Comparisons that drop NaN, as of a sample without a speed.
+        reached = reached
+            .max(voltage)
+            .max(torque / largest_torque)
+            .max(terms.current_rate_gain(&at).abs())
+            .max(OF_TORQUE * terms.inertia_gain(&at).abs());
+    }
     let path = terms.path();
     let reached = reached
         .max(path.current_offset_a.abs() / largest_current)
-        .max(path.speed_offset_rad_s.abs() / largest_speed);
+        .max(path.speed_offset_rad_s.abs() / largest(&scenario.speed_rad_s));
     let size = SHARE * specs[parameter].scale / reached;
     if size.is_finite() && size > 0.0 {
         size

@@ -238,8 +238,6 @@ fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario)
 
 /// What standard deviations are multiplied by where more than noise is left over.
 const WIDENED: f64 = 2.0;
-/// Error in units of the noise above which more than noise is left over.
-const ABOVE_THE_NOISE: f64 = 1.1;
 
 /// Factor on every standard deviation of a fit. Blocks cover what neighbouring samples share, but not what a missing effect
 /// puts into whole stretches of the run: where the error stands above the noise, or is coloured, the interval is doubled.
@@ -247,7 +245,7 @@ const ABOVE_THE_NOISE: f64 = 1.1;
 fn interval_factor(minimum: &Minimum, rows: &[(usize, bool)], noise: &NoiseFloor) -> f64 {
     let residual = minimum.residual.as_slice();
     let nrms = nrms(minimum, rows);
-    let above = noise.source != FloorSource::None && nrms > noise.tolerance(ABOVE_THE_NOISE);
+    let above = noise.source != FloorSource::None && !noise.is_at_the_floor(nrms);
     let is_coloured = |speed: bool| {
         let of_signal: Vec<f64> = rows
             .iter()

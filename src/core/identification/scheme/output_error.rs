@@ -1,7 +1,7 @@
 //! Batch output-error fit: the reference among our methods.
 
 use super::{Data, Identified, IdentifyError, Scheme};
-use crate::identification::noise::{AT_THE_FLOOR, FloorSource, NoiseFloor};
+use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, fit_delayed};
 use crate::identification::{effect_start, start};
 use crate::plant::{Input, Model, MotorKey, Scenario};
@@ -60,8 +60,7 @@ fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, Id
     let given = start::complete(data.model, data.scenario)?;
     let from_given = from(&given, data.scenario, noise);
     if let Ok((found, _)) = &from_given
-        && noise.source != FloorSource::None
-        && found.nrms < AT_THE_FLOOR
+        && noise.is_at_the_floor(found.nrms)
     {
         return Ok(from_given?);
     }

@@ -1,67 +1,47 @@
 //! The contract that every effect of the catalogue keeps.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::*;
+use crate::plant::testing::held;
 use crate::plant::{
     ActiveEffect, Input, Model, ModelFile, Motor, Plant, Scenario, State, Trajectory,
 };
 use crate::sample::Channel;
 
 /// Ids and keys that model files, JSON and the command line use; a change here breaks files in the field.
-const KEYS: &[(&str, &[&str])] = &[
-    ("viscous_friction", &["viscous_n_m_s_per_rad"]),
-    ("quadratic_load", &["quadratic_n_m_s2_per_rad2"]),
-    (
-        "stribeck_friction",
-        &["stribeck_n_m", "stribeck_speed_rad_s"],
-    ),
-    ("constant_load", &["constant_n_m"]),
-    ("asymmetric_viscous", &["asymmetry_n_m_s_per_rad"]),
-    ("cogging", &["order", "sin_n_m", "cos_n_m"]),
-    ("torque_ripple", &["order", "sin_ratio", "cos_ratio"]),
-    ("eccentric_load", &["sin_n_m", "cos_n_m"]),
-    ("load_dependent_friction", &["ratio"]),
-    ("load_step", &["step_n_m", "time_s"]),
-    ("one_sided_load", &["load_n_m", "time_s"]),
-    ("friction_onset", &["viscous_n_m_s_per_rad", "time_s"]),
-    ("inertia_change", &["ratio", "time_s"]),
-    ("voltage_drop", &["drop_v"]),
-    ("supply_sag", &["sag_ohm"]),
-    ("winding_heating", &["gain_per_a2_s", "time_constant_s"]),
-    ("flux_saturation", &["saturation_per_a2"]),
-    ("inductance_saturation", &["saturation_per_a2"]),
-    ("field_change", &["drift_per_s"]),
-    ("discontinuous_conduction", &["boundary_a", "extra_ohm"]),
-    ("command_delay", &["delay_s"]),
-    ("start_delay", &["delay_s"]),
-    ("restart_delay", &["delay_s"]),
-    ("speed_delay", &["delay_s"]),
-    ("speed_filter", &["time_constant_s"]),
-    ("current_filter", &["time_constant_s"]),
-    ("current_offset", &["offset_a"]),
-    ("speed_offset", &["offset_rad_s"]),
-    ("voltage_offset", &["offset_v"]),
-    (
-        "elastic_coupling",
-        &[
-            "frequency_hz",
-            "inertia_ratio",
-            "damping_ratio",
-            "friction_split",
-        ],
-    ),
-    (
-        "backlash",
-        &[
-            "frequency_hz",
-            "inertia_ratio",
-            "damping_ratio",
-            "friction_split",
-            "gap_rad",
-        ],
-    ),
-];
+const KEYS: &str = "
+    viscous_friction viscous_n_m_s_per_rad
+    quadratic_load quadratic_n_m_s2_per_rad2
+    stribeck_friction stribeck_n_m stribeck_speed_rad_s
+    constant_load constant_n_m
+    asymmetric_viscous asymmetry_n_m_s_per_rad
+    cogging order sin_n_m cos_n_m
+    torque_ripple order sin_ratio cos_ratio
+    eccentric_load sin_n_m cos_n_m
+    load_dependent_friction ratio
+    load_step step_n_m time_s
+    one_sided_load load_n_m time_s
+    friction_onset viscous_n_m_s_per_rad time_s
+    inertia_change ratio time_s
+    voltage_drop drop_v
+    supply_sag sag_ohm
+    winding_heating gain_per_a2_s time_constant_s
+    flux_saturation saturation_per_a2
+    inductance_saturation saturation_per_a2
+    field_change drift_per_s
+    discontinuous_conduction boundary_a extra_ohm
+    command_delay delay_s
+    start_delay delay_s
+    restart_delay delay_s
+    speed_delay delay_s
+    speed_filter time_constant_s
+    current_filter time_constant_s
+    current_offset offset_a
+    speed_offset offset_rad_s
+    voltage_offset offset_v
+    elastic_coupling frequency_hz inertia_ratio damping_ratio friction_split
+    backlash frequency_hz inertia_ratio damping_ratio friction_split gap_rad";
 
 /// There or not there: no size of it is none.
 fn is_finite_by_nature(effect: &dyn Effect) -> bool {
@@ -139,14 +119,10 @@ fn scenario() -> Scenario {
     let sample_time_s: Vec<f64> = (0..1000).map(|k| 0.002 * f64::from(k)).collect();
     let speed_rad_s = sample_time_s.iter().map(|t| 30.0 * (2.0 * t).sin());
     let speed_rad_s = speed_rad_s.collect();
-    let events = vec![
-        (0.0, 0.0),
-        (0.1, 25.0),
-        (0.6, 50.0),
-        (1.0, -30.0),
-        (1.5, 6.0),
-        (1.8, 0.0),
-    ];
+    let events = held(
+        [0.0, 0.1, 0.6, 1.0, 1.5, 1.8],
+        [0.0, 25.0, 50.0, -30.0, 6.0, 0.0],
+    );
     let channel = Channel::VoltageCmd;
     Scenario {
         current_a: vec![0.0; sample_time_s.len()],
@@ -179,13 +155,14 @@ fn distance(one: &Trajectory, other: &Trajectory) -> (f64, f64) {
 
 #[test]
 fn ids_and_keys_are_those_that_files_use_and_are_unique() {
-    assert_eq!(CATALOGUE.len(), KEYS.len(), "an id that files use is gone");
+    let rows = KEYS.trim().lines().map(str::split_whitespace);
+    let known = rows.map(|mut words| (words.next().unwrap(), words.collect::<BTreeSet<_>>()));
+    let known: BTreeMap<_, _> = known.collect();
+    assert_eq!(CATALOGUE.len(), known.len(), "an id that files use is gone");
     for effect in CATALOGUE {
         let id = effect.card().id;
-        let row = KEYS.iter().find(|(known, _)| *known == id);
-        let expected = row.map(|(_, keys)| BTreeSet::from_iter(*keys));
-        let keys = effect.parameters().iter().map(|spec| &spec.key);
-        assert_eq!(Some(keys.collect()), expected, "keys of {id}");
+        let keys = effect.parameters().iter().map(|spec| spec.key);
+        assert_eq!(Some(&keys.collect()), known.get(id), "keys of {id}");
         let alike = CATALOGUE.iter().filter(|other| other.card().id == id);
         assert_eq!(alike.count(), 1, "{id}");
     }
@@ -209,10 +186,8 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
     for effect in CATALOGUE {
         let id = effect.card().id;
         let specs = effect.parameters();
-        assert!(
-            specs.iter().any(ParameterSpec::is_coefficient) || is_finite_by_nature(*effect),
-            "{id} has no size"
-        );
+        let has_size = specs.iter().any(ParameterSpec::is_coefficient);
+        assert!(has_size || is_finite_by_nature(*effect), "{id} has no size");
         for spec in specs {
             let at = format!("{id}.{}", spec.key);
             assert!(!spec.unit.is_empty() && spec.scale > 0.0, "{at}");

@@ -87,15 +87,14 @@ pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::testing::held;
 
-    const EVENTS: [(f64, f64); 6] = [
-        (1.0, 0.0),
-        (1.5, 0.0),
-        (2.0, 5.0),
-        (2.1, 6.0),
-        (2.5, 6.0),
-        (3.0, -5.0),
-    ];
+    fn events() -> Vec<(f64, f64)> {
+        held(
+            [1.0, 1.5, 2.0, 2.1, 2.5, 3.0],
+            [0.0, 0.0, 5.0, 6.0, 6.0, -5.0],
+        )
+    }
 
     #[test]
     fn a_delay_moves_every_change_and_drops_repeats() {
@@ -103,58 +102,45 @@ mod tests {
             command_delay_s: 0.25,
             ..Path::default()
         };
-        assert_eq!(
-            *applied(&EVENTS, &path),
-            [(1.0, 0.0), (2.25, 5.0), (2.35, 6.0), (3.25, -5.0)]
-        );
-        assert!(matches!(
-            applied(&EVENTS, &Path::default()),
-            Cow::Borrowed(_)
-        ));
+        let expected = held([1.0, 2.25, 2.35, 3.25], [0.0, 5.0, 6.0, -5.0]);
+        assert_eq!(*applied(&events(), &path), expected);
+        let (events, direct) = (events(), Path::default());
+        assert!(matches!(applied(&events, &direct), Cow::Borrowed(_)));
     }
 
     #[test]
     fn every_start_from_rest_waits_and_nothing_else_does() {
-        let events = [
-            (0.0, 5.0),
-            (1.0, 0.0),
-            (1.1, 4.0),
-            (2.0, 0.0),
-            (2.4, -5.0),
-            (2.45, -6.0),
-            (3.0, 0.0),
-        ];
+        let events = held(
+            [0.0, 1.0, 1.1, 2.0, 2.4, 2.45, 3.0],
+            [5.0, 0.0, 4.0, 0.0, -5.0, -6.0, 0.0],
+        );
         assert_eq!(starts_from_rest(&events), [0.0, 2.4]);
         let path = Path {
             restart_delay_s: 0.1,
             ..Path::default()
         };
-        let expected = [
-            (0.0, 0.0),
-            (0.1, 5.0),
-            (1.0, 0.0),
-            (1.1, 4.0),
-            (2.0, 0.0),
-            (2.5, -6.0),
-            (3.0, 0.0),
-        ];
+        let expected = held(
+            [0.0, 0.1, 1.0, 1.1, 2.0, 2.5, 3.0],
+            [0.0, 5.0, 0.0, 4.0, 0.0, -6.0, 0.0],
+        );
         assert_eq!(*applied(&events, &path), expected);
     }
 
     #[test]
     fn a_late_start_swallows_the_first_commands() {
-        let path = |start_delay_s: f64| Path {
-            start_delay_s,
-            ..Path::default()
-        };
-        assert_eq!(
-            *applied(&EVENTS, &path(0.05)),
-            [(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)]
-        );
-        assert_eq!(
-            *applied(&EVENTS, &path(0.3)),
-            [(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)]
-        );
-        assert_eq!(*applied(&EVENTS, &path(2.0)), [(1.0, 0.0), (4.0, -5.0)]);
+        for (start_delay_s, expected) in [
+            (
+                0.05,
+                &[(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)][..],
+            ),
+            (0.3, &[(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)]),
+            (2.0, &[(1.0, 0.0), (4.0, -5.0)]),
+        ] {
+            let path = Path {
+                start_delay_s,
+                ..Path::default()
+            };
+            assert_eq!(*applied(&events(), &path), *expected, "{start_delay_s}");
+        }
     }
 }

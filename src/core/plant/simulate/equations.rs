@@ -29,6 +29,15 @@ pub(super) enum Mode {
 }
 
 impl Mode {
+    /// The motion that goes with this sign.
+    pub(super) fn towards(direction: f64) -> Self {
+        if direction > 0.0 {
+            Self::Forward
+        } else {
+            Self::Backward
+        }
+    }
+
     pub(super) const fn sign(self) -> f64 {
         match self {
             Self::Forward => 1.0,
@@ -114,22 +123,18 @@ pub(super) struct Equations {
 
 impl Equations {
     pub(super) fn new(model: &Model, input: Input) -> Result<Self, ModelError> {
-        let value = |key: MotorKey| {
-            model.motor.get(key).ok_or_else(|| ModelError::Unset {
-                key: key.key().to_owned(),
-            })
+        let given = |key: MotorKey, value: Option<f64>| {
+            let key = key.key().to_owned();
+            value.ok_or(ModelError::Unset { key })
         };
-        let effects: Vec<(Enters, Box<dyn Terms>)> = model
-            .effects
-            .iter()
-            .map(|active| {
-                let terms = active.effect.terms(&active.values_or_guess());
-                (active.effect.card().enters, terms)
-            })
-            .collect();
-        let path = effects
-            .iter()
-            .fold(Path::default(), |path, (_, terms)| path.plus(terms.path()));
+        let value = |key: MotorKey| given(key, model.motor.get(key));
+        let effects = model.effects.iter().map(|active| {
+            let terms = active.effect.terms(&active.values_or_guess());
+            (active.effect.card().enters, terms)
+        });
+        let effects: Vec<(Enters, Box<dyn Terms>)> = effects.collect();
+        let paths = effects.iter().map(|(_, terms)| terms.path());
+        let path = paths.fold(Path::default(), Path::plus);
         let coupling = effects.iter().find_map(|(_, terms)| terms.coupling());
         // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
         let (behind, friction_behind) = coupling.map_or((0.0, 0.0), |coupling| {
@@ -149,12 +154,7 @@ impl Equations {
                 (kt, [[-r / l, -ke / l], [kt / inertia, 0.0]], 1.0 / l)
             }
             Input::Current => {
-                let kt = model
-                    .motor
-                    .torque_constant()
-                    .ok_or_else(|| ModelError::Unset {
-                        key: MotorKey::TorqueConstant.key().to_owned(),
-                    })?;
+                let kt = given(MotorKey::TorqueConstant, model.motor.torque_constant())?;
                 (kt, [[0.0, 0.0], [kt / inertia, 0.0]], 0.0)
             }
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
@@ -172,10 +172,7 @@ impl Equations {
             motor,
             path,
             coupling,
-            needs_angle: model
-                .effects
-                .iter()
-                .any(|active| active.effect.card().needs_angle),
+            needs_angle: (model.effects.iter()).any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
             coulomb: coulomb * (1.0 - friction_behind),
             coulomb_behind: coulomb * friction_behind,
@@ -319,19 +316,13 @@ impl Equations {
     }
 
     pub(super) fn mode_at(&self, state: &State, at: &Instant) -> Mode {
-        let direction = if state.speed_rad_s == 0.0 {
-            if self.hold(state, at) >= 0.0 {
-                return Mode::Stuck;
-            }
-            self.driving_torque(state, at)
-        } else {
-            state.speed_rad_s
-        };
-        if direction > 0.0 {
-            Mode::Forward
-        } else {
-            Mode::Backward
+        if state.speed_rad_s != 0.0 {
+            return Mode::towards(state.speed_rad_s);
         }
+        if self.hold(state, at) >= 0.0 {
+            return Mode::Stuck;
+        }
+        Mode::towards(self.driving_torque(state, at))
     }
 
     /// One explicit step of the effects' own states.

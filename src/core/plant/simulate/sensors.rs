@@ -45,30 +45,24 @@ impl Sensors {
             speed_rad_s: self.speed_before(now),
             ..now
         };
+        let filtered = |of: fn(&Reading) -> f64, time_constant_s: f64| {
+            let input = (of(&self.delayed), of(&delayed));
+            filter(of(&self.filtered), input, interval_s, time_constant_s)
+        };
         self.filtered = Reading {
             time_s: now.time_s,
-            current_a: filter(
-                self.filtered.current_a,
-                (self.delayed.current_a, delayed.current_a),
-                interval_s,
-                self.path.current_filter_s,
-            ),
-            speed_rad_s: filter(
-                self.filtered.speed_rad_s,
-                (self.delayed.speed_rad_s, delayed.speed_rad_s),
-                interval_s,
-                self.path.speed_filter_s,
-            ),
+            current_a: filtered(|it| it.current_a, self.path.current_filter_s),
+            speed_rad_s: filtered(|it| it.speed_rad_s, self.path.speed_filter_s),
         };
         self.delayed = delayed;
     }
 
-    /// What the sensors show at the latest instant.
-    pub(super) fn read(&self) -> (f64, f64) {
-        (
+    /// Current and speed that the sensors show at the latest instant.
+    pub(super) fn read(&self) -> [f64; 2] {
+        [
             self.filtered.current_a + self.path.current_offset_a,
             self.filtered.speed_rad_s + self.path.speed_offset_rad_s,
-        )
+        ]
     }
 
     /// The motion is set to what was measured, this far from what the sensors showed. All that they remember of it moves
@@ -130,7 +124,7 @@ mod tests {
         }
     }
 
-    fn followed(path: Path, end_s: f64) -> (f64, f64) {
+    fn followed(path: Path, end_s: f64) -> [f64; 2] {
         let mut sensors = Sensors::new(path, motion(0.0));
         let mut time_s = 0.0;
         while time_s < end_s - 1e-9 {
@@ -148,7 +142,7 @@ mod tests {
             speed_offset_rad_s: -1.0,
             ..Path::default()
         };
-        let (current, speed) = followed(path, 0.4);
+        let [current, speed] = followed(path, 0.4);
         assert!((current - motion(0.4).current_a - 0.2).abs() < 1e-9);
         assert!((speed + 1.0 - motion(0.4 - 0.0123).speed_rad_s).abs() < 2e-3);
     }
@@ -161,7 +155,7 @@ mod tests {
             current_filter_s: tau,
             ..Path::default()
         };
-        let (current, speed) = followed(path, end_s);
+        let [current, speed] = followed(path, end_s);
         let expected = |amplitude: f64, w: f64| {
             amplitude * (w * end_s - (w * tau).atan()).sin() / (1.0 + (w * tau).powi(2)).sqrt()
         };

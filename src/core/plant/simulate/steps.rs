@@ -7,11 +7,25 @@ const SAME_LENGTH: f64 = 1e-9;
 
 /// Propagators over one step and half of it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Step {
-    length_s: f64,
-    pub(super) whole: Propagator,
+pub(super) struct Step<P = Propagator> {
+    pub(super) length_s: f64,
+    pub(super) whole: P,
     /// Only where effects are there to be evaluated in the middle.
-    pub(super) half: Propagator,
+    pub(super) half: P,
+}
+
+impl<P> Step<P> {
+    /// Whether it is one of this length.
+    #[inline]
+    pub(super) fn is(&self, length_s: f64) -> bool {
+        is_same(self.length_s, length_s)
+    }
+}
+
+/// Whether two lengths are one.
+#[inline]
+pub(super) fn is_same(one_s: f64, other_s: f64) -> bool {
+    (one_s - other_s).abs() <= SAME_LENGTH * other_s
 }
 
 /// The two latest lengths of one linear part: a command between two samples makes two.
@@ -43,10 +57,9 @@ impl Steps {
     /// The step of this length, which must be positive.
     #[inline]
     pub(super) fn over(&mut self, length_s: f64) -> &Step {
-        let is = |step: &Step| (step.length_s - length_s).abs() <= SAME_LENGTH * length_s;
-        if !is(&self.latest[self.last]) {
+        if !self.latest[self.last].is(length_s) {
             self.last = 1 - self.last;
-            if !is(&self.latest[self.last]) {
+            if !self.latest[self.last].is(length_s) {
                 self.make(length_s);
             }
         }

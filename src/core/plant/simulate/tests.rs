@@ -1,4 +1,5 @@
 use super::*;
+use crate::plant::testing::{self, held};
 use crate::plant::{ActiveEffect, Model, Motor, effect};
 use crate::sample::Channel;
 use crate::signal;
@@ -81,39 +82,33 @@ fn steady_speed_under_voltage_is_the_closed_form() {
     assert!((out.speed_rad_s[199] - (60.0 - 1.1 * current) / 0.3538).abs() < 1e-8);
 }
 
+/// Reversals, a creep through zero and holds at rest.
+pub(super) fn reversals() -> Vec<(f64, f64)> {
+    held(
+        [0.0, 0.05, 0.25, 0.5, 0.6, 0.7, 0.8, 0.95],
+        [0.0, 20.0, -12.0, 2.0, -1.0, 3.0, 0.0, -30.0],
+    )
+}
+
 #[test]
 fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
-    // Reversals, a creep through zero and holds at rest.
-    let events = vec![
-        (0.0, 0.0),
-        (0.05, 20.0),
-        (0.25, -12.0),
-        (0.5, 2.0),
-        (0.6, -1.0),
-        (0.7, 3.0),
-        (0.8, 0.0),
-        (0.95, -30.0),
-    ];
-    let drag = ("viscous_friction", &[4e-3][..]);
-    let (stribeck, drop) = (
-        ("stribeck_friction", &[0.2, 8.0][..]),
-        ("voltage_drop", &[0.9][..]),
-    );
+    let events = reversals();
     for (effects, drag, stribeck, drop_v) in [
-        (vec![], 0.0, (0.0, 1.0), 0.0),
-        (vec![drag], 4e-3, (0.0, 1.0), 0.0),
-        (vec![stribeck], 0.0, (0.2, 8.0), 0.0),
-        (vec![drop], 0.0, (0.0, 1.0), 0.9),
+        (&[][..], 0.0, (0.0, 1.0), 0.0),
+        (&[("viscous_friction", &[4e-3][..])], 4e-3, (0.0, 1.0), 0.0),
+        (&[("stribeck_friction", &[0.2, 8.0])], 0.0, (0.2, 8.0), 0.0),
+        (&[("voltage_drop", &[0.9])], 0.0, (0.0, 1.0), 0.9),
     ] {
         for period_s in [0.001, 0.01] {
             let samples = whole(1.1 / period_s);
-            let out = simulated(&effects, events.clone(), period_s, samples);
+            let out = simulated(effects, events.clone(), period_s, samples);
             for until in [0.3, 0.54, 0.66, 0.79, 1.0] {
                 let k = whole(until / period_s + 0.5);
                 let (i, w) = reference(&events, k as f64 * period_s, drag, stribeck, drop_v);
                 let (di, dw) = (out.current_a[k] - i, out.speed_rad_s[k] - w);
+                let is_near = di.abs() < 0.01 && dw.abs() < 0.02;
                 assert!(
-                    di.abs() < 0.01 && dw.abs() < 0.02,
+                    is_near,
                     "{effects:?} {period_s} {until}: {di} {dw} of {i} {w}"
                 );
             }
@@ -123,13 +118,7 @@ fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
 
 #[test]
 fn sampling_more_often_changes_nothing() {
-    let events = vec![
-        (0.0, 0.0),
-        (0.05, 40.0),
-        (0.4, -35.0),
-        (0.8, 0.5),
-        (0.9, 0.0),
-    ];
+    let events = held([0.0, 0.05, 0.4, 0.8, 0.9], [0.0, 40.0, -35.0, 0.5, 0.0]);
     let run = |period_s: f64, samples| simulated(&[], events.clone(), period_s, samples);
     let (coarse, fine) = (run(0.01, 101), run(0.001, 1001));
     for k in 0..101 {
@@ -159,10 +148,8 @@ fn heating_raises_the_resistance_as_its_state_says() {
     let i = out.current_a[2999];
     let heat = 5.0 * i * i * (1.0 - (-30.0f64 / 5.0).exp());
     // The current moved by a few per cent on the way, so the closed form holds to a per mille.
-    assert!(
-        (i * 1.1 * (1.0 + 0.05 * heat) - 1.0).abs() < 2e-3,
-        "{i} {heat}"
-    );
+    let off = i * 1.1 * (1.0 + 0.05 * heat) - 1.0;
+    assert!(off.abs() < 2e-3, "{i} {heat}");
 }
 
 /// Root mean square of what two signals differ by.
@@ -173,25 +160,25 @@ fn rms(one: &[f64], other: &[f64]) -> f64 {
 
 #[test]
 fn one_step_predictions_of_the_true_model_err_by_the_noise_behind_slow_sensors() {
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
-    let events = vec![(0.0, 20.0), (0.3, -12.0), (0.6, 30.0), (0.8, 10.0)];
+    let events = held([0.0, 0.3, 0.6, 0.8], [20.0, -12.0, 30.0, 10.0]);
+    let several: [(&str, &[f64]); 4] = [
+        ("speed_delay", &[0.003]),
+        ("speed_filter", &[0.004]),
+        ("current_filter", &[0.003]),
+        ("speed_offset", &[1.5]),
+    ];
     for effects in [
-        vec![("speed_delay", &[0.002][..])],
-        vec![("speed_delay", &[0.0075][..])],
-        vec![("speed_filter", &[0.005][..])],
-        vec![
-            ("speed_delay", &[0.003][..]),
-            ("speed_filter", &[0.004][..]),
-            ("current_filter", &[0.003][..]),
-            ("speed_offset", &[1.5][..]),
-        ],
+        &[("speed_delay", &[0.002][..])],
+        &[("speed_delay", &[0.0075])],
+        &[("speed_filter", &[0.005])],
+        &several[..],
     ] {
-        let model = model(&effects);
-        let run = record(&model, events.clone(), 0.001, 1.0, 7);
+        let model = model(effects);
+        let run = testing::record(&model, events.clone(), 0.001, 1.0, 7);
         let mut plant = Plant::new(&model, Input::Voltage).unwrap();
         let ahead = plant.predict_ahead(&run, State::default(), 1);
-        let speed = rms(&ahead.speed_rad_s, &run.speed_rad_s) / SPEED_NOISE_RAD_S;
-        let current = rms(&ahead.current_a, &run.current_a) / CURRENT_NOISE_A;
+        let speed = rms(&ahead.speed_rad_s, &run.speed_rad_s) / testing::SPEED_NOISE_RAD_S;
+        let current = rms(&ahead.current_a, &run.current_a) / testing::CURRENT_NOISE_A;
         // The noise of the sample before and that of the sample itself, and what of one comes through the other.
         let most = speed.max(current);
         assert!(most < 1.7, "{effects:?}: {speed} {current}");
@@ -202,16 +189,9 @@ type OfCurrent = fn(f64) -> f64;
 
 #[test]
 fn steep_effects_settle_on_a_motor_of_little_inductance() {
-    use crate::plant::MotorKey;
     // R, L, Ke, J, Mc of a small fast motor: 0.6 ms electrical.
-    let (r, l, ke, j, mc) = (0.8, 5e-4, 0.05, 3e-5, 0.01);
-    let events = [
-        (0.0, 0.0),
-        (0.05, 12.0),
-        (0.15, -12.0),
-        (0.25, 3.0),
-        (0.35, 0.0),
-    ];
+    let small @ [r, l, ke, j, mc] = [0.8, 5e-4, 0.05, 3e-5, 0.01];
+    let events = held([0.0, 0.05, 0.15, 0.25, 0.35], [0.0, 12.0, -12.0, 3.0, 0.0]);
     let conduction: OfCurrent = |i| 8.0 * i.clamp(-0.5, 0.5);
     let cases: [(&str, &[f64], OfCurrent, OfCurrent); 3] = [
         ("voltage_drop", &[1.5], |i| 1.5 * (i / 0.1).tanh(), |_| 0.0),
@@ -220,18 +200,10 @@ fn steep_effects_settle_on_a_motor_of_little_inductance() {
     ];
     for (id, values, drop, gain) in cases {
         let mut model = model(&[(id, values)]);
-        for (key, value) in [
-            (MotorKey::Resistance, r),
-            (MotorKey::Inductance, l),
-            (MotorKey::BackEmf, ke),
-            (MotorKey::Inertia, j),
-            (MotorKey::LoadTorque, mc),
-        ] {
-            model.motor = model.motor.with(key, value);
-        }
+        model.motor = testing::motor("small", &small);
         for period_s in [0.001, 0.01] {
             let samples = whole(0.45 / period_s);
-            let run = scenario(events.to_vec(), period_s, samples);
+            let run = scenario(events.clone(), period_s, samples);
             let mut plant = Plant::new(&model, Input::Voltage).unwrap();
             let out = plant.simulate(&run, State::default());
             // Independent formulation: tiny midpoint steps, friction over a narrow band.
@@ -276,11 +248,11 @@ fn no_place_is_steep_on_an_ordinary_motor() {
 
 /// Largest miss of the speed behind a hole of which the input is told wrongly.
 fn largest_miss_behind_a_hole(model: &Model) -> f64 {
-    let whole = crate::plant::testing::record(model, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
+    let whole = testing::record(model, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
     let mut lossy = whole.clone();
-    lossy.events = vec![(0.0, 20.0), (0.5, -40.0), (0.7, 20.0)];
+    lossy.events = held([0.0, 0.5, 0.7], [20.0, -40.0, 20.0]);
     let there = State::at(whole.current_a[700], whole.speed_rad_s[700]);
-    let hole = crate::plant::UnknownInput {
+    lossy.unknown_input = vec![crate::plant::UnknownInput {
         from_s: 0.5,
         to_s: whole.sample_time_s[700],
         lost_rows: 200,
@@ -288,8 +260,7 @@ fn largest_miss_behind_a_hole(model: &Model) -> f64 {
         beside: [0.0; 3],
         variance: 1.0,
         restart: Some([there.current_a, there.speed_rad_s]),
-    };
-    lossy.unknown_input = vec![hole];
+    }];
     let mut plant = Plant::new(model, Input::Voltage).unwrap();
     let out = plant.simulate(&lossy, State::default());
     let pairs = out.speed_rad_s.iter().zip(&whole.speed_rad_s).skip(700);
@@ -335,14 +306,8 @@ fn what_only_delays_and_offsets_leaves_the_equations_as_exact_as_they_are() {
     // Beside what does enter a balance nothing else changes either.
     let drag = ("viscous_friction", &[3e-4][..]);
     let drop = ("voltage_drop", &[1.0][..]);
-    let [late, bare] = [&way[..1], &[]].map(|way| {
-        let run = if way.is_empty() {
-            run.with_input_delayed(7e-4)
-        } else {
-            run.clone()
-        };
-        simulate(&[way, &[drag, drop]].concat(), &run)
-    });
+    let late = simulate(&[way[0], drag, drop], &run);
+    let bare = simulate(&[drag, drop], &run.with_input_delayed(7e-4));
     for (a, b) in late.speed_rad_s.iter().zip(&bare.speed_rad_s) {
         assert!((a - b).abs() < 1e-9, "{a} {b}");
     }

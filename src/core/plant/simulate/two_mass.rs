@@ -12,6 +12,7 @@
 //! repeat get matrices (`x(t) = Phi x(0) + Gamma g`), made by the same series.
 
 use super::equations::{Equations, Mode, State};
+use super::steps::{self, is_same};
 use crate::numerics::root;
 use crate::plant::effect::{Coupling, Instant};
 
@@ -150,10 +151,9 @@ impl TwoMass {
             flow.clear();
         }
         let speed_rad_s = state.speed_rad_s;
-        let ahead = if speed_rad_s == 0.0 {
-            0.0
-        } else {
-            speed_rad_s.signum()
+        let ahead = match speed_rad_s {
+            0.0 => 0.0,
+            moving => moving.signum(),
         };
         self.load = Load {
             speed_rad_s,
@@ -198,12 +198,7 @@ impl TwoMass {
         }
         let mut left = h;
         for _ in 0..MOST_EVENTS {
-            let from = Begin {
-                forcing: self.forcing(equations, state, &self.load, &at),
-                motor: *state,
-                load: self.load,
-                at,
-            };
+            let from = self.begin(equations, state, at);
             self.flows[from.index()].ready(left);
             let next = self.trial(equations, &from, left);
             let Some((cut, first)) = self.first_end(equations, &from, &next, left) else {
@@ -218,16 +213,20 @@ impl TwoMass {
                 return;
             }
         }
-        let from = Begin {
-            forcing: self.forcing(equations, state, &self.load, &at),
-            motor: *state,
-            load: self.load,
-            at,
-        };
+        let from = self.begin(equations, state, at);
         (*state, self.load) = self.trial(equations, &from, left);
         state.mode = Mode::Undecided;
         self.load.mode = Mode::Undecided;
         self.load.contact = self.contact_of(self.load.twist_rad_s);
+    }
+
+    fn begin(&self, equations: &Equations, state: &State, at: Instant) -> Begin {
+        Begin {
+            forcing: self.forcing(equations, state, &self.load, &at),
+            motor: *state,
+            load: self.load,
+            at,
+        }
     }
 
     /// When, within `h`, a mode ends, and which first.
@@ -279,12 +278,8 @@ impl TwoMass {
         let sign = mode.sign();
         let flow = &self.flows[from.index()];
         let rate = |x: X| {
-            let rates = flow.rates(x, from.forcing);
-            sign * if side == Side::Motor {
-                rates[1]
-            } else {
-                rates[2]
-            }
+            let rates = flow.a.rates(x, from.forcing);
+            sign * rates[if side == Side::Motor { 1 } else { 2 }]
         };
         let falling = rate(together(&from.motor, &from.load));
         // A straight fall would not reach zero: no turn does.
@@ -313,7 +308,7 @@ impl TwoMass {
                 state.speed_rad_s = 0.0;
                 state.mode = if state.mode == Mode::Stuck {
                     let driving = equations.driving_torque(&beyond.0, at);
-                    direction(driving - self.shaft_torque(&beyond.0, &beyond.1))
+                    Mode::towards(driving - self.shaft_torque(&beyond.0, &beyond.1))
                 } else {
                     self.motor_mode(equations, state, at)
                 };
@@ -321,24 +316,21 @@ impl TwoMass {
             Side::Load => {
                 self.load.speed_rad_s = 0.0;
                 self.load.mode = if self.load.mode == Mode::Stuck {
-                    direction(self.shaft_torque(&beyond.0, &beyond.1))
+                    Mode::towards(self.shaft_torque(&beyond.0, &beyond.1))
                 } else {
                     self.load_mode(state)
                 };
             }
             Side::Play => {
-                if self.load.contact == Contact::Open {
-                    self.load.contact = if self.load.twist_rad_s > 0.0 {
-                        Contact::Ahead
-                    } else {
-                        Contact::Behind
-                    };
-                    self.load.twist_rad_s = self.load.contact.sign() * self.half_play_rad_s;
-                } else {
-                    self.load.twist_rad_s = self.load.contact.sign() * self.half_play_rad_s;
-                    // Without play the shaft goes from one contact straight into the other.
-                    self.load.contact = Contact::Open;
-                }
+                let met = match (self.load.contact, self.load.twist_rad_s > 0.0) {
+                    (Contact::Open, true) => Contact::Ahead,
+                    (Contact::Open, false) => Contact::Behind,
+                    (contact, _) => contact,
+                };
+                self.load.twist_rad_s = met.sign() * self.half_play_rad_s;
+                // Without play the shaft goes from one contact straight into the other.
+                let was_open = self.load.contact == Contact::Open;
+                self.load.contact = if was_open { met } else { Contact::Open };
             }
         }
     }
@@ -366,7 +358,7 @@ impl TwoMass {
 
     fn motor_mode(&self, equations: &Equations, state: &State, at: &Instant) -> Mode {
         if state.speed_rad_s != 0.0 {
-            return direction(state.speed_rad_s);
+            return Mode::towards(state.speed_rad_s);
         }
         let (driving, level) = equations.drive_and_level(state, at);
         stuck_or_moving(driving - self.shaft_torque(state, &self.load), level)
@@ -374,7 +366,7 @@ impl TwoMass {
 
     fn load_mode(&self, state: &State) -> Mode {
         if self.load.speed_rad_s != 0.0 || self.coulomb_n_m == 0.0 {
-            return direction(self.load.speed_rad_s);
+            return Mode::towards(self.load.speed_rad_s);
         }
         stuck_or_moving(self.shaft_torque(state, &self.load), self.coulomb_n_m)
     }
@@ -498,19 +490,11 @@ fn place((state, load): &mut (State, Load), x: X) {
     load.twist_rad_s = x[3];
 }
 
-fn direction(of: f64) -> Mode {
-    if of > 0.0 {
-        Mode::Forward
-    } else {
-        Mode::Backward
-    }
-}
-
 fn stuck_or_moving(driving: f64, level: f64) -> Mode {
     if driving.abs() <= level {
         Mode::Stuck
     } else {
-        direction(driving)
+        Mode::towards(driving)
     }
 }
 
@@ -532,7 +516,7 @@ struct Sparse {
 
 impl Sparse {
     #[inline]
-    fn times(&self, x: X) -> X {
+    fn times(self, x: X) -> X {
         let (c, m, l, t) = (&self.current, &self.motor, &self.load, &self.twist);
         [
             c[0] * x[0] + c[1] * x[1],
@@ -540,6 +524,13 @@ impl Sparse {
             l[0] * x[1] + l[1] * x[2] + l[2] * x[3],
             t[0] * x[1] + t[1] * x[2],
         ]
+    }
+
+    /// `A x + g`: time derivatives of the states.
+    #[inline]
+    fn rates(self, x: X, g: [f64; 3]) -> X {
+        let rates = self.times(x);
+        [rates[0] + g[0], rates[1] + g[1], rates[2] + g[2], rates[3]]
     }
 
     /// An upper bound of the rates that the series has to resolve.
@@ -581,41 +572,34 @@ impl Matrices {
     fn over(a: &Sparse, t: f64) -> Self {
         let halvings = (a.size() * t / LONGEST_SERIES).log2().ceil().max(0.0);
         let short = t / halvings.exp2();
-        let mut all = Self::default();
-        for column in 0..4 {
-            let mut unit = [0.0; 4];
-            unit[column] = 1.0;
-            all.phi[column] = series(a, unit, [0.0; 3], short);
-        }
-        for column in 0..3 {
-            let mut unit = [0.0; 3];
-            unit[column] = 1.0;
-            all.gamma[column] = series(a, [0.0; 4], unit, short);
-        }
+        let mut all = Self {
+            phi: std::array::from_fn(|column| series(a, unit(column), [0.0; 3], short)),
+            gamma: std::array::from_fn(|column| series(a, [0.0; 4], unit(column), short)),
+        };
         let mut doublings = 0.0;
         while doublings < halvings {
             // Phi(2t) = Phi(t) Phi(t), Gamma(2t) = Phi(t) Gamma(t) + Gamma(t).
             let half = all;
-            for column in 0..4 {
-                all.phi[column] = half.apply(half.phi[column], [0.0; 3]);
-            }
-            for column in 0..3 {
-                let mut unit = [0.0; 3];
-                unit[column] = 1.0;
-                all.gamma[column] = half.apply(half.gamma[column], unit);
-            }
+            all = Self {
+                phi: half.phi.map(|column| half.apply(column, [0.0; 3])),
+                gamma: std::array::from_fn(|column| half.apply(half.gamma[column], unit(column))),
+            };
             doublings += 1.0;
         }
         all
     }
 }
 
+/// One at this place, else zero.
+fn unit<const N: usize>(place: usize) -> [f64; N] {
+    std::array::from_fn(|other| f64::from(u8::from(other == place)))
+}
+
 /// `x + sum of t^n/n! A^(n-1) (A x + g)`.
 #[inline]
 fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
     let mut out = x;
-    let rate = a.times(x);
-    let mut term = [rate[0] + g[0], rate[1] + g[1], rate[2] + g[2], rate[3]];
+    let mut term = a.rates(x, g);
     for order in 1..=MOST_TERMS {
         let factor = t / f64::from(order);
         let mut largest_change = 0.0_f64;
@@ -632,20 +616,7 @@ fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
     out
 }
 
-/// Matrices of one step length over the whole step and half of it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Step {
-    length_s: f64,
-    whole: Matrices,
-    half: Matrices,
-}
-
-/// Lengths that differ by less, relative, are one: stamps carry rounding.
-const SAME_LENGTH: f64 = 1e-9;
-
-fn same(one: f64, other: f64) -> bool {
-    (one - other).abs() <= SAME_LENGTH * other
-}
+type Step = steps::Step<Matrices>;
 
 /// One linear mode with the matrices of its two latest repeated step lengths.
 #[derive(Clone, Debug, Default)]
@@ -678,11 +649,11 @@ impl Flow {
     /// Makes a step of this length ready. A length that comes only once, as up to an event, gets no matrices.
     #[inline]
     fn ready(&mut self, length_s: f64) {
-        if same(self.steps[self.last].length_s, length_s) {
+        if self.steps[self.last].is(length_s) {
             return;
         }
         self.last = 1 - self.last;
-        if !same(self.steps[self.last].length_s, length_s) {
+        if !self.steps[self.last].is(length_s) {
             self.last = 1 - self.last;
             self.miss(length_s);
         }
@@ -690,47 +661,33 @@ impl Flow {
 
     #[inline(never)]
     fn miss(&mut self, length_s: f64) {
-        if same(self.missed_s, length_s) {
+        if is_same(self.missed_s, length_s) {
             self.last = 1 - self.last;
+            let half = self.with_half.then_some(0.5 * length_s);
             self.steps[self.last] = Step {
                 length_s,
                 whole: Matrices::over(&self.a, length_s),
-                half: if self.with_half {
-                    Matrices::over(&self.a, 0.5 * length_s)
-                } else {
-                    Matrices::default()
-                },
+                half: half.map_or_else(Matrices::default, |half_s| Matrices::over(&self.a, half_s)),
             };
         }
         self.missed_s = length_s;
     }
 
-    /// Time derivatives of the states.
-    #[inline]
-    fn rates(&self, x: X, g: [f64; 3]) -> X {
-        let rates = self.a.times(x);
-        [rates[0] + g[0], rates[1] + g[1], rates[2] + g[2], rates[3]]
-    }
-
     /// The state after `length_s`.
     #[inline]
     fn whole(&self, x: X, g: [f64; 3], length_s: f64) -> X {
-        let step = &self.steps[self.last];
-        if same(step.length_s, length_s) {
-            step.whole.apply(x, g)
-        } else {
-            self.once(x, g, length_s)
+        match &self.steps[self.last] {
+            step if step.is(length_s) => step.whole.apply(x, g),
+            _ => self.once(x, g, length_s),
         }
     }
 
     /// The state after half of `length_s`.
     #[inline]
     fn half(&self, x: X, g: [f64; 3], length_s: f64) -> X {
-        let step = &self.steps[self.last];
-        if same(step.length_s, length_s) {
-            step.half.apply(x, g)
-        } else {
-            self.once(x, g, 0.5 * length_s)
+        match &self.steps[self.last] {
+            step if step.is(length_s) => step.half.apply(x, g),
+            _ => self.once(x, g, 0.5 * length_s),
         }
     }
 

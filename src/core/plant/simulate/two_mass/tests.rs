@@ -1,24 +1,12 @@
-use super::super::tests::{model, scenario};
+use super::super::tests::{self, model, reversals, scenario};
 use super::super::{Plant, Trajectory};
 use crate::numerics::count::whole;
 use crate::plant::{Input, MotorKey, Scenario, State};
 use crate::signal;
 
-/// Reversals, a creep through zero and holds at rest.
-const EVENTS: [(f64, f64); 8] = [
-    (0.0, 0.0),
-    (0.05, 20.0),
-    (0.25, -12.0),
-    (0.5, 2.0),
-    (0.6, -1.0),
-    (0.7, 3.0),
-    (0.8, 0.0),
-    (0.95, -30.0),
-];
-
-fn run(effects: &[(&str, &[f64])], period_s: f64, until_s: f64) -> Trajectory {
-    let samples = whole((until_s / period_s).round()) + 1;
-    super::super::tests::simulated(effects, EVENTS.to_vec(), period_s, samples)
+/// For 1.1 s, sampled every millisecond.
+fn run(effects: &[(&str, &[f64])]) -> Trajectory {
+    tests::simulated(effects, reversals(), 0.001, 1101)
 }
 
 /// Frequency, inertia ratio, damping ratio, friction split, gap.
@@ -32,12 +20,10 @@ fn coupled([f, r, zeta, split, gap]: Values) -> (&'static str, Vec<f64>) {
     }
 }
 
-/// For 1.1 s, sampled every millisecond.
 fn simulated(values: Values, drag: f64) -> Trajectory {
     let (id, values) = coupled(values);
     let effects = [(id, &values[..]), ("viscous_friction", &[drag])];
-    let effects = if drag == 0.0 { &effects[..1] } else { &effects };
-    run(effects, 0.001, 1.1)
+    run(if drag == 0.0 { &effects[..1] } else { &effects })
 }
 
 /// Independent formulation: small fourth-order Runge-Kutta steps, friction regularised over a very narrow band of
@@ -51,12 +37,13 @@ fn reference(values: Values, drag: f64, until_s: f64) -> Vec<(f64, f64)> {
     let d = 2.0 * zeta * (k * j * share * (1.0 - share)).sqrt();
     let per_sample = 500;
     let h = 1e-3 / f64::from(per_sample);
+    let events = reversals();
     let mut x = [0.0f64; 4];
     let mut out = vec![(0.0, 0.0)];
     let mut step = 0;
     while out.len() <= whole((until_s / 1e-3).round()) {
         let t = f64::from(step) * h;
-        let u = signal::held(&EVENTS, t + 1e-12).unwrap();
+        let u = signal::held(&events, t + 1e-12).unwrap();
         let rates = |x: [f64; 4]| {
             let [i, w, w2, twist] = x;
             let z = twist - twist.clamp(-0.5 * gap, 0.5 * gap);
@@ -119,7 +106,7 @@ fn assert_near(one: &Trajectory, other: &Trajectory, within: f64) {
 
 #[test]
 fn a_stiff_shaft_and_a_load_without_inertia_are_the_single_mass() {
-    let single = run(&[], 0.001, 1.1);
+    let single = run(&[]);
     let stiff = simulated([1500.0, 0.5, 0.3, 0.4, 0.0], 0.0);
     assert_near(&single, &stiff, 0.02);
     let light = simulated([20.0, 1e-6, 0.05, 0.0, 0.0], 0.0);
@@ -131,10 +118,10 @@ fn a_stiff_shaft_and_a_load_without_inertia_are_the_single_mass() {
 
 #[test]
 fn backlash_without_a_gap_is_an_elastic_coupling() {
-    let without = run(&[("backlash", &[0.0, 30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
-    let elastic = run(&[("elastic_coupling", &[30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
+    let without = run(&[("backlash", &[0.0, 30.0, 0.5, 0.03, 0.4])]);
+    let elastic = run(&[("elastic_coupling", &[30.0, 0.5, 0.03, 0.4])]);
     assert!(difference(&without, &elastic) < 1e-9);
-    let hair = run(&[("backlash", &[1e-6, 30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
+    let hair = run(&[("backlash", &[1e-6, 30.0, 0.5, 0.03, 0.4])]);
     assert_near(&hair, &elastic, 1e-2);
 }
 
@@ -189,15 +176,11 @@ fn a_held_load_lets_the_motor_ring_on_the_shaft() {
 fn irregular_sampling_changes_nothing() {
     for values in [[28.0, 0.5, 0.03, 0.4, 0.0], [45.0, 0.5, 0.03, 0.4, 0.05]] {
         let regular = simulated(values, 0.0);
-        let mut irregular = scenario(EVENTS.to_vec(), 0.001, 1101);
+        let mut irregular = scenario(reversals(), 0.001, 2202);
         // Between two samples of the regular run one more, at an instant of its own.
         let between = |k: usize| k as f64 * 1e-3 + 1e-3 * (0.1 + 0.8 * (k as f64 * 0.618).fract());
-        irregular.sample_time_s = (0..1101)
-            .flat_map(|k| [k as f64 * 1e-3, between(k)])
-            .collect();
-        for column in [&mut irregular.current_a, &mut irregular.speed_rad_s] {
-            *column = vec![f64::NAN; 2202];
-        }
+        let times = (0..1101).flat_map(|k| [k as f64 * 1e-3, between(k)]);
+        irregular.sample_time_s = times.collect();
         let (id, values) = coupled(values);
         let mut plant = Plant::new(&model(&[(id, &values)]), Input::Voltage).unwrap();
         let out = plant.simulate(&irregular, State::default());
@@ -237,8 +220,8 @@ fn the_result_moves_smoothly_with_the_parameters() {
 #[test]
 fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     let effects: &[(&str, &[f64])] = &[("elastic_coupling", &[24.0, 0.55, 0.02, 0.5])];
-    let free = run(effects, 0.001, 1.1);
-    let mut measured = scenario(EVENTS.to_vec(), 0.001, free.speed_rad_s.len());
+    let free = run(effects);
+    let mut measured = scenario(reversals(), 0.001, free.speed_rad_s.len());
     measured.current_a.clone_from(&free.current_a);
     measured.speed_rad_s.clone_from(&free.speed_rad_s);
     let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
@@ -257,7 +240,7 @@ fn a_stiff_circuit_with_a_stiff_shaft_stays_finite() {
     let mut model = model(&[("elastic_coupling", &[200.0, 0.9, 1.0, 0.5])]);
     model.motor.set(MotorKey::Inductance, 1e-6);
     let mut plant = Plant::new(&model, Input::Voltage).unwrap();
-    let out = plant.simulate(&scenario(EVENTS.to_vec(), 0.001, 1100), State::default());
+    let out = plant.simulate(&scenario(reversals(), 0.001, 1100), State::default());
     let sizes = out.speed_rad_s.iter().map(|speed| speed.abs());
     let largest = sizes.fold(0.0, f64::max);
     assert!((20.0..100.0).contains(&largest), "{largest}");
