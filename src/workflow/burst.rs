@@ -104,7 +104,7 @@ const EXPLAINS_SHARE: f64 = 0.7;
 /// and winds up, and a free run would put what its load does into the inductance.
 fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let model = start::complete(nameplate, burst)?;
-    let plain = VoltageBalance::of(&model, burst)?;
+    let plain = VoltageBalance::of(&model, burst);
     if let Some(reason) = plain.why_nothing() {
         return Ok(plain.result(Vec::new(), format!("it tells nothing: {reason}")));
     }
@@ -119,7 +119,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let mut with = diagnosis.model.model;
     let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
     with.effects.retain(of_circuit);
-    let better = VoltageBalance::of(&with, burst)?;
+    let better = VoltageBalance::of(&with, burst);
     let bears_out = |id: &&str| better.bears_out(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
     if found.is_empty() || better.rms_v > EXPLAINS_SHARE * plain.rms_v {
@@ -143,23 +143,23 @@ struct VoltageBalance {
 }
 
 impl VoltageBalance {
-    fn of(model: &Model, burst: &Scenario) -> Result<Self, FitError> {
-        let mut balances = weak_form::fit(model, burst)?.into_iter();
+    fn of(model: &Model, burst: &Scenario) -> Self {
+        let mut balances = weak_form::fit(model, burst).into_iter();
         let found = balances.find(|balanced| balanced.equation == Balance::Voltage);
         let Some(found) = found else {
-            return Ok(Self {
+            return Self {
                 parameters: Vec::new(),
                 rms_v: 0.0,
                 over_noise: None,
-            });
+            };
         };
         let squares = found.residual.iter().map(|residual| residual.powi(2));
         let rms_v = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
-        Ok(Self {
+        Self {
             rms_v,
             over_noise: found.noise_floor.map(|floor| rms_v / floor),
             parameters: found.parameters,
-        })
+        }
     }
 
     /// Why it has no resistance.
@@ -313,7 +313,7 @@ mod tests {
 
     #[test]
     fn what_rests_on_the_form_of_an_effect_is_not_settled() {
-        let balance = || VoltageBalance::of(&plate(), &burst(0.0099)).unwrap();
+        let balance = || VoltageBalance::of(&plate(), &burst(0.0099));
         let settled = |told: BurstResult| {
             let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
             told.parameters.iter().any(is_settled)

@@ -56,7 +56,6 @@ fn fit_output_error(run: &Run, _: &Trajectory) -> Vec<ParameterEstimate> {
 fn fit_weak_form(run: &Run, _: &Trajectory) -> Vec<ParameterEstimate> {
     let scenario = Scenario::from_run(run).unwrap();
     weak_form::fit(&Model::baseline(Motor::new("?")), &scenario)
-        .unwrap()
         .into_iter()
         .flat_map(|balance| balance.parameters)
         .collect()

@@ -20,7 +20,7 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         return Ok(model);
     }
     if scenario.input != Input::Voltage {
-        return mechanical(model, scenario);
+        return Ok(mechanical(model, scenario));
     }
     let sums = integrals(scenario);
     let electrical = sums
@@ -47,15 +47,15 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
 }
 
 /// Without a voltage the weak form of the torque balance gives the start.
-fn mechanical(mut model: Model, scenario: &Scenario) -> Result<Model, FitError> {
-    for balance in weak_form::fit(&model, scenario)? {
+fn mechanical(mut model: Model, scenario: &Scenario) -> Model {
+    for balance in weak_form::fit(&model, scenario) {
         for estimate in balance.parameters {
             if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
                 set(&mut model, key, value);
             }
         }
     }
-    Ok(model)
+    model
 }
 
 fn set(model: &mut Model, key: MotorKey, value: f64) {

@@ -18,7 +18,7 @@ use super::balance::{
     Column, Method, Signals, TorqueRows, Unknown, scored_s, unknowns, why_no_regressor,
 };
 use super::noise::NoiseFloor;
-use super::output_error::{BLOCK_S, FitError};
+use super::output_error::BLOCK_S;
 use super::verdict::judge;
 use crate::numerics::count::whole;
 use crate::numerics::{least_squares, statistics};
@@ -59,13 +59,9 @@ pub struct Balanced {
     pub noise_floor: Option<f64>,
 }
 
-/// Fits both balances (the torque balance alone where there is no voltage).
-pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError> {
-    Ok(fit_both(model, scenario).0)
-}
-
-/// The balances, and the model with what the voltage balance found, which the torque balance was fitted with.
-fn fit_both(model: &Model, scenario: &Scenario) -> (Vec<Balanced>, Model) {
+/// Fits both balances (the torque balance alone where there is no voltage); the torque balance with what the voltage balance
+/// found.
+pub fn fit(model: &Model, scenario: &Scenario) -> Vec<Balanced> {
     let mut balances = Vec::new();
     let mut model = model.clone();
     let given = model.motor.get(MotorKey::TorqueConstant).is_some();
@@ -84,57 +80,7 @@ fn fit_both(model: &Model, scenario: &Scenario) -> (Vec<Balanced>, Model) {
         balances.push(voltage);
     }
     balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));
-    (balances, model)
-}
-
-/// Both balances as linear systems, for those who try columns of their own in them.
-pub fn regressions(model: &Model, scenario: &Scenario) -> Vec<Regression> {
-    let (balances, model) = fit_both(model, scenario);
     balances
-        .into_iter()
-        .map(|balanced| {
-            let equation = balanced.equation;
-            let half = half_window(scenario, equation);
-            let system = System::new(&model, scenario, equation, half, &Noise::of(scenario));
-            Regression {
-                blocks: system.blocks(scenario.sample_time_s[0]),
-                matrix: system.matrix,
-                right: system.right,
-                time_s: system
-                    .windows
-                    .iter()
-                    .map(|window| window.middle_s)
-                    .collect(),
-                windows: system.windows,
-                noise_floor: balanced.noise_floor,
-                equation,
-            }
-        })
-        .collect()
-}
-
-/// One balance as a linear system: a row for each usable window.
-pub struct Regression {
-    pub equation: Balance,
-    /// What one unit of each free parameter contributes.
-    pub matrix: DMatrix<f64>,
-    /// Left-hand side, V or N.m.
-    pub right: DVector<f64>,
-    /// Block of time that each window belongs to, for clustered covariances.
-    pub blocks: Vec<usize>,
-    /// Middle of each window.
-    pub time_s: Vec<f64>,
-    /// As in [`Balanced`].
-    pub noise_floor: Option<f64>,
-    windows: Vec<Window>,
-}
-
-impl Regression {
-    /// Average over each window of a value that every sample has.
-    pub fn means(&self, value: impl Fn(usize) -> f64) -> DVector<f64> {
-        let rows = self.windows.iter().map(|window| window.mean_of(&value));
-        DVector::from_iterator(self.windows.len(), rows)
-    }
 }
 
 /// Why a balance has too few windows to be solved.
@@ -392,7 +338,7 @@ impl System {
 }
 
 /// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
-pub fn angles(scenario: &Scenario) -> Vec<f64> {
+fn angles(scenario: &Scenario) -> Vec<f64> {
     let shaft = scenario.shaft_angle();
     let times = scenario.sample_time_s.iter();
     times.map(|time_s| signal::line(&shaft, *time_s)).collect()

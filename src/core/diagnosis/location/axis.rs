@@ -460,7 +460,7 @@ impl Search<'_> {
     }
 
     fn line(&self) -> Option<Ranked> {
-        let line = self.strongest_line()?;
+        let line = self.strongest_line().filter(|line| line.is_alone)?;
         let fit = self.fit(&self.rows(2, |window, row| {
             row.copy_from_slice(&line.wave(window.time_s));
         }))?;

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::axis::{Search, hat};
-use super::windows::{Windows, own_keys};
+use super::windows::{FEWEST_HALF, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{BLOCK_S, FitError};
 use crate::numerics::count::whole;
@@ -37,6 +37,9 @@ const ROUNDS: usize = 5;
 const WORTH_REFINING_SHARE: f64 = 0.004;
 /// Share of an average knot's data below which a knot is left out: the run was never there, or did not move.
 const LEAST_DATA_SHARE: f64 = 0.02;
+/// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
+/// averaged than where the winding's current is asked.
+const FEWEST_HALF_OF_TORQUE: usize = 5;
 /// Standard deviations from which on a value counts as found.
 const FOUND_SIGMAS: f64 = 3.0;
 /// Adjusted R2 below which an error is not said to follow an axis.
@@ -110,12 +113,16 @@ pub fn axis_map(
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> Result<Vec<AxisMap>, FitError> {
-    let mut windows = Windows::new(model, scenario, noise)?;
     let mut maps = Vec::new();
-    if windows.missing_signal().is_some() {
-        return Ok(maps);
-    }
     for equation in super::equations(scenario.input) {
+        let fewest_half = match equation {
+            Balance::Torque => FEWEST_HALF_OF_TORQUE,
+            Balance::Voltage => FEWEST_HALF,
+        };
+        let mut windows = Windows::new(model, scenario, noise, fewest_half)?;
+        if windows.missing_signal().is_some() {
+            break;
+        }
         // Without a fit of its own an equation would hold its error against values that another equation was fitted with.
         if let Some(changes) = windows.own_changes(*equation) {
             windows.take_out(*equation, &changes);

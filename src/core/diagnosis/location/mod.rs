@@ -23,7 +23,7 @@ use serde::Serialize;
 pub use self::curve::{AxisMap, axis_map};
 
 use self::axis::{figure, name_of, name_of_variable};
-use self::windows::{Window, Windows, own_keys};
+use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
 use crate::numerics::count::whole;
@@ -130,7 +130,7 @@ pub fn locate(
     error_of: ErrorOf,
 ) -> Result<Located, FitError> {
     let mut found = Located::default();
-    let mut windows = Windows::new(model, scenario, noise)?;
+    let mut windows = Windows::new(model, scenario, noise, FEWEST_HALF)?;
     if let Some(missing) = windows.missing_signal() {
         found.notes.push(format!(
             "no {missing} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
@@ -182,8 +182,8 @@ pub(super) fn locate_difference(
     noise: &NoiseFloor,
 ) -> Result<Vec<FailureLocation>, FitError> {
     let equations = [Balance::Torque, Balance::Voltage];
-    let mut windows = Windows::new(model, first, noise)?;
-    let mut other = Windows::new(model, second, noise)?;
+    let mut windows = Windows::new(model, first, noise, FEWEST_HALF)?;
+    let mut other = Windows::new(model, second, noise, FEWEST_HALF)?;
     for equation in equations {
         for run in [&mut windows, &mut other] {
             if let Some(changes) = run.own_changes(equation) {

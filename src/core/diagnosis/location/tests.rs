@@ -174,7 +174,7 @@ fn the_map_counts_every_window_once() {
     let run = record(&nameplate(), 0.001, 7);
     let found = locate(&nameplate(), &run, &floor(&run), ErrorOf::Model).unwrap();
     let map = found.map.unwrap();
-    let windows = Windows::new(&nameplate(), &run, &floor(&run)).unwrap();
+    let windows = Windows::new(&nameplate(), &run, &floor(&run), FEWEST_HALF).unwrap();
     assert_eq!(
         map.count.iter().flatten().sum::<usize>(),
         windows.each.len()

@@ -17,9 +17,10 @@ use crate::numerics::count::whole;
 use crate::numerics::statistics::largest;
 use crate::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
-/// Length of a window, s, and samples that half of it has at least.
+/// Length of a window, s.
 const WINDOW_S: f64 = 0.048;
-const FEWEST_HALF: usize = 3;
+/// Samples that half a window has at least.
+pub(super) const FEWEST_HALF: usize = 3;
 /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined...
 const DEAD_ZONE_SIGMAS: f64 = 4.0;
 /// ...and, whatever the noise, those below this share of the largest; where the noise is not known below another one.
@@ -150,10 +151,11 @@ impl<'a> Windows<'a> {
         model: &Model,
         scenario: &'a Scenario,
         noise: &NoiseFloor,
+        fewest_half: usize,
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let half = whole((0.5 * WINDOW_S / period_s).round()).max(FEWEST_HALF);
+        let half = whole((0.5 * WINDOW_S / period_s).round()).max(fewest_half);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
         let fastest = largest(scenario.speed_rad_s.iter().copied());

@@ -12,7 +12,7 @@ pub(super) const WEAK_FORM: Scheme = Scheme {
     id: "weak-form",
     summary: "balances averaged over smooth windows (default without a voltage)",
     identify: |id, data| {
-        let mut parameters = parameters(data.model, data.scenario)?;
+        let mut parameters = parameters(data.model, data.scenario);
         doubt_coarse_sampling(&mut parameters, data.scenario);
         let electrical = data.scenario.input == Input::Voltage;
         let found = Identified::new(id, data.model, parameters).with_note(
@@ -51,7 +51,7 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
     }
     let found = balances.into_iter().flat_map(|balance| balance.parameters);
     let found = once_each(found.collect());
-    let weak = parameters(data.model, data.scenario)?;
+    let weak = parameters(data.model, data.scenario);
     notes.extend(compared(&found, &weak));
     let mut identified = Identified::new(id, data.model, found);
     identified.notes = notes;
@@ -89,7 +89,7 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
 }
 
 /// Values of both balances: over whole rows, and as ratios in the reasons where the torque constant is unknown.
-fn parameters(model: &Model, scenario: &Scenario) -> Result<Vec<ParameterEstimate>, IdentifyError> {
+fn parameters(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
     let bridged = missing_cells::bridged(scenario);
     let scenario = bridged.as_ref().unwrap_or(scenario);
     let relative = lacks_torque_constant(model, scenario);
@@ -98,8 +98,8 @@ fn parameters(model: &Model, scenario: &Scenario) -> Result<Vec<ParameterEstimat
         // With a torque constant of one the values are ratios to it.
         model.motor.set(MotorKey::TorqueConstant, 1.0);
     }
-    let balances = weak_form::fit(&model, scenario)?;
-    let told = |found: ParameterEstimate| match found.verdict {
+    let balances = weak_form::fit(&model, scenario);
+    let in_ratio = |found: ParameterEstimate| match found.verdict {
         Verdict::Fixed => found,
         _ if relative => as_ratio(found),
         _ => found,
@@ -107,8 +107,8 @@ fn parameters(model: &Model, scenario: &Scenario) -> Result<Vec<ParameterEstimat
     let found = balances
         .into_iter()
         .flat_map(|balance| balance.parameters)
-        .map(told);
-    Ok(once_each(found.collect()))
+        .map(in_ratio);
+    once_each(found.collect())
 }
 
 /// Both methods' values side by side, and why they differ.
@@ -216,7 +216,7 @@ mod tests {
         }
         let model = paper();
         for (scenario, within) in [(&whole, 0.01), (&holed, 0.02), (&apart, 0.03)] {
-            let found = parameters(&model, scenario).unwrap();
+            let found = parameters(&model, scenario);
             assert_found(&found, "inertia_kg_m2", 0.0045, within);
             assert_found(&found, "load_torque_n_m", 0.455, within);
         }
@@ -224,7 +224,7 @@ mod tests {
 
     #[test]
     fn without_a_torque_constant_the_ratio_stands_in_the_reason() {
-        let found = parameters(&unknown(), &mechanical()).unwrap();
+        let found = parameters(&unknown(), &mechanical());
         let inertia = of(&found, "inertia_kg_m2");
         let told = (inertia.value, inertia.verdict);
         assert_eq!(told, (None, Verdict::NotObservable));

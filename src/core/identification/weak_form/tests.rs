@@ -24,7 +24,7 @@ fn a_voltage_run_gives_every_parameter() {
         (4.0, 40.0),
     ];
     let run = testing::simulated(&true_values, Input::Voltage, events, every(0.001, 5.0));
-    let found = fit(&truth, &run).unwrap();
+    let found = fit(&truth, &run);
     for (key, expected) in [
         ("resistance_ohm", 1.1),
         ("inductance_h", 0.0099),
@@ -59,7 +59,7 @@ fn a_linear_axis_under_force_gives_mass_and_friction() {
         .collect();
     let mut run = testing::simulated(&truth, Input::Torque, events, every(0.001, 12.0));
     run.current_a.fill(f64::NAN);
-    let found = fit(&model, &run).unwrap();
+    let found = fit(&model, &run);
     for (key, expected) in [
         ("inertia_kg_m2", 95.0),
         ("load_torque_n_m", 20.0),
@@ -79,7 +79,7 @@ fn a_shaft_at_rest_gives_no_inertia() {
         .map(|k| 0.45 * (1.0 - (-f64::from(k) / 9.0).exp()))
         .collect();
     run.speed_rad_s = vec![0.0; 2000];
-    let found = fit(&paper(), &run).unwrap();
+    let found = fit(&paper(), &run);
     let inertia = of(&found[1].parameters, "inertia_kg_m2");
     let told = (inertia.value, inertia.verdict);
     assert_eq!(told, (None, Verdict::NotObservable));
@@ -117,7 +117,7 @@ fn the_interval_covers_and_coarse_sampling_widens_it() {
         let (mut inside, mut all, mut wrong) = (0, 0, Vec::new());
         for seed in 0..40 {
             let (truth, run) = noisy(seed, period_s, false);
-            let found = fit(&unknown, &run).unwrap();
+            let found = fit(&unknown, &run);
             for p in found.iter().flat_map(|b| &b.parameters) {
                 let mut slots = truth.slots().into_iter();
                 let slot = slots.find(|s| s.key() == p.key).unwrap();
@@ -150,7 +150,7 @@ fn a_constant_voltage_settles_nothing_electrical_by_its_noise() {
             run.speed_rad_s[k] = f64::NAN;
         }
     }
-    let found = fit(&testing::unknown(), &run).unwrap();
+    let found = fit(&testing::unknown(), &run);
     for p in found.iter().flat_map(|b| &b.parameters) {
         if ["inductance_h", "inertia_kg_m2"].contains(&p.key.as_str()) {
             let told = (p.value, p.verdict);
@@ -162,7 +162,7 @@ fn a_constant_voltage_settles_nothing_electrical_by_its_noise() {
 #[test]
 fn the_residual_of_a_true_model_is_at_the_noise_floor() {
     let (_, run) = noisy(5, 0.001, false);
-    let found = fit(&paper(), &run).unwrap();
+    let found = fit(&paper(), &run);
     for balance in &found {
         let squares: f64 = balance
             .residual

@@ -151,10 +151,10 @@ fn at_ten_milliseconds_it_is_the_same_axis() {
 #[test]
 fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
     let mut scenario = run(&torque("a*abs(w)*w"), &[2e-6], 7, 0.001, 8.0);
-    let torque: Vec<f64> = scenario
-        .current_a
-        .iter()
-        .map(|current| 0.3538 * current)
+    // A drive holds its torque from one stamp to the next: the mean of both.
+    let torque = scenario.current_a.windows(2);
+    let torque: Vec<f64> = torque
+        .map(|ends| 0.3538 * 0.5 * (ends[0] + ends[1]))
         .collect();
     scenario.events = scenario.sample_time_s.iter().copied().zip(torque).collect();
     scenario.input = Input::Torque;
