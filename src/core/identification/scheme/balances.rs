@@ -28,6 +28,10 @@ pub(super) const INVERSE_DYNAMICS: Scheme = Scheme {
     identify: filtered_balances,
 };
 
+#[expect(
+    clippy::unnecessary_wraps,
+    reason = "a scheme of the catalogue may fail"
+)]
 fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
     let balances = inverse_dynamics::fit(data.model, data.run, data.scenario);
     let mut notes = Vec::new();
