@@ -1,6 +1,6 @@
 //! The decision: which effects are missing, whether that is all, and what a run that had no part in it says of it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::candidates::{Candidate, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
@@ -30,7 +30,7 @@ const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Effects that are named one by one where these runs would not show them.
 const FEW: usize = 4;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiagnosisVerdict {
     Effect,
