@@ -13,10 +13,10 @@ use super::location::{AxisMap, FailureLocation, axis_map};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, cannot_simulate, in_noise};
-use crate::identification::noise::FloorSource;
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, effect};
+use crate::plant::{Model, Scenario, effect};
 use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -91,6 +91,17 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
+    /// Error of the baseline and of the answer on a run that neither fitted nor selected.
+    pub fn rungs_on(&self, run: &Scenario, noise: &NoiseFloor) -> Result<[Rung; 2], FitError> {
+        let rung = |model: &Model| -> Result<Rung, FitError> {
+            Ok(Rung {
+                effects: model.effect_ids(),
+                holdout_rmse: Score::of(model, run, noise)?.nrms,
+            })
+        };
+        Ok([rung(&self.baseline.model)?, rung(&self.model.model)?])
+    }
+
     /// Whether the run that had no part in the answer speaks against it.
     pub fn is_refuted(&self) -> bool {
         let confirm = self.confirm.as_ref();
