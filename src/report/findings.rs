@@ -6,7 +6,7 @@ use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Reached, Status};
 use crate::plant::effect;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::capitalised;
-use crate::text::number::{fixed, probability, share, significant, with_unit};
+use crate::text::number::{fixed, probability, share, significant};
 
 /// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;
@@ -120,7 +120,7 @@ pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
                 _ => probability(own.probability),
             })
             .column("size ± 95 %, evidence", |own| {
-                let size = sizes(own).or_else(|| at_most(own)).unwrap_or_else(dash);
+                let size = sizes(own).or_else(|| own.at_most()).unwrap_or_else(dash);
                 Cell::text(size).with_note(capitalised(&own.evidence))
             }),
     );
@@ -136,13 +136,6 @@ fn sizes(candidate: &Candidate) -> Option<String> {
     let peaks = peaks.map(|peak| peak.text(TWO_SIDED_95));
     let sizes: Vec<String> = candidate.parameters.iter().map(size).chain(peaks).collect();
     (has_paid(candidate) && !sizes.is_empty()).then(|| sizes.join("; "))
-}
-
-/// What the size of an effect that is not named is below.
-fn at_most(candidate: &Candidate) -> Option<String> {
-    let spec = effect::find(candidate.effect)?.parameters().first()?;
-    let bound = with_unit(&significant(candidate.upper_bound?, 2), spec.unit);
-    Some(format!("at most {bound}"))
 }
 
 /// Key, value with its 95 % interval, unit.

@@ -1,10 +1,11 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
 use super::page::Page;
-use super::testing::{comparison, diagnosis, next_experiment, rung};
+use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
 use super::*;
 use crate::diagnosis::{
-    Comparison, DiagnosisVerdict, ErrorOf, Evidence, ResidualLights, Rung, Score, compare, diagnose,
+    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, ResidualLights, Status, compare,
+    diagnose,
 };
 use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
@@ -179,11 +180,7 @@ fn commission(truth: &Model, name: &str) -> String {
     let named = !found.effects.is_empty();
     let (before, after) = (compare(baseline), named.then(|| compare(model)));
     let (old, new) = (free_run(baseline), named.then(|| free_run(model)));
-    let rung = |model: &Model| Rung {
-        effects: model.effect_ids(),
-        holdout_rmse: Score::of(model, confirm, &evidence.noise).unwrap().nrms,
-    };
-    let confirmed = [rung(baseline), rung(model)];
+    let confirmed = found.rungs_on(confirm, &evidence.noise).unwrap();
     let report = CommissionReport {
         kind: "Commission",
         title: "ZK-22FC on the emulator",
@@ -288,5 +285,30 @@ fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
     for (program, verdict) in [("slow_<wbr>ramp", ">tells"), ("dither", ">does not")] {
         let row = row(program);
         assert!(row.contains("612") && row.contains(verdict), "{row}");
+    }
+}
+
+#[test]
+fn a_bound_is_in_the_unit_of_what_gives_the_effect_its_size() {
+    for (effect, bound) in [
+        ("stribeck_friction", "0.0020 N.m"),
+        ("discontinuous_conduction", "0.0020 ohm"),
+        ("backlash", "0.0020 rad"),
+        ("load_dependent_friction", "0.0020"),
+    ] {
+        let own = candidate(1, effect, Status::RuledOut, 5.08);
+        assert_eq!(own.at_most(), Some(format!("at most {bound}")), "{effect}");
+        assert_eq!(
+            own.seen_from(),
+            Some(format!("seen from {bound}")),
+            "{effect}"
+        );
+        for unknown in [None, Some(f64::NAN)] {
+            let own = Candidate {
+                upper_bound: unknown,
+                ..own.clone()
+            };
+            assert_eq!(own.at_most(), None, "{effect} {unknown:?}");
+        }
     }
 }

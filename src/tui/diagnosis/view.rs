@@ -14,12 +14,12 @@ use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
     AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights, Status,
 };
-use crate::plant::{Effect, effect};
+use crate::plant::effect;
 use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::{
-    percent, probability, share as per_cent, shortest, significant, with_std, with_unit,
+    percent, probability, share as per_cent, shortest, significant, with_std,
 };
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
@@ -444,12 +444,12 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             let text = if is_named {
                 size(candidate, width >= WIDE)
             } else if is_seen {
-                at_most(candidate)
+                candidate.at_most()
             } else {
                 None
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
-            if let (true, Some(text)) = (width >= WIDE && is_seen, detectable(candidate)) {
+            if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
                 let used: usize = spans.iter().map(Span::width).sum();
                 // Half a unit would be another unit.
                 if used + text.chars().count() + 4 <= width {
@@ -486,7 +486,8 @@ pub(super) const fn status(status: Status) -> (&'static str, Style) {
 
 /// The parameter that gives the effect its size.
 fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
-    let (key, _) = size_of(effect::find(candidate.effect)?)?;
+    let effect = effect::find(candidate.effect)?;
+    let key = effect.parameters().get(effect.size_index())?.key;
     let mut found = candidate.parameters.iter();
     let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
     let parameter = found.clone().find(of_size).or_else(|| found.next())?;
@@ -496,30 +497,6 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     } else {
         text
     })
-}
-
-/// Key and unit of the parameter that gives an effect its size.
-fn size_of(effect: &dyn Effect) -> Option<(&'static str, &'static str)> {
-    let specs = effect.parameters();
-    let of_size = specs.iter().find(|spec| spec.is_coefficient());
-    of_size.or(specs.first()).map(|spec| (spec.key, spec.unit))
-}
-
-/// A size in the unit of the parameter that gives the effect its size.
-fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
-    let (_, unit) = size_of(effect::find(candidate.effect)?)?;
-    let size = size.filter(|size| size.is_finite())?;
-    Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
-}
-
-/// What its size is below.
-pub(super) fn at_most(candidate: &Candidate) -> Option<String> {
-    in_words(candidate, "at most", candidate.upper_bound)
-}
-
-/// The smallest size that would have been named.
-pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
-    in_words(candidate, "seen from", candidate.detectable)
 }
 
 /// Longest bar.
@@ -631,8 +608,8 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
             let text = format!("{}{reason}, 95 % interval", parameter.text(TWO_SIDED_95));
             lines.push(paragraph(key, text));
         }
-        lines.extend(at_most(candidate).map(|text| paragraph("size", text)));
-        lines.extend(detectable(candidate).map(|text| paragraph("visible", text)));
+        lines.extend(candidate.at_most().map(|text| paragraph("size", text)));
+        lines.extend(candidate.seen_from().map(|text| paragraph("visible", text)));
         for peak in candidate.reached.iter().flat_map(Reached::peaks) {
             lines.push(paragraph("reached", peak.text(TWO_SIDED_95)));
         }
