@@ -12,7 +12,8 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights, Status,
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, MapDigits, Reached,
+    ResidualLights, Status,
 };
 use crate::plant::effect;
 use crate::report::SignalFigures;
@@ -702,9 +703,6 @@ fn bars(share: f64, half: usize) -> (String, String) {
     }
 }
 
-/// Digit of the largest error.
-const LARGEST: f64 = 9.0;
-
 /// The error of one equation over speed x current, as digits: readable without colour. `index` 0 is the equation that
 /// fails worse.
 pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
@@ -715,13 +713,12 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     };
     let worse = comparison.balances.first();
     let torque_first = worse.is_none_or(|balance| balance.equation == "torque");
-    let (equation, unit, cells) = if torque_first == (index == 0) {
-        ("torque", "N.m", &map.torque_rms_n_m)
+    let (equation, unit) = if torque_first == (index == 0) {
+        ("torque", "N.m")
     } else {
-        ("voltage", "V", &map.voltage_rms_v)
+        ("voltage", "V")
     };
-    let values = cells.iter().flatten().flatten().copied();
-    let largest = values.filter(|value| value.is_finite()).fold(0.0, f64::max);
+    let MapDigits { largest, rows } = map.digits(equation);
     let nine = significant(largest, 3);
     let title = format!("{equation} error over speed x current: 9 is {nine} {unit}, · never there");
     let inner = titled(&title, area, buffer);
@@ -729,11 +726,9 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     let columns = map.current_edges_a.len().saturating_sub(1).max(1);
     let cell_width = (usize::from(inner.width).saturating_sub(14) / columns).clamp(1, 6);
     // Two rows for each speed where there is room, so that the map is nearly square.
-    let repeat = (room / cells.len().max(1)).clamp(1, 2);
+    let repeat = (room / rows.len().max(1)).clamp(1, 2);
     let mut lines = Vec::new();
-    for (row, values) in cells.iter().enumerate().rev() {
-        let edges = map.speed_edges_rad_s.get(row..row + 2);
-        let middle = edges.map_or(f64::NAN, |edges| 0.5 * (edges[0] + edges[1]));
+    for (middle, digits) in &rows {
         for copy in 0..repeat {
             let label = if copy == 0 {
                 format!("{middle:>6.0} rad/s ")
@@ -741,9 +736,10 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
                 " ".repeat(13)
             };
             let mut line = Line::from(Span::styled(label, theme::DIM));
-            line.extend(values.iter().map(|value| {
-                let (mark, style) = digit(*value, largest);
-                Span::styled(mark.to_string().repeat(cell_width), style)
+            line.extend(digits.iter().map(|digit| {
+                let mark = digit.map_or("·".to_owned(), |digit| digit.to_string());
+                let style = digit.map_or(theme::DIM, shade);
+                Span::styled(mark.repeat(cell_width), style)
             }));
             lines.push(line);
         }
@@ -758,17 +754,12 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     Paragraph::new(lines).render(inner, buffer);
 }
 
-fn digit(value: Option<f64>, largest: f64) -> (char, Style) {
-    let Some(value) = value.filter(|value| value.is_finite() && largest > 0.0) else {
-        return ('·', theme::DIM);
-    };
-    let digit = (LARGEST * value / largest).round().clamp(0.0, LARGEST) as u32;
-    let style = match digit {
+const fn shade(digit: usize) -> Style {
+    match digit {
         0..=2 => theme::GOOD,
         3..=5 => theme::CAREFUL,
         _ => theme::BAD,
-    };
-    (char::from_digit(digit, 10).unwrap_or('?'), style)
+    }
 }
 
 /// What these runs do not tell, and the run that would.
