@@ -53,17 +53,16 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
         diagnosis.axis_map.iter().partition(is_followed);
     for map in followed.iter().take(MOST_CURVES) {
-        let (equation, axis) = (map.equation, axis_name(map.axis));
-        let unit = if equation == "voltage" { "V" } else { "N.m" };
+        let axis = map.axis_label();
         let chart = AxisChart {
-            title: format!("what the {equation} equation lacks, {unit}"),
+            title: map.title(),
             axis,
             knots: &map.knots,
             values: &map.values,
             std: &map.std,
         };
         page.figure(
-            chart.svg(&format!("{equation} error over {axis}")),
+            chart.svg(&format!("{} error over {axis}", map.equation)),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
                 capitalised(&map.sentence)
@@ -77,17 +76,6 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
         "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
          error falls while its cause is looked for.",
     );
-}
-
-const fn axis_name(axis: &str) -> &'static str {
-    match axis.as_bytes() {
-        b"speed_rad_s" => "speed, rad/s",
-        b"current_a" => "current, A",
-        b"voltage_v" => "voltage, V",
-        b"angle_rad" => "angle, rad",
-        b"time_s" => "time, s",
-        _ => "frequency, Hz",
-    }
 }
 
 /// Every effect that was tried: status, error, share, size with interval, what it reached.

@@ -649,16 +649,7 @@ pub(super) fn curve(state: &State, index: usize, first: usize, area: Rect, buffe
     let Some((_, map)) = curves.get(index) else {
         return;
     };
-    let equation = map.equation;
-    let unit = if equation == "voltage" { "V" } else { "N.m" };
-    let axis = match map.axis {
-        "speed_rad_s" => "speed, rad/s",
-        "current_a" => "current, A",
-        "voltage_v" => "voltage, V",
-        "angle_rad" => "angle, rad",
-        _ => "time, s",
-    };
-    let title = format!("what the {equation} equation lacks, {unit}, over {axis}");
+    let title = format!("{}, over {}", map.title(), map.axis_label());
     let place = format!("{} of {}", index + 1, curves.len());
     let inner = titled_with(&title, &place, area, buffer);
     let width = usize::from(inner.width);
