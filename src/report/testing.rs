@@ -4,9 +4,9 @@ use std::sync::LazyLock;
 
 use crate::diagnosis::next_experiment::MenuEntry;
 use crate::diagnosis::{
-    Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorMap, ErrorOf, Evidence,
-    FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached, ResidualLights, Rung,
-    Status, compare,
+    Candidate, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance, ErrorMap, ErrorOf,
+    Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached, ResidualLights,
+    Rung, Signals, Status, compare,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Model, Motor, State, effect, testing};
@@ -49,6 +49,7 @@ pub(crate) fn candidate(
     let key = format!("{effect}.{}", spec.key);
     let size = ParameterEstimate::found(key, spec.unit, 0.2, 0.01, None);
     let is_supported = status == Status::Supported;
+    let bound = (status != Status::NotExcited).then_some(0.002);
     Candidate {
         effect,
         rank,
@@ -76,8 +77,8 @@ pub(crate) fn candidate(
         holdout_before: 5.1,
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
-        upper_bound: Some(0.002),
-        detectable: Some(0.002),
+        upper_bound: bound,
+        detectable: bound,
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
     }
 }
@@ -141,18 +142,19 @@ pub(crate) fn next_experiment() -> NextExperiment {
     }
 }
 
-/// A short run, whose figures are replaced below by fixed ones but for what each equation lacks.
-static COMPARED: LazyLock<Comparison> = LazyLock::new(|| {
+/// The signals of a short run, whose figures are all replaced below by fixed ones.
+static SIGNALS: LazyLock<Signals> = LazyLock::new(|| {
     let model = Model::baseline(Motor::zk_22fc());
     let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -40.0)];
     let run = |seed| testing::record(&model, events.clone(), 0.01, 1.5, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
-    compare(&model, &evidence, ErrorOf::Structure).unwrap()
+    let compared = compare(&model, &evidence, ErrorOf::Structure).unwrap();
+    compared.signals
 });
 
 /// A model that fails below 12 rad/s, with this held-out error of the speed in rad/s.
 pub(crate) fn comparison(rmse: f64) -> Comparison {
-    let mut signals = COMPARED.signals.clone();
+    let mut signals = SIGNALS.clone();
     for (signal, rmse, floor) in [
         (&mut signals.speed_rad_s, rmse, testing::SPEED_NOISE_RAD_S),
         (&mut signals.current_a, 0.2 * rmse, testing::CURRENT_NOISE_A),
@@ -162,6 +164,14 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
         (signal.fit_percent, signal.rmse) = (98.0, 0.99 * rmse);
         (signal.one_step_rmse, signal.noise_floor) = (1.07 * floor, Some(floor));
     }
+    let balance = |equation, unit, rms, nres, refitted| EquationBalance {
+        equation,
+        unit,
+        rms,
+        nres: Some(nres),
+        nres_refitted: Some(refitted),
+        ..EquationBalance::default()
+    };
     let sentence = "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time";
     let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
     let row = |row| (0..12).map(|column| cell(row, column)).collect();
@@ -196,7 +206,10 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
         noise: fitted(&[]).noise,
         holdout_from: HoldoutFrom::Run,
         holdout_rmse: 5.1,
-        balances: COMPARED.balances.clone(),
+        balances: vec![
+            balance("torque", "N.m", 0.024, 0.919, 0.913),
+            balance("voltage", "V", 0.0261, 0.914, 0.901),
+        ],
         limits: Vec::new(),
     }
 }
