@@ -10,7 +10,7 @@ use super::files::Recorded;
 use super::output;
 use super::rig::Rig;
 use crate::bench::{Outcome, Plan};
-use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Rung, Score, compare};
+use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, compare};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -180,19 +180,9 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String
     let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
     let shown = Some(shown).filter(|_| is_electrical);
     let free_runs = FreeRuns::of(found, shown, evidence.noise)?;
-    let rung = |model: &Model, run: &Scenario| -> Result<Rung, Failure> {
-        Ok(Rung {
-            effects: model.effect_ids(),
-            holdout_rmse: Score::of(model, run, &evidence.noise)?.nrms,
-        })
-    };
-    let confirm = match evidence.confirm.as_ref().filter(|_| is_electrical) {
-        Some(run) => Some([
-            rung(&found.baseline.model, run)?,
-            rung(&found.model.model, run)?,
-        ]),
-        None => None,
-    };
+    let confirm = evidence.confirm.as_ref().filter(|_| is_electrical);
+    let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise));
+    let confirm = confirm.transpose()?;
     let report = CommissionReport {
         kind: "Diagnosis",
         title: &prepared.about.title,

@@ -9,7 +9,7 @@ use super::output::{self, lines};
 use super::{progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::pages;
-use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, compare};
+use crate::diagnosis::{Comparison, ErrorOf, MapDigits, ResidualLights, compare};
 use crate::report::SignalFigures;
 use crate::text::number::{percent, significant};
 
@@ -175,16 +175,10 @@ fn lights(residual: &ResidualLights) -> String {
 
 /// The map of the equation that fails worst, ten shades from nothing to its largest error, a dot where the run never was.
 fn map(comparison: &Comparison) -> String {
-    let worst = comparison.balances.first().filter(|worst| worst.fails);
-    let (Some(map), Some(worst)) = (&comparison.map, worst) else {
+    let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return String::new();
     };
-    let cells = match worst.equation {
-        "torque" => &map.torque_rms_n_m,
-        _ => &map.voltage_rms_v,
-    };
-    let values = cells.iter().flatten().flatten();
-    let largest = values.fold(0.0, |most: f64, value| most.max(*value));
+    let MapDigits { largest, rows } = map.digits(worst.equation);
     if largest <= 0.0 {
         return String::new();
     }
@@ -192,12 +186,11 @@ fn map(comparison: &Comparison) -> String {
     let mut text = format!(
         "\n{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was\n"
     );
-    for (row, values) in cells.iter().enumerate().rev() {
-        let middle = 0.5 * (map.speed_edges_rad_s[row] + map.speed_edges_rad_s[row + 1]);
+    for (middle, digits) in rows {
         let _ = write!(text, "{middle:>8.0} rad/s  ");
-        for value in values {
-            let mark = value.map(|value| format!("{:.0}", 9.0 * value / largest));
-            let _ = write!(text, " {}", mark.unwrap_or_else(|| ".".to_owned()));
+        for digit in digits {
+            let mark = digit.map_or(".".to_owned(), |digit| digit.to_string());
+            let _ = write!(text, " {mark}");
         }
         text.push('\n');
     }

@@ -296,20 +296,14 @@ fn balances(page: &mut Page, comparison: &Comparison) {
 
 /// The map of the equation that fails worse; nothing where none fails.
 fn map(page: &mut Page, comparison: &Comparison) {
-    let worst = comparison.balances.first().filter(|balance| balance.fails);
-    let Some((map, worst)) = comparison.map.as_ref().zip(worst) else {
+    let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return;
-    };
-    let values = if worst.equation == "torque" {
-        &map.torque_rms_n_m
-    } else {
-        &map.voltage_rms_v
     };
     let chart = MapChart {
         title: format!("{} error, {}", worst.equation, worst.unit),
         across: ("current, A", &map.current_edges_a),
         upwards: ("speed, rad/s", &map.speed_edges_rad_s),
-        values,
+        values: map.cells(worst.equation),
         counts: &map.count,
     };
     page.figure(

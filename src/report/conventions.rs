@@ -94,17 +94,9 @@ pub fn on_load_shaft(parameters: &[ParameterEstimate], ratio: f64) -> Vec<Parame
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::Verdict;
 
     fn parameter(key: MotorKey, value: f64) -> ParameterEstimate {
-        ParameterEstimate {
-            key: key.key().to_owned(),
-            value: Some(value),
-            std: Some(0.01 * value),
-            unit: key.unit(),
-            verdict: Verdict::Settled,
-            reason: None,
-        }
+        ParameterEstimate::found(key.key(), key.unit(), value, 0.01 * value, None)
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Reached, Status};
 use crate::plant::effect;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::capitalised;
-use crate::text::number::{fixed, probability, share, significant, with_unit};
+use crate::text::number::{fixed, probability, share, significant};
 
 /// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;
@@ -53,17 +53,16 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
         diagnosis.axis_map.iter().partition(is_followed);
     for map in followed.iter().take(MOST_CURVES) {
-        let (equation, axis) = (map.equation, axis_name(map.axis));
-        let unit = if equation == "voltage" { "V" } else { "N.m" };
+        let axis = map.axis_label();
         let chart = AxisChart {
-            title: format!("what the {equation} equation lacks, {unit}"),
+            title: map.title(),
             axis,
             knots: &map.knots,
             values: &map.values,
             std: &map.std,
         };
         page.figure(
-            chart.svg(&format!("{equation} error over {axis}")),
+            chart.svg(&format!("{} error over {axis}", map.equation)),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
                 capitalised(&map.sentence)
@@ -77,17 +76,6 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
         "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
          error falls while its cause is looked for.",
     );
-}
-
-const fn axis_name(axis: &str) -> &'static str {
-    match axis.as_bytes() {
-        b"speed_rad_s" => "speed, rad/s",
-        b"current_a" => "current, A",
-        b"voltage_v" => "voltage, V",
-        b"angle_rad" => "angle, rad",
-        b"time_s" => "time, s",
-        _ => "frequency, Hz",
-    }
 }
 
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
@@ -120,7 +108,7 @@ pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
                 _ => probability(own.probability),
             })
             .column("size ± 95 %, evidence", |own| {
-                let size = sizes(own).or_else(|| at_most(own)).unwrap_or_else(dash);
+                let size = sizes(own).or_else(|| own.at_most()).unwrap_or_else(dash);
                 Cell::text(size).with_note(capitalised(&own.evidence))
             }),
     );
@@ -136,13 +124,6 @@ fn sizes(candidate: &Candidate) -> Option<String> {
     let peaks = peaks.map(|peak| peak.text(TWO_SIDED_95));
     let sizes: Vec<String> = candidate.parameters.iter().map(size).chain(peaks).collect();
     (has_paid(candidate) && !sizes.is_empty()).then(|| sizes.join("; "))
-}
-
-/// What the size of an effect that is not named is below.
-fn at_most(candidate: &Candidate) -> Option<String> {
-    let spec = effect::find(candidate.effect)?.parameters().first()?;
-    let bound = with_unit(&significant(candidate.upper_bound?, 2), spec.unit);
-    Some(format!("at most {bound}"))
 }
 
 /// Key, value with its 95 % interval, unit.

@@ -89,4 +89,6 @@ impl Default for Context {
 }
 
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;

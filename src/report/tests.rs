@@ -1,16 +1,15 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
 use super::page::Page;
+use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
 use super::*;
-use crate::diagnosis::next_experiment::MenuEntry;
 use crate::diagnosis::{
-    Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorOf, Evidence, FailureLocation, Fitted,
-    HoldoutFrom, NextExperiment, ResidualLights, Rung, Score, Status, compare, diagnose,
+    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, ResidualLights, Status, compare,
+    diagnose,
 };
-use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
-use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run};
 
 /// Where to write the demonstration pages, to be looked at.
 const DEMO: &str = "DRIVEBENCH_REPORT_DEMO";
@@ -55,152 +54,6 @@ fn markup_becomes_text() {
     );
 }
 
-fn estimate(
-    key: &str,
-    value: f64,
-    std: f64,
-    unit: &'static str,
-    verdict: Verdict,
-) -> ParameterEstimate {
-    ParameterEstimate {
-        key: key.to_owned(),
-        value: Some(value),
-        std: Some(std),
-        unit,
-        verdict,
-        reason: (verdict == Verdict::Searching).then(|| "relative uncertainty 4.1 %".to_owned()),
-    }
-}
-
-/// A fit that holds no more than a report needs.
-fn no_fit() -> Fitted {
-    Fitted {
-        model: Model::baseline(Motor::zk_22fc()),
-        noise: NoiseFloor {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            source: FloorSource::Standstill,
-            samples: 125,
-        },
-        parameters: Vec::new(),
-        nrms: 1.0,
-        interval_factor: 1.0,
-        start: crate::plant::State::default(),
-    }
-}
-
-/// A comparison of the right shape with these figures: `factor` is the error in units of the noise.
-fn comparison(factor: f64) -> Comparison {
-    let model = Model::baseline(Motor::zk_22fc());
-    let evidence = Evidence::new(record(&model, 0, 1), None, None);
-    let mut comparison = compare(&model, &evidence, ErrorOf::Model).unwrap();
-    let signals = &mut comparison.signals;
-    for signal in [&mut signals.speed_rad_s, &mut signals.current_a] {
-        let signal = signal.as_mut().unwrap();
-        signal.rmse = 0.15 * factor;
-        signal.fit_percent = 100.0 - 2.0 * factor;
-        signal.one_step_rmse = 0.16;
-        signal.noise_floor = Some(0.15);
-        signal.holdout.rmse = 0.151 * factor;
-        signal.holdout.fit_percent = 100.0 - 2.1 * factor;
-    }
-    let white = factor < 1.5;
-    comparison.residual = ResidualLights {
-        enough_samples: true,
-        white,
-        autocorrelation_outside_99_percent: if white { 0.04 } else { 0.96 },
-        ..ResidualLights::default()
-    };
-    let sentence = "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time";
-    let place = FailureLocation {
-        equation: "torque",
-        variable: "speed_rad_s",
-        from: -12.0,
-        to: 12.0,
-        share_of_error: 0.85,
-        share_of_time: 0.11,
-        follows: 0.7,
-        strength: 40.0,
-        sentence: sentence.to_owned(),
-    };
-    comparison.locations = if white { vec![] } else { vec![place] };
-    comparison
-}
-
-fn candidate(
-    rank: usize,
-    effect: &'static str,
-    status: Status,
-    after: f64,
-    parameters: Vec<ParameterEstimate>,
-) -> Candidate {
-    let explained = 1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0);
-    Candidate {
-        effect,
-        rank,
-        status,
-        probability: f64::from(u8::from(rank == 1)),
-        parameters,
-        onsets: vec![],
-        interval_factor: 1.0,
-        reached: None,
-        error_before: 5.0,
-        error_after: Some(after),
-        holdout_before: 5.1,
-        holdout_after: Some(after),
-        explained_percent: Some(100.0 * explained),
-        upper_bound: Some(0.004),
-        detectable: Some(0.004),
-        evidence: format!(
-            "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
-        ),
-    }
-}
-
-fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
-    let own = |key: &str, value, std, unit| {
-        let key = format!("stribeck_friction.{key}");
-        estimate(&key, value, std, unit, Verdict::Settled)
-    };
-    let stribeck = vec![
-        own("stribeck_n_m", 0.1204, 0.0011, "N.m"),
-        own("stribeck_speed_rad_s", 8.91, 0.12, "rad/s"),
-    ];
-    let effect = (verdict == DiagnosisVerdict::Effect).then_some("stribeck_friction");
-    let unrepeated = "whether this machine repeats is not known: too many rows were lost";
-    Diagnosis {
-        rivals: Vec::new(),
-        sensor_floor: Some(1.0),
-        repeat_floor: None,
-        repeats: None,
-        repeat_follows: Vec::new(),
-        verdict,
-        effect,
-        effects: effect.into_iter().collect(),
-        sufficient: true,
-        noise_floor_from: FloorSource::Standstill,
-        holdout_from: HoldoutFrom::Run,
-        explained_percent: 99.8,
-        holdout_before: 5.1,
-        holdout_after: 1.02,
-        candidates: vec![
-            candidate(1, "stribeck_friction", Status::Supported, 1.02, stribeck),
-            candidate(2, "viscous_friction", Status::RuledOut, 5.08, vec![]),
-        ],
-        confusable: vec![],
-        ladder: vec![],
-        sentence: sentence.to_owned(),
-        confirm: None,
-        limits: vec![unrepeated.to_owned()],
-        equivalences: vec![],
-        next_experiment: None,
-        unknown: vec![],
-        axis_map: Vec::new(),
-        baseline: no_fit(),
-        model: no_fit(),
-    }
-}
-
 fn context() -> Context {
     Context {
         target: Target::Emulator,
@@ -219,32 +72,41 @@ fn context() -> Context {
 
 #[test]
 fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
-    let diagnosis = diagnosis(
-        DiagnosisVerdict::Effect,
-        "missing: stribeck_friction; held-out error 5.10 -> 1.02 times the noise floor, 100 % explained",
-    );
-    let rung = |effects: Vec<&'static str>, holdout_rmse| Rung {
-        effects,
-        holdout_rmse,
+    let mut diagnosis = diagnosis();
+    let own = |key: &str, unit, value, std| {
+        let key = format!("stribeck_friction.{key}");
+        ParameterEstimate::found(key, unit, value, std, None)
     };
-    let motor = |resistance: (f64, f64), inertia: (f64, f64), verdict| {
+    diagnosis.candidates[0].parameters = vec![
+        own("stribeck_n_m", "N.m", 0.1204, 0.0011),
+        own("stribeck_speed_rad_s", "rad/s", 8.91, 0.12),
+    ];
+    let motor = |resistance: (f64, f64), inertia: (f64, f64), doubt: Option<&str>| {
         let unseen = "relative uncertainty 80 % at a period of 10.0 ms";
+        let found = |key, unit, (value, std), doubt: Option<&str>| {
+            ParameterEstimate::found(key, unit, value, std, doubt.map(str::to_owned))
+        };
         vec![
-            estimate(
-                "resistance_ohm",
-                resistance.0,
-                resistance.1,
-                "ohm",
-                Verdict::Settled,
-            ),
+            found("resistance_ohm", "ohm", resistance, None),
             ParameterEstimate::not_observable("inductance_h", "H", unseen),
-            estimate("inertia_kg_m2", inertia.0, inertia.1, "kg.m2", verdict),
+            found("inertia_kg_m2", "kg.m2", inertia, doubt),
         ]
     };
-    let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), Verdict::Searching);
-    let mut after = motor((1.1003, 0.0007), (0.004_501, 0.000_003), Verdict::Settled);
+    let doubt = Some("relative uncertainty 4.1 %");
+    let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), doubt);
+    let mut after = motor((1.1003, 0.0007), (0.004_501, 0.000_003), None);
     after.extend(diagnosis.candidates[0].parameters.clone());
-    let (old, new) = (comparison(5.0), comparison(1.01));
+    let (old, new) = (comparison(0.76), comparison(0.155));
+    let new = Comparison {
+        locations: vec![],
+        residual: ResidualLights {
+            white: true,
+            autocorrelation_outside_99_percent: 0.04,
+            ..new.residual
+        },
+        limits: vec!["no angle was measured: it is integrated from the speed".to_owned()],
+        ..new
+    };
     let report = CommissionReport {
         kind: "Commission",
         title: "ZK-22FC",
@@ -255,8 +117,8 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
         before: &old,
         after: Some(&new),
         diagnosis: &diagnosis,
-        ladder: &[rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.02)],
-        confirm: Some(&[rung(vec![], 5.0), rung(vec!["stribeck_friction"], 1.03)]),
+        ladder: &[rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.03)],
+        confirm: Some(&[rung(vec![], 5.0), rung(vec!["stribeck_friction"], 1.04)]),
         series: None,
         truth: &["stribeck_friction of 0.12 N.m".to_owned()],
     };
@@ -318,11 +180,7 @@ fn commission(truth: &Model, name: &str) -> String {
     let named = !found.effects.is_empty();
     let (before, after) = (compare(baseline), named.then(|| compare(model)));
     let (old, new) = (free_run(baseline), named.then(|| free_run(model)));
-    let rung = |model: &Model| Rung {
-        effects: model.effect_ids(),
-        holdout_rmse: Score::of(model, confirm, &evidence.noise).unwrap().nrms,
-    };
-    let confirmed = [rung(baseline), rung(model)];
+    let confirmed = found.rungs_on(confirm, &evidence.noise).unwrap();
     let report = CommissionReport {
         kind: "Commission",
         title: "ZK-22FC on the emulator",
@@ -392,7 +250,8 @@ fn the_page_of_a_run_is_whole() {
     ] {
         run.set_column(channel, cells, origin).unwrap();
     }
-    let resistance = estimate("resistance_ohm", 1.12, 0.05, "ohm", Verdict::Searching);
+    let doubt = Some("relative uncertainty 4.1 %".to_owned());
+    let resistance = ParameterEstimate::found("resistance_ohm", "ohm", 1.12, 0.05, doubt);
     let report = RunReport {
         title: "Run \"first\" & only",
         context: &context(),
@@ -412,24 +271,9 @@ fn the_page_of_a_run_is_whole() {
 
 #[test]
 fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
-    let mut found = diagnosis(DiagnosisVerdict::Ambiguous, "two explain alike");
-    let entry = |program, expected_separation| MenuEntry {
-        program,
-        expected_separation,
-        needed: 612.0,
-    };
-    found.next_experiment = Some(NextExperiment {
-        sentence: "run a slow ramp".to_owned(),
-        bench: None,
-        pair: Some(["viscous_friction", "quadratic_load"]),
-        pairs: Vec::new(),
-        reveals: Vec::new(),
-        expected_separation: 8463.0,
-        // The second is above what any run needs, and below what this one does.
-        menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
-        peaks: None,
-        recipe: None,
-    });
+    let mut found = diagnosis();
+    found.verdict = DiagnosisVerdict::Ambiguous;
+    found.next_experiment = Some(next_experiment());
     let mut page = Page::new("title", "subtitle");
     findings::next_run(&mut page, &found);
     let html = page.html();
@@ -441,5 +285,30 @@ fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
     for (program, verdict) in [("slow_<wbr>ramp", ">tells"), ("dither", ">does not")] {
         let row = row(program);
         assert!(row.contains("612") && row.contains(verdict), "{row}");
+    }
+}
+
+#[test]
+fn a_bound_is_in_the_unit_of_what_gives_the_effect_its_size() {
+    for (effect, bound) in [
+        ("stribeck_friction", "0.0020 N.m"),
+        ("discontinuous_conduction", "0.0020 ohm"),
+        ("backlash", "0.0020 rad"),
+        ("load_dependent_friction", "0.0020"),
+    ] {
+        let own = candidate(1, effect, Status::RuledOut, 5.08);
+        assert_eq!(own.at_most(), Some(format!("at most {bound}")), "{effect}");
+        assert_eq!(
+            own.seen_from(),
+            Some(format!("seen from {bound}")),
+            "{effect}"
+        );
+        for unknown in [None, Some(f64::NAN)] {
+            let own = Candidate {
+                upper_bound: unknown,
+                ..own.clone()
+            };
+            assert_eq!(own.at_most(), None, "{effect} {unknown:?}");
+        }
     }
 }

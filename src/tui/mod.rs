@@ -24,6 +24,8 @@ mod diagnosis;
 mod frame;
 mod keys;
 mod live;
+#[cfg(test)]
+mod testing;
 mod theme;
 
 pub use application::{Exit, Screen, is_gone, show};

@@ -12,7 +12,7 @@ use crate::bench::{
     next_bench, scale,
 };
 use crate::diagnosis::{
-    self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose_with, recommend,
+    self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, compare, diagnose_with, recommend,
 };
 use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
 use crate::identification::nameplate::{self, Comparison};
@@ -311,17 +311,7 @@ impl Commission {
         publish(self.progress());
 
         let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
-        let rung = |model: &Model| -> Result<Rung, FitError> {
-            let score = Score::of(model, &confirming.holdout, &confirming.noise)?;
-            Ok(Rung {
-                effects: model.effect_ids(),
-                holdout_rmse: score.nrms,
-            })
-        };
-        let confirmed = [
-            rung(&diagnosis.baseline.model)?,
-            rung(&diagnosis.model.model)?,
-        ];
+        let confirmed = diagnosis.rungs_on(&confirming.holdout, &confirming.noise)?;
         let line = if diagnosis.effects.is_empty() {
             "no effect is added".to_owned()
         } else {

@@ -102,7 +102,7 @@ impl Answer {
         Some(answer)
     }
 
-    fn value(&self, id: &str, key: &str) -> Option<f64> {
+    pub(super) fn value(&self, id: &str, key: &str) -> Option<f64> {
         let mut values = self.values.iter();
         let found = values.find(|known| known.0 == id && known.1 == key)?;
         Some(found.2)
@@ -186,7 +186,7 @@ pub fn reveal(truth: Truth, answer: Option<Answer>, guess: Option<&str>) -> Reve
 }
 
 /// Key of the number of waves in a turn.
-const ORDER: &str = "order";
+pub(super) const ORDER: &str = "order";
 
 /// The order that the answer gives the hidden effect and the true one, where they differ: a wave of another number of
 /// cogs is another effect under the same name. Orders are whole numbers.

@@ -9,9 +9,9 @@ use super::joint::answer::{Inference, Inferred, Onset, RunOf};
 use super::ladder::Standing;
 use super::reached::{self, Reached};
 use super::score::{by_key, parameters_of};
-use crate::plant::Effect;
+use crate::plant::{Effect, effect};
 use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
-use crate::text::number::{probability, significant};
+use crate::text::number::{probability, significant, with_unit};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
 const SUPPORTED_PROBABILITY: f64 = 0.9;
@@ -102,6 +102,24 @@ impl Candidate {
                 self.interval_factor
             )
         })
+    }
+
+    /// What its size is below.
+    pub fn at_most(&self) -> Option<String> {
+        self.in_words("at most", self.upper_bound)
+    }
+
+    /// The smallest size that would have been named.
+    pub fn seen_from(&self) -> Option<String> {
+        self.in_words("seen from", self.detectable)
+    }
+
+    /// A size in the unit of the parameter that gives the effect its size.
+    fn in_words(&self, lead: &str, size: Option<f64>) -> Option<String> {
+        let effect = effect::find(self.effect)?;
+        let unit = effect.parameters().get(effect.size_index())?.unit;
+        let size = size.filter(|size| size.is_finite())?;
+        Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
     }
 }
 
@@ -270,9 +288,7 @@ fn evidence_sentence(
 
 /// Unit of the parameter that gives the effect its size, in words that can stand behind a number.
 fn unit_of_size(effect: &dyn Effect) -> &'static str {
-    let specs = effect.parameters();
-    let size = specs.iter().find(|spec| spec.is_coefficient());
-    match size.unwrap_or(&specs[0]).unit {
+    match effect.parameters()[effect.size_index()].unit {
         "-" => "(a ratio)",
         unit => unit,
     }

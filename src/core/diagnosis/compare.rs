@@ -116,6 +116,11 @@ impl Comparison {
         self.noise.is_at_the_floor(self.holdout_rmse)
     }
 
+    /// The equation that fails worse; none where none fails.
+    pub fn failing(&self) -> Option<&EquationBalance> {
+        self.balances.first().filter(|balance| balance.fails)
+    }
+
     /// That it is not known which equation, or which variable, where two are within their uncertainty.
     pub fn undecided(&self) -> Option<String> {
         undecided(&self.balances, &self.locations)

@@ -1,6 +1,6 @@
 //! The decision: which effects are missing, whether that is all, and what a run that had no part in it says of it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::candidates::{Candidate, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
@@ -13,10 +13,10 @@ use super::location::{AxisMap, FailureLocation, axis_map};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, cannot_simulate, in_noise};
-use crate::identification::noise::FloorSource;
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, effect};
+use crate::plant::{Model, Scenario, effect};
 use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -30,7 +30,7 @@ const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Effects that are named one by one where these runs would not show them.
 const FEW: usize = 4;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiagnosisVerdict {
     Effect,
@@ -91,6 +91,17 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
+    /// Error of the baseline and of the answer on a run that neither fitted nor selected.
+    pub fn rungs_on(&self, run: &Scenario, noise: &NoiseFloor) -> Result<[Rung; 2], FitError> {
+        let rung = |model: &Model| -> Result<Rung, FitError> {
+            Ok(Rung {
+                effects: model.effect_ids(),
+                holdout_rmse: Score::of(model, run, noise)?.nrms,
+            })
+        };
+        Ok([rung(&self.baseline.model)?, rung(&self.model.model)?])
+    }
+
     /// Whether the run that had no part in the answer speaks against it.
     pub fn is_refuted(&self) -> bool {
         let confirm = self.confirm.as_ref();

@@ -41,8 +41,8 @@ pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matc
 pub use joint::answer::{Onset, RunOf, Unknown};
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, axis_map,
-    locate,
+    AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, MapDigits, OwnChange,
+    axis_map, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

@@ -1,7 +1,5 @@
 //! Screens on a fixed diagnosis, keys in every state, and any data at any size.
 
-use std::sync::LazyLock;
-
 use insta::assert_snapshot;
 use proptest::prelude::*;
 use ratatui::Terminal;
@@ -9,123 +7,13 @@ use ratatui::backend::TestBackend;
 
 use super::state::{Event, Guess, Guessing, Over, State, compared};
 use super::view::view;
-use crate::diagnosis::next_experiment::MenuEntry;
-use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorMap, ErrorOf,
-    Event as Found, Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached,
-    ResidualLights, Rung, Status, compare,
-};
-use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Model, Motor, testing};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::diagnosis::{AddResult, Diagnosis, DiagnosisVerdict, Event as Found, Status};
+use crate::identification::noise::FloorSource;
+use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
+use crate::tui::testing::{self, number};
 use crate::workflow::{News, Order};
-
-fn fitted(effects: &[&str]) -> Fitted {
-    let mut model = Model::baseline(Motor::zk_22fc());
-    for effect in effects {
-        model = model.with_effect(effect).unwrap();
-    }
-    Fitted {
-        model,
-        parameters: Vec::new(),
-        nrms: 4.9,
-        noise: NoiseFloor {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            source: FloorSource::Standstill,
-            samples: 300,
-        },
-        interval_factor: 1.0,
-        start: crate::plant::State::default(),
-    }
-}
-
-fn candidate(effect: &'static str, status: Status, after: f64) -> Candidate {
-    let spec = &crate::plant::effect::find(effect).unwrap().parameters()[0];
-    let size = ParameterEstimate {
-        key: format!("{effect}.{}", spec.key),
-        value: Some(0.2),
-        std: Some(0.01),
-        unit: spec.unit,
-        verdict: Verdict::Settled,
-        reason: None,
-    };
-    Candidate {
-        effect,
-        rank: 1,
-        status,
-        probability: match status {
-            Status::Supported => 0.97,
-            Status::Possible => 0.43,
-            _ => 0.01,
-        },
-        parameters: Some(size)
-            .into_iter()
-            .filter(|_| status == Status::Supported)
-            .collect(),
-        onsets: vec![],
-        interval_factor: 2.0,
-        reached: Some(Reached {
-            torque_n_m: Some(Peak {
-                value: 0.2,
-                std: Some(0.01),
-                interval_95: Some([0.18, 0.22]),
-                unit: "N.m",
-                percent_of_largest: Some(7.2),
-            }),
-            ..Reached::default()
-        }),
-        error_before: 4.8,
-        error_after: Some(1.01),
-        holdout_before: 5.1,
-        holdout_after: Some(after),
-        explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
-        upper_bound: Some(0.002),
-        detectable: Some(0.002),
-        evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
-    }
-}
-
-fn diagnosis() -> Diagnosis {
-    Diagnosis {
-        rivals: Vec::new(),
-        sensor_floor: Some(1.0),
-        repeat_floor: None,
-        repeats: None,
-        repeat_follows: Vec::new(),
-        verdict: DiagnosisVerdict::Effect,
-        effect: Some("stribeck_friction"),
-        effects: vec!["stribeck_friction"],
-        sufficient: true,
-        noise_floor_from: FloorSource::Standstill,
-        holdout_from: HoldoutFrom::Run,
-        explained_percent: 99.8,
-        holdout_before: 5.1,
-        holdout_after: 1.03,
-        candidates: vec![
-            candidate("stribeck_friction", Status::Supported, 1.03),
-            candidate("cogging", Status::Possible, 3.9),
-            candidate("viscous_friction", Status::RuledOut, 5.08),
-            candidate("inductance_saturation", Status::NotExcited, 5.1),
-        ],
-        confusable: Vec::new(),
-        ladder: Vec::new(),
-        axis_map: Vec::new(),
-        confirm: None,
-        limits: vec![
-            "whether this machine repeats is not known: too many rows were lost".to_owned(),
-        ],
-        equivalences: Vec::new(),
-        next_experiment: None,
-        unknown: vec![],
-        sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
-            .to_owned(),
-        baseline: fitted(&[]),
-        model: fitted(&["stribeck_friction"]),
-    }
-}
 
 /// What is left once the effect is in the model.
 fn nothing_more() -> Diagnosis {
@@ -137,8 +25,8 @@ fn nothing_more() -> Diagnosis {
         holdout_after: 1.03,
         explained_percent: 0.0,
         candidates: vec![
-            candidate("cogging", Status::RuledOut, 1.03),
-            candidate("inductance_saturation", Status::NotExcited, 1.03),
+            candidate(1, "cogging", Status::RuledOut, 1.03),
+            candidate(2, "inductance_saturation", Status::NotExcited, 1.03),
         ],
         sentence: "nothing is missing: held-out error 1.03 times the noise floor".to_owned(),
         baseline: fitted(&["stribeck_friction"]),
@@ -146,75 +34,7 @@ fn nothing_more() -> Diagnosis {
     }
 }
 
-/// The figures of a short run, all of them replaced below by fixed ones.
-static COMPARED: LazyLock<Comparison> = LazyLock::new(|| {
-    let model = Model::baseline(Motor::zk_22fc());
-    let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -40.0)];
-    let run = |seed| testing::record(&model, events.clone(), 0.01, 1.5, seed);
-    let evidence = Evidence::new(run(1), Some(run(2)), None);
-    compare(&model, &evidence, ErrorOf::Structure).unwrap()
-});
-
-fn comparison(rmse: f64) -> Comparison {
-    let mut signals = COMPARED.signals.clone();
-    for (signal, rmse, floor) in [
-        (&mut signals.speed_rad_s, rmse, 0.15),
-        (&mut signals.current_a, 0.2 * rmse, 0.03),
-    ] {
-        let signal = signal.as_mut().unwrap();
-        (signal.holdout.fit_percent, signal.holdout.rmse) = (97.9, rmse);
-        signal.noise_floor = Some(floor);
-    }
-    let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
-    let row = |row| (0..12).map(|column| cell(row, column)).collect();
-    let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
-    Comparison {
-        signals,
-        locations: vec![FailureLocation {
-            equation: "torque",
-            variable: "speed_rad_s",
-            from: -12.0,
-            to: 12.0,
-            share_of_error: 0.85,
-            share_of_time: 0.11,
-            follows: 0.9,
-            strength: 300.0,
-            sentence: "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time"
-                .to_owned(),
-        }],
-        balances: Vec::new(),
-        map: Some(ErrorMap {
-            speed_edges_rad_s: (0..13).map(|k| -300.0 + 50.0 * f64::from(k)).collect(),
-            current_edges_a: (0..13).map(|k| -6.0 + f64::from(k)).collect(),
-            count: vec![vec![3; 12]; 12],
-            torque_rms_n_m: cells.clone(),
-            voltage_rms_v: cells,
-        }),
-        residual: ResidualLights {
-            white: false,
-            enough_samples: true,
-            autocorrelation_outside_99_percent: 0.8,
-            independent_of_input: true,
-            ..ResidualLights::default()
-        },
-        noise_floor_from: FloorSource::Standstill,
-        noise: NoiseFloor {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            source: FloorSource::Standstill,
-            samples: 300,
-        },
-        holdout_from: HoldoutFrom::Run,
-        holdout_rmse: 5.1,
-        limits: Vec::new(),
-    }
-}
-
 fn added(effect: &'static str, accepted: bool) -> News {
-    let rung = |effects: Vec<&'static str>, holdout_rmse| Rung {
-        effects,
-        holdout_rmse,
-    };
     News::Added(Box::new(AddResult {
         effect,
         accepted,
@@ -278,9 +98,7 @@ fn at_the_floor() -> State {
 }
 
 fn terminal(state: &State, width: u16, height: u16) -> Terminal<TestBackend> {
-    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| view(state, frame)).unwrap();
-    terminal
+    testing::terminal((width, height), |frame| view(state, frame))
 }
 
 fn text(state: &State, width: u16, height: u16) -> String {
@@ -329,16 +147,6 @@ const OVER: [Over; 7] = [
     Over::Help(7),
     Over::Curve(0, 2),
 ];
-
-fn number() -> impl Strategy<Value = f64> {
-    prop_oneof![
-        4 => -10.0..300.0_f64,
-        1 => any::<f64>(),
-        1 => Just(f64::NAN),
-        1 => Just(f64::INFINITY),
-        1 => Just(f64::MAX),
-    ]
-}
 
 fn state() -> impl Strategy<Value = State> {
     let over = prop_oneof![
@@ -430,10 +238,8 @@ fn every_small_size() {
         for over in OVER.into_iter().chain([Over::Nothing]) {
             let mut state = state.clone();
             state.over = over;
-            for width in (1..=40).chain([72, 110, 200]) {
-                for height in [1, 2, 3, 5, 6, 7, 9, 12, 14, 20, 60] {
-                    terminal(&state, width, height);
-                }
+            for (width, height) in testing::sizes() {
+                terminal(&state, width, height);
             }
         }
     }
@@ -488,7 +294,7 @@ fn told(state: &State) -> &str {
     state.message.as_deref().unwrap_or_default()
 }
 
-fn answer(state: &mut State, answer: crate::diagnosis::Diagnosis) {
+fn answer(state: &mut State, answer: Diagnosis) {
     hear(state, News::Diagnosed(Box::new(answer)));
 }
 
@@ -637,11 +443,7 @@ fn without_a_floor_nothing_is_said_in_multiples_of_it() {
     let News::Added(mut change) = added("stribeck_friction", true) else {
         unreachable!("it adds");
     };
-    let [before, after] = [5.1, 0.4].map(|holdout_rmse| Rung {
-        effects: Vec::new(),
-        holdout_rmse,
-    });
-    change.confirm = Some([before, after]);
+    change.confirm = Some([5.1, 0.4].map(|error| rung(Vec::new(), error)));
     change.before.noise_floor_from = FloorSource::None;
     change.after.noise_floor_from = FloorSource::None;
     hear(&mut state, News::Added(change));
@@ -702,23 +504,7 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     let mut found = diagnosis();
     found.confusable = vec![["viscous_friction", "quadratic_load"]];
     answer(&mut state, found);
-    let entry = |program, expected_separation| MenuEntry {
-        program,
-        expected_separation,
-        needed: 612.0,
-    };
-    let next = NextExperiment {
-        sentence: "run a slow ramp over the whole speed".to_owned(),
-        bench: None,
-        pair: Some(["viscous_friction", "quadratic_load"]),
-        pairs: Vec::new(),
-        reveals: Vec::new(),
-        expected_separation: 8463.0,
-        menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
-        peaks: None,
-        recipe: None,
-    };
-    hear(&mut state, News::Recommended(Box::new(next)));
+    hear(&mut state, News::Recommended(Box::new(next_experiment())));
     press(&mut state, Press::Next);
     // The dither is above the constant, below what that run needs.
     let tried = [

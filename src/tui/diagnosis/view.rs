@@ -12,14 +12,15 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights, Status,
+    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, MapDigits, Reached,
+    ResidualLights, Status,
 };
-use crate::plant::{Effect, effect};
+use crate::plant::effect;
 use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::{
-    percent, probability, share as per_cent, shortest, significant, with_std, with_unit,
+    percent, probability, share as per_cent, shortest, significant, with_std,
 };
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
@@ -444,12 +445,12 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             let text = if is_named {
                 size(candidate, width >= WIDE)
             } else if is_seen {
-                at_most(candidate)
+                candidate.at_most()
             } else {
                 None
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
-            if let (true, Some(text)) = (width >= WIDE && is_seen, detectable(candidate)) {
+            if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
                 let used: usize = spans.iter().map(Span::width).sum();
                 // Half a unit would be another unit.
                 if used + text.chars().count() + 4 <= width {
@@ -486,7 +487,8 @@ pub(super) const fn status(status: Status) -> (&'static str, Style) {
 
 /// The parameter that gives the effect its size.
 fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
-    let (key, _) = size_of(effect::find(candidate.effect)?)?;
+    let effect = effect::find(candidate.effect)?;
+    let key = effect.parameters().get(effect.size_index())?.key;
     let mut found = candidate.parameters.iter();
     let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
     let parameter = found.clone().find(of_size).or_else(|| found.next())?;
@@ -496,30 +498,6 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     } else {
         text
     })
-}
-
-/// Key and unit of the parameter that gives an effect its size.
-fn size_of(effect: &dyn Effect) -> Option<(&'static str, &'static str)> {
-    let specs = effect.parameters();
-    let of_size = specs.iter().find(|spec| spec.is_coefficient());
-    of_size.or(specs.first()).map(|spec| (spec.key, spec.unit))
-}
-
-/// A size in the unit of the parameter that gives the effect its size.
-fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
-    let (_, unit) = size_of(effect::find(candidate.effect)?)?;
-    let size = size.filter(|size| size.is_finite())?;
-    Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
-}
-
-/// What its size is below.
-pub(super) fn at_most(candidate: &Candidate) -> Option<String> {
-    in_words(candidate, "at most", candidate.upper_bound)
-}
-
-/// The smallest size that would have been named.
-pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
-    in_words(candidate, "seen from", candidate.detectable)
 }
 
 /// Longest bar.
@@ -631,8 +609,8 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
             let text = format!("{}{reason}, 95 % interval", parameter.text(TWO_SIDED_95));
             lines.push(paragraph(key, text));
         }
-        lines.extend(at_most(candidate).map(|text| paragraph("size", text)));
-        lines.extend(detectable(candidate).map(|text| paragraph("visible", text)));
+        lines.extend(candidate.at_most().map(|text| paragraph("size", text)));
+        lines.extend(candidate.seen_from().map(|text| paragraph("visible", text)));
         for peak in candidate.reached.iter().flat_map(Reached::peaks) {
             lines.push(paragraph("reached", peak.text(TWO_SIDED_95)));
         }
@@ -671,16 +649,7 @@ pub(super) fn curve(state: &State, index: usize, first: usize, area: Rect, buffe
     let Some((_, map)) = curves.get(index) else {
         return;
     };
-    let equation = map.equation;
-    let unit = if equation == "voltage" { "V" } else { "N.m" };
-    let axis = match map.axis {
-        "speed_rad_s" => "speed, rad/s",
-        "current_a" => "current, A",
-        "voltage_v" => "voltage, V",
-        "angle_rad" => "angle, rad",
-        _ => "time, s",
-    };
-    let title = format!("what the {equation} equation lacks, {unit}, over {axis}");
+    let title = format!("{}, over {}", map.title(), map.axis_label());
     let place = format!("{} of {}", index + 1, curves.len());
     let inner = titled_with(&title, &place, area, buffer);
     let width = usize::from(inner.width);
@@ -725,9 +694,6 @@ fn bars(share: f64, half: usize) -> (String, String) {
     }
 }
 
-/// Digit of the largest error.
-const LARGEST: f64 = 9.0;
-
 /// The error of one equation over speed x current, as digits: readable without colour. `index` 0 is the equation that
 /// fails worse.
 pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
@@ -738,13 +704,12 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     };
     let worse = comparison.balances.first();
     let torque_first = worse.is_none_or(|balance| balance.equation == "torque");
-    let (equation, unit, cells) = if torque_first == (index == 0) {
-        ("torque", "N.m", &map.torque_rms_n_m)
+    let (equation, unit) = if torque_first == (index == 0) {
+        ("torque", "N.m")
     } else {
-        ("voltage", "V", &map.voltage_rms_v)
+        ("voltage", "V")
     };
-    let values = cells.iter().flatten().flatten().copied();
-    let largest = values.filter(|value| value.is_finite()).fold(0.0, f64::max);
+    let MapDigits { largest, rows } = map.digits(equation);
     let nine = significant(largest, 3);
     let title = format!("{equation} error over speed x current: 9 is {nine} {unit}, · never there");
     let inner = titled(&title, area, buffer);
@@ -752,11 +717,9 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     let columns = map.current_edges_a.len().saturating_sub(1).max(1);
     let cell_width = (usize::from(inner.width).saturating_sub(14) / columns).clamp(1, 6);
     // Two rows for each speed where there is room, so that the map is nearly square.
-    let repeat = (room / cells.len().max(1)).clamp(1, 2);
+    let repeat = (room / rows.len().max(1)).clamp(1, 2);
     let mut lines = Vec::new();
-    for (row, values) in cells.iter().enumerate().rev() {
-        let edges = map.speed_edges_rad_s.get(row..row + 2);
-        let middle = edges.map_or(f64::NAN, |edges| 0.5 * (edges[0] + edges[1]));
+    for (middle, digits) in &rows {
         for copy in 0..repeat {
             let label = if copy == 0 {
                 format!("{middle:>6.0} rad/s ")
@@ -764,9 +727,10 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
                 " ".repeat(13)
             };
             let mut line = Line::from(Span::styled(label, theme::DIM));
-            line.extend(values.iter().map(|value| {
-                let (mark, style) = digit(*value, largest);
-                Span::styled(mark.to_string().repeat(cell_width), style)
+            line.extend(digits.iter().map(|digit| {
+                let mark = digit.map_or("·".to_owned(), |digit| digit.to_string());
+                let style = digit.map_or(theme::DIM, shade);
+                Span::styled(mark.repeat(cell_width), style)
             }));
             lines.push(line);
         }
@@ -781,17 +745,12 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     Paragraph::new(lines).render(inner, buffer);
 }
 
-fn digit(value: Option<f64>, largest: f64) -> (char, Style) {
-    let Some(value) = value.filter(|value| value.is_finite() && largest > 0.0) else {
-        return ('·', theme::DIM);
-    };
-    let digit = (LARGEST * value / largest).round().clamp(0.0, LARGEST) as u32;
-    let style = match digit {
+const fn shade(digit: usize) -> Style {
+    match digit {
         0..=2 => theme::GOOD,
         3..=5 => theme::CAREFUL,
         _ => theme::BAD,
-    };
-    (char::from_digit(digit, 10).unwrap_or('?'), style)
+    }
 }
 
 /// What these runs do not tell, and the run that would.

@@ -18,22 +18,11 @@ use crate::drive::LinkStatistics;
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
+use crate::tui::testing::{self, number};
 use crate::workflow::{Progress, StepState, StepView};
 
-fn found(
-    key: &str,
-    value: f64,
-    std: f64,
-    unit: &'static str,
-    verdict: Verdict,
-) -> ParameterEstimate {
-    ParameterEstimate {
-        value: Some(value),
-        std: Some(std),
-        verdict,
-        reason: None,
-        ..ParameterEstimate::not_observable(key, unit, "")
-    }
+fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
+    ParameterEstimate::found(key, unit, value, std, None)
 }
 
 /// A voltage that steps every two seconds, a first-order speed, a model that is 10 % too fast, and a gap at 6 s.
@@ -66,13 +55,16 @@ fn notice(level: Level, text: &str) -> Notice {
 }
 
 fn running() -> Snapshot {
-    use Verdict::{Searching, Settled};
     let carried = "the shaft has not turned both ways";
+    let searching = |found| ParameterEstimate {
+        verdict: Verdict::Searching,
+        ..found
+    };
     let estimates = vec![
-        found("resistance_ohm", 1.103_28, 0.021, "ohm", Settled),
-        found("inductance_h", 0.009_87, 0.000_31, "H", Searching),
-        found("back_emf_v_s_per_rad", 0.354_1, 0.000_4, "V.s/rad", Settled),
-        found("inertia_kg_m2", 0.004_6, 0.001_9, "kg.m2", Searching),
+        found("resistance_ohm", "ohm", 1.103_28, 0.021),
+        searching(found("inductance_h", "H", 0.009_87, 0.000_31)),
+        found("back_emf_v_s_per_rad", "V.s/rad", 0.354_1, 0.000_4),
+        searching(found("inertia_kg_m2", "kg.m2", 0.004_6, 0.001_9)),
         ParameterEstimate::not_observable("load_torque_n_m", "N.m", carried),
     ];
     Snapshot {
@@ -227,9 +219,7 @@ fn model(snapshot: Snapshot) -> Model {
 }
 
 fn terminal(model: &Model, width: u16, height: u16) -> Terminal<TestBackend> {
-    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| view(model, frame)).unwrap();
-    terminal
+    testing::terminal((width, height), |frame| view(model, frame))
 }
 
 fn text(model: &Model, width: u16, height: u16) -> String {
@@ -352,18 +342,6 @@ fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
     );
 }
 
-fn number() -> impl Strategy<Value = f64> {
-    prop_oneof![
-        4 => -300.0..300.0_f64,
-        1 => any::<f64>(),
-        1 => Just(f64::NAN),
-        1 => Just(f64::INFINITY),
-        1 => Just(f64::MAX),
-        1 => Just(-f64::MAX),
-        1 => Just(0.0),
-    ]
-}
-
 fn point() -> impl Strategy<Value = TracePoint> {
     prop::array::uniform6(number()).prop_map(|of| TracePoint {
         time_s: of[0],
@@ -472,10 +450,8 @@ fn every_small_width() {
     report(&mut model, true);
     for page in Page::ALL {
         model.page = page;
-        for width in (1..=40).chain([72, 110, 200]) {
-            for height in [1, 2, 3, 5, 6, 7, 9, 12, 20, 60] {
-                terminal(&model, width, height);
-            }
+        for (width, height) in testing::sizes() {
+            terminal(&model, width, height);
         }
     }
 }

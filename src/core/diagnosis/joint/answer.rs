@@ -173,7 +173,7 @@ impl Inference {
             run: self.runs[own.event.run],
             time_s: own.moment.time_s,
             interval_95_s: own.moment.interval_s,
-            size: own.event.values[own.event.size_index()],
+            size: own.event.values[own.event.effect.size_index()],
             size_std: own.deviation,
         };
         own.into_iter().map(onset).collect()

@@ -93,12 +93,6 @@ pub(in crate::diagnosis) fn time_of(effect: &dyn Effect) -> Option<usize> {
     specs.position(|spec| spec.role == ParameterRole::EventTime)
 }
 
-/// Which of its parameters gives it its size.
-fn size_of(effect: &dyn Effect) -> usize {
-    let mut specs = effect.parameters().iter();
-    specs.position(ParameterSpec::is_coefficient).unwrap_or(0)
-}
-
 impl Event {
     pub(super) fn id(&self) -> &'static str {
         self.effect.card().id
@@ -106,10 +100,6 @@ impl Event {
 
     pub(super) fn time_s(&self) -> f64 {
         time_of(self.effect).map_or(f64::NAN, |k| self.values[k])
-    }
-
-    pub(super) fn size_index(&self) -> usize {
-        size_of(self.effect)
     }
 
     pub(super) fn put_at(&mut self, time_s: f64) {
@@ -142,7 +132,7 @@ impl Event {
     /// The same with a slab of it at another moment.
     fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
         let mut values = self.values.clone();
-        values[self.size_index()] = slab;
+        values[self.effect.size_index()] = slab;
         if let Some(k) = time_of(self.effect) {
             values[k] = time_s;
         }
@@ -262,7 +252,7 @@ pub(super) fn parts(
     runs: &[Around<'_>],
 ) -> Vec<Part> {
     let id = effect.card().id;
-    let size = size_of(effect);
+    let size = Effect::size_index(effect);
     let model = &hypothesis.model;
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();

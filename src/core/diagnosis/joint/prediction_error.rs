@@ -242,7 +242,7 @@ impl<'a> Innovations<'a> {
     fn new(hypothesis: &Hypothesis, runs: &'a [Around<'a>]) -> Self {
         let model = &hypothesis.model;
         let size = |event: &Event| {
-            let index = event.size_index();
+            let index = event.effect.size_index();
             let spec = &event.effect.parameters()[index];
             let run = &runs[event.run.min(runs.len() - 1)];
             let unit = SLAB * typical_size(event.effect, index, model, run.scenario);
@@ -308,7 +308,9 @@ impl<'a> Innovations<'a> {
         let Hypothesis { model, events } = &self.hypothesis;
         let free = self.free.iter();
         let shared = free.map(|(slot, _)| model.get(slot).unwrap_or(f64::NAN));
-        let sizes = events.iter().map(|event| event.values[event.size_index()]);
+        let sizes = events
+            .iter()
+            .map(|event| event.values[event.effect.size_index()]);
         let values = shared.chain(sizes);
         values
             .zip(self.units())
@@ -323,7 +325,7 @@ impl<'a> Innovations<'a> {
         }
         let sizes = self.sizes.iter().zip(&x[self.free.len()..]);
         for (event, (unit, x)) in there.events.iter_mut().zip(sizes) {
-            let index = event.size_index();
+            let index = event.effect.size_index();
             event.values[index] = unit.to_value(*x);
         }
         there

@@ -59,7 +59,7 @@ fn happening(
             effect,
             values,
         };
-        let index = event.size_index();
+        let index = event.effect.size_index();
         event.values[time] = time_s;
         let spec = &effect.parameters()[index];
         event.values[index] = (size(column.at)? * column.unit).clamp(spec.min, spec.max);

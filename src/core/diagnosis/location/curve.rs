@@ -73,6 +73,28 @@ impl AxisMap {
         self.r2 >= FOLLOWS_SHARE
     }
 
+    /// What its values are, with their unit.
+    pub fn title(&self) -> String {
+        let unit = if self.equation == "voltage" {
+            "V"
+        } else {
+            "N.m"
+        };
+        format!("what the {} equation lacks, {unit}", self.equation)
+    }
+
+    /// Its axis with the unit.
+    pub fn axis_label(&self) -> &'static str {
+        match self.axis {
+            "speed_rad_s" => "speed, rad/s",
+            "current_a" => "current, A",
+            "voltage_v" => "voltage, V",
+            "angle_rad" => "angle, rad",
+            "time_s" => "time, s",
+            _ => "frequency, Hz",
+        }
+    }
+
     /// The knot with the largest value that stands out from its uncertainty.
     fn peak(&self) -> Option<usize> {
         let sure = |knot: &usize| self.values[*knot].abs() > FOUND_SIGMAS * self.std[*knot];

@@ -405,7 +405,44 @@ pub struct ErrorMap {
     pub voltage_rms_v: Vec<Vec<Option<f64>>>,
 }
 
+/// The map of one equation as digits, readable without colour: 9 is its largest error.
+pub struct MapDigits {
+    pub largest: f64,
+    /// The highest speed first: the middle of the row in rad/s, and its cells, none where the run never was or where there
+    /// is no error at all.
+    pub rows: Vec<(f64, Vec<Option<usize>>)>,
+}
+
+/// Digit of the largest error.
+const LARGEST_DIGIT: f64 = 9.0;
+
 impl ErrorMap {
+    /// What one equation lacks, cell by cell.
+    pub fn cells(&self, equation: &str) -> &[Vec<Option<f64>>] {
+        match equation {
+            "torque" => &self.torque_rms_n_m,
+            _ => &self.voltage_rms_v,
+        }
+    }
+
+    pub fn digits(&self, equation: &str) -> MapDigits {
+        let cells = self.cells(equation);
+        let known = |value: &Option<f64>| value.filter(|value| value.is_finite());
+        let largest = cells.iter().flatten().filter_map(known).fold(0.0, f64::max);
+        let digit = |value: &Option<f64>| {
+            let share = known(value).filter(|_| largest > 0.0)? / largest;
+            Some(whole((LARGEST_DIGIT * share).round()))
+        };
+        let middles = self.speed_edges_rad_s.windows(2);
+        let middles = middles.map(|edges| 0.5 * (edges[0] + edges[1]));
+        let rows = middles.zip(cells);
+        let mut rows: Vec<_> = rows
+            .map(|(middle, row)| (middle, row.iter().map(digit).collect()))
+            .collect();
+        rows.reverse();
+        MapDigits { largest, rows }
+    }
+
     /// `None` where speed or current did not vary, or was not measured.
     fn of(windows: &Windows<'_>) -> Option<Self> {
         let edges = |value: fn(&Window) -> f64| {

@@ -207,9 +207,14 @@ impl Card {
 pub trait Effect: Sync {
     fn card(&self) -> &Card;
 
-    /// The first gives the effect its size.
     fn parameters(&self) -> &'static [ParameterSpec] {
         self.card().parameters
+    }
+
+    /// Which parameter gives the effect its size: the first coefficient; of an effect that has none, the first of all.
+    fn size_index(&self) -> usize {
+        let mut specs = self.parameters().iter();
+        specs.position(ParameterSpec::is_coefficient).unwrap_or(0)
     }
 
     /// `values` in the order of [`Effect::parameters`].

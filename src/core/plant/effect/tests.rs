@@ -182,6 +182,27 @@ fn every_card_is_filled_with_sentences_that_help() {
 }
 
 #[test]
+fn the_first_coefficient_gives_an_effect_its_size_wherever_it_stands() {
+    const WIDTH: ParameterSpec = ParameterSpec::shape("width_rad_s", "rad/s", (0.1, 10.0), &[1.0]);
+    const HEIGHT: ParameterSpec = ParameterSpec::coefficient("height_n_m", "N.m", 0.1);
+    let rows: [(&str, &'static [ParameterSpec], _); 3] = [
+        ("height first", &[HEIGHT, WIDTH], 0),
+        ("height last", &[WIDTH, HEIGHT], 1),
+        ("no height", &[WIDTH], 0),
+    ];
+    for (name, parameters, index) in rows {
+        let card = Card {
+            parameters,
+            ..Card::PLAIN
+        };
+        assert_eq!(card.size_index(), index, "{name}");
+    }
+    for effect in CATALOGUE {
+        assert_eq!(effect.size_index(), 0, "{}", effect.card().id);
+    }
+}
+
+#[test]
 fn parameters_have_a_unit_bounds_and_grids_inside_them() {
     for effect in CATALOGUE {
         let id = effect.card().id;

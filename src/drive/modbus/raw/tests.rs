@@ -108,6 +108,15 @@ fn with_client(
     })
 }
 
+fn always(fault: Fault) -> impl FnMut(usize) -> Fault + Send + 'static {
+    move |_| fault
+}
+
+/// This fault of one request, counted from 0, and none of any other.
+fn only(at: usize, fault: Fault) -> impl FnMut(usize) -> Fault + Send + 'static {
+    move |index| if index == at { fault } else { Fault::None }
+}
+
 fn settings(timeout: Duration) -> RawSettings {
     RawSettings {
         baud: 115_200,
@@ -217,8 +226,7 @@ fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch
 fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
     for (fault, at) in FAULTS.iter().flat_map(|f| [0, 1, 4].map(|at| (*f, at))) {
         let context = format!("{fault:?} of request {at}");
-        let script = move |index| if index == at { fault } else { Fault::None };
-        with_client(Manners::default(), 300, script, |client| {
+        with_client(Manners::default(), 300, only(at, fault), |client| {
             let first = batch(client, &reads(&[10, 20, 30, 40, 50], 1), 1);
             assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
             let second = batch(client, &reads(&[10, 20, 30], 2), 1);
@@ -256,19 +264,14 @@ fn a_line_that_does_the_same_to_every_reply_yields_values_and_none_of_them_is_wr
         Fault::GarbageAfter,
         Fault::Late,
     ] {
-        with_client(
-            Manners::default(),
-            60,
-            move |_| fault,
-            |client| {
-                for count in [1, 3] {
-                    let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
-                    let context = format!("{fault:?}, {count} at a time");
-                    let values = answered(&all, &context);
-                    assert!(values >= 3, "{context}: {values} of 5, {all:?}");
-                }
-            },
-        );
+        with_client(Manners::default(), 60, always(fault), |client| {
+            for count in [1, 3] {
+                let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
+                let context = format!("{fault:?}, {count} at a time");
+                let values = answered(&all, &context);
+                assert!(values >= 3, "{context}: {values} of 5, {all:?}");
+            }
+        });
     }
 }
 
@@ -280,18 +283,13 @@ fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
             is_silent_otherwise,
             ..Manners::default()
         };
-        with_client(
-            manners,
-            100,
-            |_| Fault::None,
-            |client| {
-                for _ in 0..2 {
-                    let all = batch(client, &reads(&[10, 20], 4), 3);
-                    assert_eq!(answered(&all, "one length"), 2, "{all:?}");
-                    assert!(all.is_all_answered());
-                }
-            },
-        );
+        with_client(manners, 100, always(Fault::None), |client| {
+            for _ in 0..2 {
+                let all = batch(client, &reads(&[10, 20], 4), 3);
+                assert_eq!(answered(&all, "one length"), 2, "{all:?}");
+                assert!(all.is_all_answered());
+            }
+        });
     }
 }
 
@@ -301,30 +299,19 @@ fn a_refusal_is_an_answer_with_its_name() {
         only_reads_of: Some(1),
         ..Manners::default()
     };
-    with_client(
-        manners,
-        2000,
-        |_| Fault::None,
-        |client| {
-            let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
-            assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
-            let refused = both.reads[1].values.as_ref().unwrap_err();
-            let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
-            assert!(is_refused, "{refused}");
-            assert_eq!((both.asked, both.answered), (2, 1));
-        },
-    );
+    with_client(manners, 2000, always(Fault::None), |client| {
+        let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
+        assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
+        let refused = both.reads[1].values.as_ref().unwrap_err();
+        let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
+        assert!(is_refused, "{refused}");
+        assert_eq!((both.asked, both.answered), (2, 1));
+    });
 }
 
 #[test]
 fn a_write_goes_out_once_even_when_nobody_answers() {
-    let script = |index| {
-        if index == 1 {
-            Fault::Silent
-        } else {
-            Fault::None
-        }
-    };
+    let script = only(1, Fault::Silent);
     with_client(Manners::default(), 200, script, |client| {
         assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
         let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
@@ -335,18 +322,13 @@ fn a_write_goes_out_once_even_when_nobody_answers() {
 
 #[test]
 fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
-    with_client(
-        Manners::default(),
-        30,
-        |_| Fault::Silent,
-        |client| {
-            let none = batch(client, &reads(&[1, 2, 3], 1), 2);
-            assert_eq!((none.asked, none.answered), (6, 0));
-            let requests = client.counters().requests;
-            assert_eq!((requests.sent, requests.timeout), (6, 6));
-            assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
-        },
-    );
+    with_client(Manners::default(), 30, always(Fault::Silent), |client| {
+        let none = batch(client, &reads(&[1, 2, 3], 1), 2);
+        assert_eq!((none.asked, none.answered), (6, 0));
+        let requests = client.counters().requests;
+        assert_eq!((requests.sent, requests.timeout), (6, 6));
+        assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
+    });
     // Who else has the port is refused.
     let (_far, target) = raw_pty();
     let open = || RawClient::open(&target, &settings(PIECE), None);
@@ -379,22 +361,17 @@ fn a_peer_that_closes_ends_the_batch() {
 
 #[test]
 fn requests_are_the_bytes_of_the_standard() {
-    let asked = with_client(
-        Manners::default(),
-        100,
-        |_| Fault::None,
-        |client| {
-            let read = ReadRequest {
-                table: RegisterTable::Input,
-                address: 0x0108,
-                count: 3,
-            };
-            assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
-            let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
-            client.write(single, 1, &[0x0203]).unwrap();
-            client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
-        },
-    );
+    let asked = with_client(Manners::default(), 100, always(Fault::None), |client| {
+        let read = ReadRequest {
+            table: RegisterTable::Input,
+            address: 0x0108,
+            count: 3,
+        };
+        assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
+        let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
+        client.write(single, 1, &[0x0203]).unwrap();
+        client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
+    });
     assert_eq!(asked[0], [4, 1, 8, 0, 3]);
     assert_eq!(asked[1], [6, 0, 1, 2, 3]);
     assert_eq!(asked[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
@@ -413,15 +390,10 @@ fn names_are_taken_as_far_as_they_fit() {
             names,
             ..Manners::default()
         };
-        with_client(
-            manners,
-            100,
-            |_| Fault::None,
-            |client| {
-                assert_eq!(client.names().unwrap(), [""; 0], "nobody has answered yet");
-                client.read(reads(&[5], 1)[0]).unwrap();
-                assert_eq!(client.names().unwrap(), taken);
-            },
-        );
+        with_client(manners, 100, always(Fault::None), |client| {
+            assert_eq!(client.names().unwrap(), [""; 0], "nobody has answered yet");
+            client.read(reads(&[5], 1)[0]).unwrap();
+            assert_eq!(client.names().unwrap(), taken);
+        });
     }
 }

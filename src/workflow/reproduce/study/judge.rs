@@ -10,6 +10,7 @@ use crate::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use crate::emulator::truth::MotorTruth;
 use crate::plant::{Model, Slot};
 use crate::sample::ParameterEstimate;
+use crate::workflow::reveal::{self, ORDER};
 
 /// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first
 /// order and told apart only by a quick dither, and drag and fan.
@@ -84,7 +85,7 @@ impl Answer {
         let said = Claims::of(diagnosis);
         let orders: Vec<Option<f64>> = truths.iter().map(|truth| truth.order).collect();
         Self {
-            outcome: outcome(case, &orders, &said),
+            outcome: outcome(case.group, &case.right, &orders, &said),
             verdict: Some(diagnosis.verdict),
             effects: diagnosis.effects.clone(),
             sufficient: diagnosis.sufficient,
@@ -131,15 +132,15 @@ impl Answer {
     }
 }
 
-/// What counts of a diagnosis.
-struct Claims<'a> {
+/// What counts of an answer.
+pub(super) struct Claims<'a> {
     verdict: DiagnosisVerdict,
-    effects: &'a [&'static str],
+    effects: Vec<&'a str>,
     /// Named, or said not to be told from what is named.
-    pool: Vec<&'static str>,
-    not_excited: Vec<&'static str>,
+    pool: Vec<&'a str>,
+    not_excited: Vec<&'a str>,
     /// Waves in a turn of what is named.
-    orders: Vec<(&'static str, f64)>,
+    orders: Vec<(&'a str, f64)>,
 }
 
 impl<'a> Claims<'a> {
@@ -147,7 +148,7 @@ impl<'a> Claims<'a> {
         let rivals = diagnosis.confusable.iter().flatten().copied();
         Self {
             verdict: diagnosis.verdict,
-            effects: &diagnosis.effects,
+            effects: diagnosis.effects.clone(),
             pool: diagnosis.effects.iter().copied().chain(rivals).collect(),
             not_excited: (diagnosis.candidates.iter())
                 .filter(|candidate| candidate.status == Status::NotExcited)
@@ -155,6 +156,19 @@ impl<'a> Claims<'a> {
                 .collect(),
             orders: orders(&diagnosis.model.model),
         }
+    }
+
+    /// Of an answer as JSON has it, whose effects are all that it leaves open; none where its verdict is unknown.
+    pub(super) fn of_answer(answer: &'a reveal::Answer) -> Option<Self> {
+        let effects: Vec<&str> = answer.effects.iter().map(String::as_str).collect();
+        let order = |id: &&'a str| Some((*id, answer.value(id, ORDER)?));
+        Some(Self {
+            verdict: serde_json::from_value(answer.verdict.as_str().into()).ok()?,
+            pool: effects.clone(),
+            not_excited: answer.not_excited.iter().map(String::as_str).collect(),
+            orders: effects.iter().filter_map(order).collect(),
+            effects,
+        })
     }
 
     /// Whether `id` may have this many waves in a turn, as whole numbers.
@@ -168,17 +182,23 @@ fn orders(model: &Model) -> Vec<(&'static str, f64)> {
     let slots = model.slots().into_iter();
     slots
         .filter_map(|slot| match slot {
-            Slot::Effect { spec, id, .. } if spec.key == "order" => Some((id, model.get(&slot)?)),
+            Slot::Effect { spec, id, .. } if spec.key == ORDER => Some((id, model.get(&slot)?)),
             _ => None,
         })
         .collect()
 }
 
-fn outcome(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
-    let nothing_known = case.right.is_empty();
+/// Marks what an answer claims: `right` has for each hidden effect the names that are right, `orders` its waves in a turn.
+pub(super) fn outcome(
+    group: Group,
+    right: &[Vec<&str>],
+    orders: &[Option<f64>],
+    said: &Claims<'_>,
+) -> Outcome {
+    let nothing_known = right.is_empty();
     match said.verdict {
         DiagnosisVerdict::None | DiagnosisVerdict::Unexplained if nothing_known => {
-            let expected = match case.group {
+            let expected = match group {
                 Group::Unknown => DiagnosisVerdict::Unexplained,
                 _ => DiagnosisVerdict::None,
             };
@@ -191,7 +211,7 @@ fn outcome(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
         DiagnosisVerdict::Unexplained => Outcome::Abstained,
         DiagnosisVerdict::None => {
             let excused = |names: &Vec<&str>| names.iter().all(|id| said.not_excited.contains(id));
-            if case.right.iter().all(excused) {
+            if right.iter().all(excused) {
                 Outcome::NotExcited
             } else {
                 Outcome::Abstained
@@ -199,29 +219,31 @@ fn outcome(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
         }
         DiagnosisVerdict::Ambiguous => {
             let inside = |names: &&Vec<&str>| names.iter().any(|id| said.pool.contains(id));
-            match case.right.iter().filter(inside).count() {
+            match right.iter().filter(inside).count() {
                 0 => Outcome::Wrong,
-                all if all == case.right.len() => Outcome::Ambiguous,
+                all if all == right.len() => Outcome::Ambiguous,
                 _ => Outcome::Partial,
             }
         }
-        DiagnosisVerdict::Effect => named(case, orders, said),
+        DiagnosisVerdict::Effect => named(group, right, orders, said),
     }
 }
 
-fn named(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
-    let effects = said.effects;
+fn named(group: Group, right: &[Vec<&str>], orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
+    let effects = &said.effects;
+    let all = right.len();
     // A wave of another number of cogs is another effect under the same name.
     let orders = orders.iter().copied().chain(std::iter::repeat(None));
-    let right: Vec<Vec<&str>> = (case.right.iter().zip(orders))
+    let right: Vec<Vec<&str>> = (right.iter().zip(orders))
         .map(|(names, order)| {
             let names = names.iter().copied();
             names.filter(|id| said.is_of_order(id, order)).collect()
         })
         .collect();
+    let has_background = group.background().is_some();
     let belongs = |id: &str| {
-        let background = case.group.background().is_some() && BACKGROUND.contains(&id);
-        background || right.iter().flatten().any(|right| *right == id)
+        (has_background && BACKGROUND.contains(&id))
+            || right.iter().flatten().any(|right| *right == id)
     };
     let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
     let is_found = |names: &&Vec<&str>| names.iter().any(|id| effects.contains(id));
@@ -231,7 +253,6 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
         .copied()
         .collect();
     // What a background's drag of a per cent does under a load that wanders, a small fan does as well.
-    let has_background = case.group.background().is_some();
     let own = BACKGROUND.iter().copied().filter(|_| has_background);
     let unnamed: Vec<&str> = own.filter(|id| !effects.contains(id)).collect();
     let is_twin = |id: &&str| {
@@ -239,7 +260,7 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
             || twin_of(id).is_some_and(|twin| unnamed.contains(&twin))
     };
     match (strangers.is_empty(), found) {
-        (true, all) if all == case.right.len() && all > 0 => Outcome::Right,
+        (true, 1..) if found == all => Outcome::Right,
         (true, 1..) => Outcome::Partial,
         (true, 0) => Outcome::Abstained,
         (false, _) if strangers.iter().all(is_twin) => Outcome::Twin,
@@ -327,7 +348,7 @@ impl Finding {
 /// Every effect that was weighed; `orders` are the waves in a turn of what is named.
 pub(super) fn findings(
     truths: &[Truth],
-    orders: &[(&'static str, f64)],
+    orders: &[(&str, f64)],
     diagnosis: &Diagnosis,
 ) -> Vec<Finding> {
     let of = |candidate| Finding::of(candidate, truths, orders, diagnosis);
@@ -338,7 +359,7 @@ impl Finding {
     fn of(
         candidate: &Candidate,
         truths: &[Truth],
-        orders: &[(&'static str, f64)],
+        orders: &[(&str, f64)],
         diagnosis: &Diagnosis,
     ) -> Self {
         let id = candidate.effect;
@@ -452,10 +473,14 @@ mod tests {
         }
     }
 
-    fn said<'a>(verdict: DiagnosisVerdict, effects: &'a [&'static str]) -> Claims<'a> {
+    fn mark(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
+        outcome(case.group, &case.right, orders, said)
+    }
+
+    fn said(verdict: DiagnosisVerdict, effects: &[&'static str]) -> Claims<'static> {
         Claims {
             verdict,
-            effects,
+            effects: effects.to_vec(),
             pool: effects.to_vec(),
             not_excited: vec!["constant_load"],
             orders: vec![("cogging", 6.0)],
@@ -466,7 +491,7 @@ mod tests {
     fn check(case: &Case, rows: &[(&[&'static str], Outcome)]) {
         for (effects, expected) in rows {
             let verdict = said(DiagnosisVerdict::Effect, effects);
-            assert_eq!(outcome(case, &[], &verdict), *expected, "{effects:?}");
+            assert_eq!(mark(case, &[], &verdict), *expected, "{effects:?}");
         }
     }
 
@@ -484,7 +509,7 @@ mod tests {
             (&pair, &[None, Some(8.0)], both, Outcome::Wrong),
         ] {
             let said = said(DiagnosisVerdict::Effect, effects);
-            assert_eq!(outcome(case, orders, &said), expected, "{orders:?}");
+            assert_eq!(mark(case, orders, &said), expected, "{orders:?}");
         }
     }
 
@@ -498,7 +523,7 @@ mod tests {
         ];
         for (effects, expected) in rows {
             let tie = said(DiagnosisVerdict::Ambiguous, effects);
-            assert_eq!(outcome(&pair, &[], &tie), expected, "{effects:?}");
+            assert_eq!(mark(&pair, &[], &tie), expected, "{effects:?}");
         }
     }
 
@@ -551,11 +576,11 @@ mod tests {
             (&hidden, none, Outcome::Abstained),
             (&invisible, none, Outcome::NotExcited),
         ] {
-            let found = outcome(case, &[], &said(verdict, &[]));
+            let found = mark(case, &[], &said(verdict, &[]));
             assert_eq!(found, expected, "{:?} {verdict:?}", case.group);
         }
         let tie = said(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
-        assert_eq!(outcome(&hidden, &[], &tie), Outcome::Ambiguous);
-        assert_eq!(outcome(&invisible, &[], &tie), Outcome::Wrong);
+        assert_eq!(mark(&hidden, &[], &tie), Outcome::Ambiguous);
+        assert_eq!(mark(&invisible, &[], &tie), Outcome::Wrong);
     }
 }

@@ -7,16 +7,16 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Outcome;
 use super::calibration::{ParameterFinding, truths};
-use super::judge::are_twins;
+use super::judge::{self, Claims};
+use super::{Group, Outcome};
 use crate::diagnosis::{Diagnosis, Evidence, diagnose};
 use crate::emulator::mystery::{Truth, draw};
 use crate::identification::speed_from_angle;
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::recording::{ColumnMap, open_run};
 use crate::sample::Verdict;
-use crate::workflow::reveal::{self, Answer as Said, reveal};
+use crate::workflow::reveal::{Answer as Said, ORDER, reveal};
 
 /// One mystery, commissioned.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -124,27 +124,17 @@ fn hidden(truth: &Truth) -> String {
 }
 
 fn outcome(truth: &Truth, said: &Said) -> Outcome {
-    let id = truth.effect().map(|effect| effect.id.as_str());
-    match reveal(truth.clone(), Some(said.clone()), None).outcome {
-        Some(reveal::Outcome::Right) if said.verdict == "none" && id.is_some() => {
-            Outcome::NotExcited
-        }
-        Some(reveal::Outcome::Right) => Outcome::Right,
-        Some(reveal::Outcome::Wrong) => match (id, said.effects.as_slice()) {
-            (Some(id), [only]) if are_twins(id, only) => Outcome::Twin,
-            // It claims too little; nothing is named that is not there.
-            (Some(_), []) => Outcome::Abstained,
-            _ => Outcome::Wrong,
-        },
-        _ if said.verdict == "ambiguous" => {
-            if id.is_some_and(|id| said.effects.iter().any(|named| named == id)) {
-                Outcome::Ambiguous
-            } else {
-                Outcome::Wrong
-            }
-        }
-        _ => Outcome::Abstained,
-    }
+    let (group, right) = match truth.effect() {
+        None => (Group::Null, vec![]),
+        Some(own) if own.is_foreign => (Group::Unknown, vec![]),
+        Some(own) => (Group::Single, vec![vec![own.id.as_str()]]),
+    };
+    let mut parameters = truth.effects.iter().flat_map(|own| &own.parameters);
+    let order = parameters.find(|one| one.key == ORDER).map(|one| one.value);
+    let claims = Claims::of_answer(said);
+    claims.map_or(Outcome::Abstained, |claims| {
+        judge::outcome(group, &right, &[order], &claims)
+    })
 }
 
 /// A record: its file, which column is what, and the model that its publishers start from.

@@ -1,0 +1,215 @@
+//! A comparison and a diagnosis of fixed figures, for the tests of what shows them: the page and the screen.
+
+use std::sync::LazyLock;
+
+use crate::diagnosis::next_experiment::MenuEntry;
+use crate::diagnosis::{
+    Candidate, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance, ErrorMap, ErrorOf,
+    Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached, ResidualLights,
+    Rung, Signals, Status, compare,
+};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::plant::{Model, Motor, State, effect, testing};
+use crate::sample::ParameterEstimate;
+
+/// The motor with these effects, and no more of its fit than a report needs.
+pub(crate) fn fitted(effects: &[&str]) -> Fitted {
+    let baseline = Model::baseline(Motor::zk_22fc());
+    let with = |model: Model, effect: &&str| model.with_effect(effect).unwrap();
+    Fitted {
+        model: effects.iter().fold(baseline, with),
+        parameters: Vec::new(),
+        nrms: 4.9,
+        noise: NoiseFloor {
+            current_a: testing::CURRENT_NOISE_A,
+            speed_rad_s: testing::SPEED_NOISE_RAD_S,
+            source: FloorSource::Standstill,
+            samples: 300,
+        },
+        interval_factor: 1.0,
+        start: State::default(),
+    }
+}
+
+pub(crate) fn rung(effects: Vec<&'static str>, holdout_rmse: f64) -> Rung {
+    Rung {
+        effects,
+        holdout_rmse,
+    }
+}
+
+/// An effect that takes the held-out error from 5.1 to `after`; its first parameter is estimated where it is supported.
+pub(crate) fn candidate(
+    rank: usize,
+    effect: &'static str,
+    status: Status,
+    after: f64,
+) -> Candidate {
+    let spec = &effect::find(effect).unwrap().parameters()[0];
+    let key = format!("{effect}.{}", spec.key);
+    let size = ParameterEstimate::found(key, spec.unit, 0.2, 0.01, None);
+    let is_supported = status == Status::Supported;
+    let bound = (status != Status::NotExcited).then_some(0.002);
+    Candidate {
+        effect,
+        rank,
+        status,
+        probability: match status {
+            Status::Supported => 0.97,
+            Status::Possible => 0.43,
+            _ => 0.01,
+        },
+        parameters: is_supported.then_some(size).into_iter().collect(),
+        onsets: vec![],
+        interval_factor: 2.0,
+        reached: Some(Reached {
+            torque_n_m: Some(Peak {
+                value: 0.2,
+                std: Some(0.01),
+                interval_95: Some([0.18, 0.22]),
+                unit: "N.m",
+                percent_of_largest: Some(7.2),
+            }),
+            ..Reached::default()
+        }),
+        error_before: 4.8,
+        error_after: Some(1.01),
+        holdout_before: 5.1,
+        holdout_after: Some(after),
+        explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
+        upper_bound: bound,
+        detectable: bound,
+        evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
+    }
+}
+
+/// Stribeck friction is found, and every other status is there as well.
+pub(crate) fn diagnosis() -> Diagnosis {
+    let unrepeated = "whether this machine repeats is not known: too many rows were lost";
+    Diagnosis {
+        rivals: Vec::new(),
+        sensor_floor: Some(1.0),
+        repeat_floor: None,
+        repeats: None,
+        repeat_follows: Vec::new(),
+        verdict: DiagnosisVerdict::Effect,
+        effect: Some("stribeck_friction"),
+        effects: vec!["stribeck_friction"],
+        sufficient: true,
+        noise_floor_from: FloorSource::Standstill,
+        holdout_from: HoldoutFrom::Run,
+        explained_percent: 99.8,
+        holdout_before: 5.1,
+        holdout_after: 1.03,
+        candidates: vec![
+            candidate(1, "stribeck_friction", Status::Supported, 1.03),
+            candidate(2, "cogging", Status::Possible, 3.9),
+            candidate(3, "viscous_friction", Status::RuledOut, 5.08),
+            candidate(4, "inductance_saturation", Status::NotExcited, 5.1),
+        ],
+        confusable: Vec::new(),
+        ladder: Vec::new(),
+        axis_map: Vec::new(),
+        confirm: None,
+        limits: vec![unrepeated.to_owned()],
+        equivalences: Vec::new(),
+        next_experiment: None,
+        unknown: Vec::new(),
+        sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
+            .to_owned(),
+        baseline: fitted(&[]),
+        model: fitted(&["stribeck_friction"]),
+    }
+}
+
+/// Two runs for a pair that is not told apart: the dither is above any constant, and below what this pair needs.
+pub(crate) fn next_experiment() -> NextExperiment {
+    let entry = |program, expected_separation| MenuEntry {
+        program,
+        expected_separation,
+        needed: 612.0,
+    };
+    NextExperiment {
+        sentence: "run a slow ramp over the whole speed".to_owned(),
+        bench: None,
+        pair: Some(["viscous_friction", "quadratic_load"]),
+        pairs: Vec::new(),
+        reveals: Vec::new(),
+        expected_separation: 8463.0,
+        menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
+        peaks: None,
+        recipe: None,
+    }
+}
+
+/// The signals of a short run, whose figures are all replaced below by fixed ones.
+static SIGNALS: LazyLock<Signals> = LazyLock::new(|| {
+    let model = Model::baseline(Motor::zk_22fc());
+    let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -40.0)];
+    let run = |seed| testing::record(&model, events.clone(), 0.01, 1.5, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let compared = compare(&model, &evidence, ErrorOf::Structure).unwrap();
+    compared.signals
+});
+
+/// A model that fails below 12 rad/s, with this held-out error of the speed in rad/s.
+pub(crate) fn comparison(rmse: f64) -> Comparison {
+    let mut signals = SIGNALS.clone();
+    for (signal, rmse, floor) in [
+        (&mut signals.speed_rad_s, rmse, testing::SPEED_NOISE_RAD_S),
+        (&mut signals.current_a, 0.2 * rmse, testing::CURRENT_NOISE_A),
+    ] {
+        let signal = signal.as_mut().unwrap();
+        (signal.holdout.fit_percent, signal.holdout.rmse) = (97.9, rmse);
+        (signal.fit_percent, signal.rmse) = (98.0, 0.99 * rmse);
+        (signal.one_step_rmse, signal.noise_floor) = (1.07 * floor, Some(floor));
+    }
+    let balance = |equation, unit, rms, nres, refitted| EquationBalance {
+        equation,
+        unit,
+        rms,
+        nres: Some(nres),
+        nres_refitted: Some(refitted),
+        ..EquationBalance::default()
+    };
+    let sentence = "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time";
+    let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
+    let row = |row| (0..12).map(|column| cell(row, column)).collect();
+    let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
+    Comparison {
+        signals,
+        locations: vec![FailureLocation {
+            equation: "torque",
+            variable: "speed_rad_s",
+            from: -12.0,
+            to: 12.0,
+            share_of_error: 0.85,
+            share_of_time: 0.11,
+            follows: 0.9,
+            strength: 300.0,
+            sentence: sentence.to_owned(),
+        }],
+        map: Some(ErrorMap {
+            speed_edges_rad_s: (0..13).map(|k| -300.0 + 50.0 * f64::from(k)).collect(),
+            current_edges_a: (0..13).map(|k| -6.0 + f64::from(k)).collect(),
+            count: vec![vec![3; 12]; 12],
+            torque_rms_n_m: cells.clone(),
+            voltage_rms_v: cells,
+        }),
+        residual: ResidualLights {
+            enough_samples: true,
+            autocorrelation_outside_99_percent: 0.8,
+            independent_of_input: true,
+            ..ResidualLights::default()
+        },
+        noise_floor_from: FloorSource::Standstill,
+        noise: fitted(&[]).noise,
+        holdout_from: HoldoutFrom::Run,
+        holdout_rmse: 5.1,
+        balances: vec![
+            balance("torque", "N.m", 0.024, 0.919, 0.913),
+            balance("voltage", "V", 0.0261, 0.914, 0.901),
+        ],
+        limits: Vec::new(),
+    }
+}
