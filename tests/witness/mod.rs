@@ -19,3 +19,4 @@ pub(crate) mod drive;
 pub(crate) mod fault;
 pub(crate) mod judge;
 pub(crate) mod motor;
+pub(crate) mod trials;
