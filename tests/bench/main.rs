@@ -8,4 +8,16 @@
 mod coverage;
 mod diagnosis_on_emulator;
 mod mechanical;
+mod placebo;
 mod rule6;
+
+use drivebench::diagnosis::Evidence;
+
+/// The other way round: each run is half of what is known.
+pub(crate) fn swapped(data: &Evidence) -> Evidence {
+    Evidence {
+        training: data.holdout.clone(),
+        holdout: data.training.clone(),
+        ..data.clone()
+    }
+}

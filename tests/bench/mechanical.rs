@@ -18,13 +18,15 @@ use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::output_error::FitError;
 use drivebench::identification::speed_from_angle;
 use drivebench::numerics::count::whole;
-use drivebench::plant::effect::{Card, Enters, Terms};
 use drivebench::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, Motor, MotorKey, ParameterRole, ParameterSpec,
-    Plant, Scenario, ShaftAngle, State, effect,
+    ActiveEffect, Effect, Input, Instant, Model, Motor, MotorKey, Plant, Scenario, ShaftAngle,
+    State, effect,
 };
 use drivebench::recording::{ColumnMap, open_run};
 use drivebench::sample::{Channel, Origin, Run};
+
+use crate::placebo::{OF_THE_SPEED, placebos};
+use crate::swapped;
 
 fn diagnose(model: &Model, evidence: &Evidence) -> Result<Diagnosis, FitError> {
     drivebench::diagnosis::diagnose(model, evidence.clone())
@@ -96,19 +98,6 @@ fn dosed(evidence: &Evidence, effect: &'static dyn Effect, values: &[f64]) -> Ev
     dosed
 }
 
-/// Fit run and hold-out in each other's place.
-fn swapped(data: &Evidence) -> Evidence {
-    let scored = data.holdout.scored.clone();
-    Evidence {
-        training: Scenario {
-            scored,
-            ..data.holdout.clone()
-        },
-        holdout: data.training.clone(),
-        ..data.clone()
-    }
-}
-
 /// Size and standard deviation of the effect's first coefficient, fitted beside the model; no deviation where it is held at
 /// zero because it would drive the shaft.
 fn size(model: &Model, evidence: &Evidence, effect: &'static dyn Effect) -> (f64, Option<f64>) {
@@ -148,7 +137,7 @@ mod simulated {
     const PERIOD_S: f64 = 0.002;
     const DURATION_S: f64 = 12.0;
 
-    pub(super) fn axis() -> Model {
+    fn axis() -> Model {
         let motor = Motor::new("axis")
             .with(MotorKey::Inertia, 0.0045)
             .with(MotorKey::LoadTorque, 0.35);
@@ -156,13 +145,13 @@ mod simulated {
     }
 
     /// What a user starts from.
-    pub(super) fn nameplate() -> Model {
+    fn nameplate() -> Model {
         let mut model = axis();
         model.effects[0].values = vec![None];
         model
     }
 
-    pub(super) fn truth(id: &str, values: &[f64]) -> Model {
+    fn truth(id: &str, values: &[f64]) -> Model {
         with(axis(), &[(id, values)])
     }
 
@@ -213,13 +202,13 @@ mod simulated {
         Evidence::new(training, Some(holdout), None)
     }
 
-    pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
+    fn evidence(truth: &Model, seed: u64) -> Evidence {
         runs(truth, [10 * seed, 10 * seed + 1], 1.0)
     }
 
     /// Sizes that this background leaves visible. Stribeck friction of 12 rad/s only just: the z of the paired test hardly
     /// depends on the size, it counts the blocks in which an effect shows, and these records pass zero fast and seldom.
-    pub(super) const KNOWN: [(&str, &[f64]); 5] = [
+    const KNOWN: [(&str, &[f64]); 5] = [
         ("quadratic_load", &[4e-5]),
         ("asymmetric_viscous", &[1.5e-3]),
         ("constant_load", &[0.08]),
@@ -382,99 +371,6 @@ mod simulated {
         let by_current = refused(|run| run.input = Input::Current);
         assert!(by_current.contains("torque_n_m_per_a"), "{by_current}");
     }
-}
-
-/// Regressors that mean nothing, as effects with one coefficient: what belongs to another moment, or to no machine.
-mod placebo {
-    use super::simulated::{KNOWN, axis, evidence, nameplate, truth};
-    use super::*;
-
-    const PARAMETERS: &[ParameterSpec] = &[ParameterSpec {
-        key: "size",
-        unit: "-",
-        min: f64::MIN,
-        max: f64::MAX,
-        scale: 1.0,
-        role: ParameterRole::Coefficient,
-        logarithmic: false,
-        shapes: &[],
-    }];
-
-    /// A value at each sample, or a function of the speed where there is none.
-    struct Placebo {
-        card: Card,
-        period_s: f64,
-        values: Vec<f64>,
-    }
-
-    struct Sized(&'static Placebo, f64);
-
-    impl Terms for Sized {
-        fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-            let values = &self.0.values;
-            let place = whole((at.time_s / self.0.period_s).round());
-            let there = values.get(place).or(values.last()).copied();
-            self.1 * there.unwrap_or_else(|| (3.7 * at.speed_rad_s).sin())
-        }
-    }
-
-    impl Effect for &'static Placebo {
-        fn card(&self) -> &'static Card {
-            &self.card
-        }
-
-        fn parameters(&self) -> &'static [ParameterSpec] {
-            PARAMETERS
-        }
-
-        fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
-            Box::new(Sized(self, values[0]))
-        }
-    }
-
-    fn placebo(id: &'static str, period_s: f64, values: Vec<f64>) -> &'static dyn Effect {
-        let card = Card {
-            id,
-            name: id,
-            enters: Enters::Torque,
-            ..Card::PLAIN
-        };
-        let kept: &'static Placebo = Box::leak(Box::new(Placebo {
-            card,
-            period_s,
-            values,
-        }));
-        Box::leak(Box::new(kept))
-    }
-
-    /// Speeds of another moment, at least a tenth of the record away.
-    fn placebos(run: &Scenario, count: usize, seed: u64) -> Vec<&'static dyn Effect> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let period_s = run.sample_time_s[1] - run.sample_time_s[0];
-        let n = run.samples();
-        let mut placebos = vec![placebo("placebo: sin 3.7 w", period_s, vec![])];
-        while placebos.len() < count {
-            let by = whole(rng.random_range(0.1..0.9) * n as f64);
-            let shifted = |term: fn(f64) -> f64| -> Vec<f64> {
-                (0..n)
-                    .map(|k| term(run.speed_rad_s[(k + by) % n]))
-                    .collect()
-            };
-            let (id, values) = match placebos.len() % 3 {
-                0 => ("placebo: shifted w", shifted(|w| w)),
-                1 => ("placebo: shifted w |w|", shifted(|w| w * w.abs())),
-                // Less its mean: that is a constant load, which a record may well miss.
-                _ => {
-                    let sizes = shifted(f64::abs);
-                    let mean = drivebench::numerics::statistics::mean(&sizes);
-                    let rest = sizes.iter().map(|size| size - mean).collect();
-                    ("placebo: shifted |w| less its mean", rest)
-                }
-            };
-            placebos.push(placebo(id, period_s, values));
-        }
-        placebos
-    }
 
     #[test]
     fn placebos_are_refused() {
@@ -484,7 +380,7 @@ mod placebo {
             // Half of the records miss an effect: a model that is wrong must not make placebos right.
             let machine = if seed < 3 { truth(id, values) } else { axis() };
             let data = evidence(&machine, 20 + seed as u64);
-            for one in placebos(&data.training, 6, seed as u64) {
+            for one in placebos(&data.training, OF_THE_SPEED, 6, seed as u64) {
                 let added = add(one, &nameplate(), &data);
                 judged += 1;
                 if added.accepted {

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! truth + dose --(record.rs)--> messy record --diagnose--> named? right? --add--> size, interval
-//! placebo.rs: regressors that mean nothing --add--> must be refused
+//! ../placebo.rs: regressors that mean nothing --add--> must be refused
 //! ```
 //!
 //! None of the real records at hand has a motor's voltage and current beside its speed: the doses are given to runs of
@@ -16,7 +16,6 @@
     reason = "the tables are its product, of counts and shares"
 )]
 
-mod placebo;
 mod record;
 
 use std::path::PathBuf;
@@ -27,6 +26,9 @@ use drivebench::plant::{Model, Scenario, effect};
 use drivebench::recording::open_run;
 use rayon::prelude::*;
 use record::{DURATION_S, nameplate, record};
+
+use crate::placebo::{OF_MOTION_AND_CURRENT, placebos};
+use crate::swapped;
 
 /// Whether only a few cases are done.
 fn is_quick() -> bool {
@@ -76,15 +78,6 @@ fn doses_done() -> &'static [Dose] {
 fn evidence(hidden: &[HiddenEffect], machine: u64) -> Evidence {
     let run = |run| record(hidden, STUDY_LEVEL, machine, run, DURATION_S);
     Evidence::new(run(0), Some(run(1)), None)
-}
-
-/// The other way round: each run is half of what is known.
-fn swapped(data: &Evidence) -> Evidence {
-    Evidence {
-        training: data.holdout.clone(),
-        holdout: data.training.clone(),
-        ..data.clone()
-    }
 }
 
 /// Size and standard deviation of the effect, fitted beside the model.
@@ -274,7 +267,7 @@ fn placebos_are_refused() {
             let run = record(hidden, STUDY_LEVEL, machine, 0, 1.6 * DURATION_S);
             let data = Evidence::new(run.clone(), None, None);
             let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
-            let placebos = placebo::placebos(&run, each, machine);
+            let placebos = placebos(&run, OF_MOTION_AND_CURRENT, each, machine);
             let passed = placebos.par_iter().filter(|placebo| {
                 let added = add(**placebo, &baseline.model, data.clone()).unwrap();
                 if added.accepted {

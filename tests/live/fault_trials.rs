@@ -8,10 +8,9 @@ mod line;
 mod trial;
 
 use std::io::Write;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::witness::fault::{Act, Class, FAULTS, Fault, Way};
+use crate::witness::fault::{Act, Class, FAULTS, Subject, Way};
+use crate::witness::trials::{self, Case};
 use trial::{Trial, trial};
 
 /// Trials at once in each test function; they mostly wait.
@@ -20,33 +19,21 @@ const AT_ONCE: usize = 3;
 /// One trial in so many may be counted apart.
 const APART: usize = 5;
 
-type Case = (&'static Fault, Way);
-
 /// Every fault in one way, ways in turn; or all of both.
-fn cases(wanted: impl Fn(&Fault) -> bool) -> Vec<Case> {
-    if let Ok(picked) = std::env::var("DRIVEBENCH_TRIAL") {
-        let (name, way) = picked.split_once('/').unwrap_or((&picked, ""));
-        let ways = |fault: &'static Fault| {
-            let possible = Way::ALL.into_iter().filter(|way| fault.happens(*way));
-            possible
-                .filter(|ways| format!("{ways:?}").starts_with(way))
-                .map(move |way| (fault, way))
-        };
-        let named = FAULTS.iter().filter(|fault| fault.name == name);
-        return named.filter(|fault| wanted(fault)).flat_map(ways).collect();
+fn cases(subject: Subject) -> Vec<Case> {
+    let cases = trials::cases(subject);
+    if trials::picked().is_some() || std::env::var_os("DRIVEBENCH_EVERYTHING").is_some() {
+        return cases;
     }
-    let everything = std::env::var_os("DRIVEBENCH_EVERYTHING").is_some();
-    let mut cases = Vec::new();
-    for fault in FAULTS.iter().filter(|fault| wanted(fault)) {
-        let mut ways: Vec<Way> = Way::ALL.into_iter().filter(|w| fault.happens(*w)).collect();
-        if !everything {
-            // A whole `commission` takes three quarters of a minute; it is made once, where nothing is wrong.
-            ways.retain(|way| fault.class != Class::GoesOn || *way != Way::Commission);
-            ways = vec![ways[cases.len() % ways.len()]];
-        }
-        cases.extend(ways.into_iter().map(|way| (fault, way)));
+    let mut few = Vec::new();
+    for ways in cases.chunk_by(|(one, _), (next, _)| one.name == next.name) {
+        // A whole `commission` takes three quarters of a minute; it is made once, where nothing is wrong.
+        let is_short =
+            |(fault, way): &&Case| fault.class != Class::GoesOn || *way != Way::Commission;
+        let ways: Vec<&Case> = ways.iter().filter(is_short).collect();
+        few.push(*ways[few.len() % ways.len()]);
     }
-    cases
+    few
 }
 
 fn tell(text: &str) {
@@ -56,20 +43,12 @@ fn tell(text: &str) {
 
 /// Makes the trials, a few at once, and says of all that went wrong.
 fn expect(cases: &[Case]) {
-    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::<Trial>::new()));
-    std::thread::scope(|scope| {
-        for _ in 0..AT_ONCE {
-            scope.spawn(|| {
-                while let Some((fault, way)) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let seed = fault.name.bytes().map(u64::from).sum();
-                    let trial = trial(fault, *way, seed);
-                    tell(&trial.to_string());
-                    done.lock().expect("no trial panics").push(trial);
-                }
-            });
-        }
+    let done = trials::at_once(AT_ONCE, cases, |(fault, way)| {
+        let seed = fault.name.bytes().map(u64::from).sum();
+        let trial = trial(fault, *way, seed);
+        tell(&trial.to_string());
+        trial
     });
-    let done = done.into_inner().expect("no trial panics");
     let apart = done.iter().filter(|t| t.is_counted_apart()).count();
     let repeated = done.iter().filter(|trial| trial.attempts > 1).count();
     let failed: Vec<String> = done
@@ -90,32 +69,22 @@ fn expect(cases: &[Case]) {
     );
 }
 
-fn is_about_the_line(fault: &Fault) -> bool {
-    fault.class == Class::GoesOn && !matches!(fault.act, Act::Host(_) | Act::Nothing)
-}
-
-fn is_about_the_host(fault: &Fault) -> bool {
-    matches!(fault.act, Act::Host(_))
-}
-
 #[test]
 #[ignore = "real time, on a quiet machine: cargo test --release --test live fault_trials -- --ignored"]
 fn a_disturbed_line_bends_no_result() {
-    expect(&cases(is_about_the_line));
+    expect(&cases(Subject::Line));
 }
 
 #[test]
 #[ignore = "real time, on a quiet machine: cargo test --release --test live fault_trials -- --ignored"]
 fn every_way_out_of_the_program_ends_at_zero() {
-    expect(&cases(is_about_the_host));
+    expect(&cases(Subject::Host));
 }
 
 #[test]
 #[ignore = "real time, on a quiet machine: cargo test --release --test live fault_trials -- --ignored"]
 fn whatever_the_drive_does_it_ends_at_zero() {
-    expect(&cases(|fault| {
-        !is_about_the_line(fault) && !is_about_the_host(fault)
-    }));
+    expect(&cases(Subject::Drive));
 }
 
 /// Each way of running to its own end.
@@ -132,10 +101,7 @@ fn every_way_of_running_ends_well_where_nothing_is_wrong() {
 fn the_table_has_forty_faults_and_each_can_happen() {
     assert!(FAULTS.len() > 40);
     for fault in FAULTS {
-        assert!(
-            Way::ALL.into_iter().any(|way| fault.happens(way)),
-            "{fault}"
-        );
+        assert!(fault.ways().next().is_some(), "{fault}");
         let same = FAULTS.iter().filter(|other| other.name == fault.name);
         assert_eq!(same.count(), 1, "{fault}");
         assert!(!fault.statuses.is_empty(), "{fault}");

@@ -135,6 +135,16 @@ impl Way {
     }
 }
 
+/// What a fault is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Subject {
+    /// The line, where the run goes on.
+    Line,
+    /// The program, or what surrounds it.
+    Host,
+    Drive,
+}
+
 /// One line of the table: what goes wrong, and what has to follow.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fault {
@@ -162,6 +172,19 @@ impl Fault {
                 way.has_screen()
             }
             _ => true,
+        }
+    }
+
+    pub(crate) fn ways(&self) -> impl Iterator<Item = Way> {
+        Way::ALL.into_iter().filter(|way| self.happens(*way))
+    }
+
+    pub(crate) const fn subject(&self) -> Subject {
+        match (self.act, self.class) {
+            (Act::Host(_), _) => Subject::Host,
+            (Act::Nothing, _) => Subject::Drive,
+            (_, Class::GoesOn) => Subject::Line,
+            _ => Subject::Drive,
         }
     }
 

@@ -6,6 +6,8 @@
 //!                             motor.rs             |       log of u, i, w -> judge.rs -> what was wrong
 //! ```
 //!
+//! trials.rs: which faults in which ways, several at once, and the judgement with the exit status and the truth.
+//!
 //! A function of time: the same drive hangs at a pseudo-terminal in real time and at a line in memory in virtual time.
 #![allow(dead_code, reason = "each user of the witness needs its part")]
 #![allow(
@@ -19,3 +21,4 @@ pub(crate) mod drive;
 pub(crate) mod fault;
 pub(crate) mod judge;
 pub(crate) mod motor;
+pub(crate) mod trials;

@@ -12,7 +12,7 @@ mod hidden;
 mod witness;
 
 use std::fmt::Write as _;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
@@ -32,10 +32,10 @@ use crate::drive::{DriveLink, DriveProfile};
 use crate::identification::online::OnlineConfig;
 use crate::plant::Model;
 use crate::recording::MemoryRecorder;
-use crate::sample::{Origin, Run};
+use crate::sample::{Origin, ParameterEstimate, Run};
 use witness::drive::{BENCH, Drive, PROFILE};
-use witness::fault::{Act, Class, FAULTS, Fault, Host, Way};
-use witness::judge::judge;
+use witness::fault::{Act, Class, Fault, Host, Subject, Way};
+use witness::trials;
 
 /// Seeds of each trial: when the fault comes, which replies it hits, what the sensors' noise is.
 const SEEDS: u64 = 10;
@@ -158,7 +158,7 @@ impl Clock for LineClock {
 struct Trial {
     status: i32,
     said: String,
-    parameters: Vec<(String, f64, f64, String)>,
+    estimates: Vec<ParameterEstimate>,
     /// What was recorded, run by run.
     records: Vec<Run>,
     drive: Surroundings,
@@ -318,13 +318,7 @@ impl Trial {
         for notice in &summary.notices {
             let _ = writeln!(self.said, "{}", notice.text);
         }
-        for estimate in &summary.estimates {
-            if let (Some(value), Some(std)) = (estimate.value, estimate.std) {
-                let verdict = estimate.verdict.name().to_owned();
-                self.parameters
-                    .push((estimate.key.clone(), value, std, verdict));
-            }
-        }
+        self.estimates.extend_from_slice(&summary.estimates);
     }
 }
 
@@ -343,7 +337,7 @@ fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
     let mut trial = Trial {
         status: -9,
         said: String::new(),
-        parameters: Vec::new(),
+        estimates: Vec::new(),
         records: Vec::new(),
         drive: Surroundings::new(Drive::new(Act::Nothing, 0), None, &interrupted, None),
     };
@@ -362,27 +356,17 @@ fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
 fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
     let trial = trial(fault, way, seed);
     let there = &trial.drive;
-    let from_s = match fault.act {
-        Act::Host(_) | Act::StopIgnored(_) => there.done_s,
-        _ => there.drive.seen_s(),
-    };
-    let mut wrong = judge(&there.drive, fault.act, fault.class, from_s);
-    let (status, allowed) = (trial.status, &fault.statuses);
-    if !allowed.contains(&status) {
-        wrong.push(format!("status {status} instead of {allowed:?}"));
-    }
+    let mut wrong = trials::wrong(fault, &there.drive, there.done_s, trial.status);
     wrong.extend(fault.untold(&trial.said));
     if fault.class == Class::GoesOn && matches!(way, Way::Run | Way::RunScreen) {
-        for (key, truth) in witness::motor::TRUTHS {
-            for (found, value, std, verdict) in &trial.parameters {
-                let off = (value - truth) / std;
-                if found == key && verdict == "settled" && off.abs() > SIGMAS {
-                    wrong.push(format!(
-                        "{key} settled at {value} +- {std}, {off:+.1} sigma from {truth}"
-                    ));
-                }
-            }
-        }
+        let (_, off) = trials::hold_against_truth(SIGMAS, |key| {
+            let mut estimates = trial.estimates.iter();
+            let found = estimates.find(|estimate| estimate.key == key);
+            found.map_or(("not told", None, None), |found| {
+                (found.verdict.name(), found.value, found.std)
+            })
+        });
+        wrong.extend(off);
     }
     if !wrong.is_empty() {
         wrong.push(format!("said: {}", trial.said.trim().replace('\n', " | ")));
@@ -391,65 +375,34 @@ fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
 }
 
 /// All seeds of these faults in every way, on every core.
-fn expect(wanted: impl Fn(&Fault) -> bool) {
-    let picked = std::env::var("DRIVEBENCH_TRIAL").ok();
-    let mut cases = Vec::new();
-    for fault in FAULTS {
-        if !(is_virtual(fault) && wanted(fault)) || picked.as_ref().is_some_and(|p| p != fault.name)
-        {
-            continue;
-        }
-        let ways = Way::ALL.into_iter();
-        for way in ways.filter(|way| fault.happens(*way)) {
-            cases.extend((0..SEEDS).map(|seed| (fault, way, seed)));
-        }
-    }
-    let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+fn expect(subject: Subject) {
+    let cases = trials::cases(subject).into_iter();
+    let cases = cases.filter(|(fault, _)| is_virtual(fault));
+    let cases: Vec<(trials::Case, u64)> = cases
+        .flat_map(|case| (0..SEEDS).map(move |seed| (case, seed)))
+        .collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(|| {
-                while let Some((fault, way, seed)) = cases.get(next.fetch_add(1, Ordering::Relaxed))
-                {
-                    let wrong = wrong(fault, *way, *seed);
-                    if !wrong.is_empty() {
-                        let text =
-                            format!("{fault} x {way:?}, seed {seed}:\n  ") + &wrong.join("\n  ");
-                        failed.lock().unwrap().push(text);
-                    }
-                }
-            });
-        }
+    let done = trials::at_once(cores, &cases, |&((fault, way), seed)| {
+        let wrong = wrong(fault, way, seed).join("\n  ");
+        (!wrong.is_empty()).then(|| format!("{fault} x {way:?}, seed {seed}:\n  {wrong}"))
     });
-    let mut failed = failed.into_inner().unwrap();
+    let mut failed: Vec<String> = done.into_iter().flatten().collect();
     failed.sort();
     let (count, all, texts) = (failed.len(), cases.len(), failed.join("\n"));
     assert!(count == 0, "{count} of {all} trials failed:\n{texts}");
 }
 
-fn is_about_the_line(fault: &Fault) -> bool {
-    fault.class == Class::GoesOn
-}
-
-fn is_about_the_host(fault: &Fault) -> bool {
-    matches!(fault.act, Act::Host(_))
-}
-
-fn is_about_the_drive(fault: &Fault) -> bool {
-    !is_about_the_line(fault) && !is_about_the_host(fault)
-}
-
 #[test]
 fn a_disturbed_line_bends_no_result() {
-    expect(is_about_the_line);
+    expect(Subject::Line);
 }
 
 #[test]
 fn every_way_out_ends_at_zero() {
-    expect(is_about_the_host);
+    expect(Subject::Host);
 }
 
 #[test]
 fn whatever_the_drive_does_it_ends_at_zero() {
-    expect(is_about_the_drive);
+    expect(Subject::Drive);
 }

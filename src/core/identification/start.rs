@@ -119,14 +119,10 @@ mod tests {
 
     #[test]
     fn starting_values_come_within_a_factor_that_the_fit_can_bridge() {
-        let events = vec![
-            (0.0, 0.0),
-            (0.3, 20.0),
-            (0.8, -25.0),
-            (1.5, 60.0),
-            (2.2, -10.0),
-            (3.0, 35.0),
-        ];
+        let events = held(
+            [0.0, 0.3, 0.8, 1.5, 2.2, 3.0],
+            [0.0, 20.0, -25.0, 60.0, -10.0, 35.0],
+        );
         for period_s in [0.001, 0.01] {
             let times = every(period_s, 4.0);
             starts_near(&simulated(&paper(), Input::Voltage, events.clone(), times));
@@ -135,13 +131,7 @@ mod tests {
 
     #[test]
     fn current_and_speed_on_rows_of_their_own_give_a_start_too() {
-        let events = vec![
-            (0.0, 0.0),
-            (0.3, 20.0),
-            (0.8, -25.0),
-            (1.5, 60.0),
-            (2.2, -10.0),
-        ];
+        let events = held([0.0, 0.3, 0.8, 1.5, 2.2], [0.0, 20.0, -25.0, 60.0, -10.0]);
         let mut scenario = record(&paper(), events, 0.005, 3.0, 1);
         for row in 0..scenario.samples() {
             let missing = if row.is_multiple_of(2) {

@@ -9,7 +9,7 @@ use super::scheme::{self, Data, Identified, IdentifyError};
 use crate::plant::{Input, Model, Motor, Plant, Scenario, State};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Sample, Verdict};
 
-pub(super) use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+pub(super) use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, held, record};
 
 /// The floor of a record with the noise of a bench.
 pub(super) const NOISE: NoiseFloor = NoiseFloor {
@@ -302,4 +302,50 @@ pub(super) fn assert_covers(found: &ParameterEstimate, truth: f64, within: f64, 
     let (value, std) = (found.value.unwrap(), found.std.unwrap());
     let near = (value / truth - 1.0).abs() < within && (value - truth).abs() < deviations * std;
     assert!(near, "{within} {found:?} {truth}");
+}
+
+/// Whether the interval of a parameter that has a value holds the truth.
+pub(super) fn covers(parameter: &ParameterEstimate, truth: f64, sigmas: f64) -> bool {
+    (parameter.value.unwrap() - truth).abs() <= sigmas * parameter.std.unwrap()
+}
+
+/// Bias, spread, reported deviation (all relative) and share of covered truths, over seeds.
+#[derive(Debug)]
+pub(super) struct Statistics<const N: usize> {
+    pub(super) bias: [f64; N],
+    pub(super) spread: [f64; N],
+    pub(super) claimed: [f64; N],
+    pub(super) covered: [f64; N],
+    /// Seeds of which an estimate has no value.
+    pub(super) missing: usize,
+}
+
+impl<const N: usize> Statistics<N> {
+    pub(super) fn over<'a>(
+        seeds: impl ExactSizeIterator<Item = &'a Vec<ParameterEstimate>>,
+        truth: &[f64; N],
+    ) -> Self {
+        let all = seeds.len();
+        let rows = seeds.filter_map(|estimates| {
+            let mut row = [[0.0; 2]; N];
+            for (k, truth) in truth.iter().enumerate() {
+                row[k] = [estimates[k].value? / truth - 1.0, estimates[k].std? / truth];
+            }
+            Some(row)
+        });
+        let rows: Vec<[[f64; 2]; N]> = rows.collect();
+        let count = rows.len() as f64;
+        let over = |f: &dyn Fn(&[f64; 2]) -> f64| -> [f64; N] {
+            std::array::from_fn(|k| rows.iter().map(|row| f(&row[k])).sum::<f64>() / count)
+        };
+        let bias = over(&|row| row[0]);
+        let squares = over(&|row| row[0] * row[0]);
+        Self {
+            bias,
+            spread: std::array::from_fn(|k| (squares[k] - bias[k] * bias[k]).sqrt()),
+            claimed: over(&|row| row[1]),
+            covered: over(&|row| f64::from(u8::from(row[0].abs() < 1.96 * row[1]))),
+            missing: all - rows.len(),
+        }
+    }
 }

@@ -577,13 +577,18 @@ mod tests {
 
     #[test]
     fn lost_rows_have_a_variance_and_a_whole_record_none() {
+        let is_unknown = |record: &Scenario, from_s: f64, to_s: f64| {
+            let mut holes = record.unknown_input.iter();
+            holes.any(|hole| hole.to_s > from_s && hole.from_s < to_s && hole.variance > 0.0)
+        };
         let holes = with_holes();
         assert_eq!(holes.unknown_input.len(), 2);
         let long = holes.unknown_input[1];
         assert!((1.1999..1.25).contains(&long.from_s) && long.variance > 0.0);
+        assert!(is_unknown(&holes, 1.15, 1.25) && !is_unknown(&holes, 0.6, 1.1999));
         assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
-        assert!(whole.unknown_input.is_empty());
+        assert!(whole.unknown_input.is_empty() && !is_unknown(&whole, 0.0, 1.0));
         assert_eq!(whole.events.len(), 40);
     }
 

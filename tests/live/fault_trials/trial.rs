@@ -1,25 +1,15 @@
 //! One trial in real time: the real binary, the witness on a pseudo-terminal, a fault, and the judgement.
 
 use std::fmt;
-use std::io::Read;
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::Duration;
-
-use nix::sys::signal::kill;
-use nix::unistd::Pid;
-use portable_pty::{Child, MasterPty};
 
 use super::line::{Line, STOOD_STILL_S};
 use crate::kit::prelude::*;
 use crate::kit::process::KeptWaiting;
-use crate::kit::terminal;
 use crate::witness::drive::{BENCH, Drive, PROFILE};
 use crate::witness::fault::{Act, Class, Fault, Host, Way};
-use crate::witness::judge::judge;
-use crate::witness::motor;
+use crate::witness::trials;
 
 /// A trial that takes longer hangs, s.
 const PATIENCE_S: f64 = 100.0;
@@ -124,57 +114,17 @@ pub(crate) fn trial(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     }
 }
 
-/// The program and what it says: without a screen, or on one.
-struct Program {
-    child: Box<dyn Child + Send + Sync>,
-    terminal: Option<Terminal>,
-    readers: Vec<JoinHandle<()>>,
-    shown: Arc<Mutex<Shown>>,
-    /// The other end of its output is closed as soon as it says more.
-    is_closing: Arc<AtomicBool>,
-}
-
-/// The other end of the program's screen.
-struct Terminal {
-    keys: Box<dyn std::io::Write + Send>,
-    /// The line hangs up when it goes.
-    _master: Box<dyn MasterPty + Send>,
-}
-
-/// What was said, or stands on the screen.
-enum Shown {
-    Text(Vec<u8>),
-    Screen(Box<vt100::Parser>),
-}
-
-/// Reads until the end, or until it is told to close.
-fn drain(
-    mut from: impl Read + Send + 'static,
-    is_closing: &Arc<AtomicBool>,
-    shown: &Arc<Mutex<Shown>>,
-) -> JoinHandle<()> {
-    let (is_closing, shown) = (Arc::clone(is_closing), Arc::clone(shown));
-    std::thread::spawn(move || {
-        let mut bytes = [0; 4096];
-        while let Ok(count @ 1..) = from.read(&mut bytes) {
-            match &mut *shown.lock().expect("the test lives") {
-                Shown::Text(text) => text.extend(&bytes[..count]),
-                Shown::Screen(screen) => screen.process(&bytes[..count]),
-            }
-            if is_closing.load(Ordering::Acquire) {
-                return;
-            }
-        }
-    })
+/// The program: without a screen, or on one.
+enum Program {
+    Headless(Process),
+    OnScreen(Box<Session>),
 }
 
 impl Program {
     fn start(fault: &Fault, way: Way, folder: &Path) -> Self {
         let command = way.command();
-        let mut arguments = line(
-            &format!("{command} bench.toml --hardware --out runs --reopen-s 1"),
-            &[],
-        );
+        let text = format!("{command} bench.toml --hardware --out runs --reopen-s 1");
+        let mut arguments = line(&text, &[]);
         let mut program = BINARY;
         if fault.act == Act::Host(Host::DiskFull) {
             // What a full disk does to a write, without one: the file does not grow any more.
@@ -182,110 +132,76 @@ impl Program {
             arguments.splice(0..0, ["-c", &shell, BINARY].map(PathBuf::from));
             program = "/bin/sh";
         }
-        let is_closing = Arc::new(AtomicBool::new(false));
         if way.has_screen() {
-            let pair = terminal::open(SIZE);
-            let child = terminal::spawn(&pair, program, arguments, folder);
-            let shown = Arc::new(Mutex::new(Shown::Screen(Box::new(terminal::parser(SIZE)))));
-            let reader = pair.master.try_clone_reader().expect("a reader");
-            return Self {
-                child,
-                readers: vec![drain(reader, &is_closing, &shown)],
-                terminal: Some(Terminal {
-                    keys: pair.master.take_writer().expect("a writer"),
-                    _master: pair.master,
-                }),
-                shown,
-                is_closing,
-            };
+            let session = Session::of(program, arguments, folder, SIZE);
+            return Self::OnScreen(Box::new(session));
         }
-        let mut child = Command::new(program)
-            .args(arguments)
-            .arg("--headless")
-            .current_dir(folder)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("it starts");
-        let shown = Arc::new(Mutex::new(Shown::Text(Vec::new())));
-        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        let readers = vec![
-            drain(stdout.expect("piped"), &is_closing, &shown),
-            drain(stderr.expect("piped"), &is_closing, &shown),
-        ];
-        Self {
-            child: Box::new(child),
-            terminal: None,
-            readers,
-            shown,
-            is_closing,
-        }
+        let mut command = Command::new(program);
+        command.args(arguments).arg("--headless");
+        command.current_dir(folder).stdin(Stdio::null());
+        Self::Headless(Process::of(command))
     }
 
     fn id(&self) -> u32 {
-        self.child.process_id().expect("a process id")
+        match self {
+            Self::Headless(process) => process.0.id(),
+            Self::OnScreen(session) => session.id(),
+        }
     }
 
     fn signal(&self, signal: Signal) {
-        let _ = kill(Pid::from_raw(self.id().cast_signed()), signal);
+        match self {
+            Self::Headless(process) => process.signal(signal),
+            Self::OnScreen(session) => session.signal(signal),
+        }
     }
 
+    /// Nothing where there is no screen, nor of a program that has just ended.
     fn press(&mut self, key: &str) {
-        if let Some(terminal) = &mut self.terminal {
-            let _ = terminal.keys.write_all(key.as_bytes());
-            let _ = terminal.keys.flush();
+        if let Self::OnScreen(session) = self {
+            let _ = session.try_press(key);
         }
     }
 
     /// Nobody reads what it says from now on.
     fn close(&mut self) {
-        self.is_closing.store(true, Ordering::Release);
-        if self.terminal.is_some() {
-            // It draws all the time, so this ends at once. The writer says goodbye with a line feed and an end of file, as
-            // its own drop has it.
-            self.join();
-            self.terminal = None;
-        }
-    }
-
-    fn join(&mut self) {
-        for reader in self.readers.drain(..) {
-            let _ = reader.join();
+        match self {
+            Self::Headless(process) => drop((process.0.stdout.take(), process.0.stderr.take())),
+            Self::OnScreen(session) => session.hang_up(),
         }
     }
 
     /// -1: by a signal.
     fn ended(&mut self) -> Option<i32> {
-        let status = self.child.try_wait().expect("a child can be waited for")?;
-        let by_signal = status.signal().is_some();
-        Some(if by_signal {
-            -1
-        } else {
-            i32::try_from(status.exit_code()).unwrap_or(-2)
-        })
-    }
-
-    fn end_by_force(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-
-    fn shown(&self) -> String {
-        match &*self.shown.lock().expect("the test lives") {
-            Shown::Text(text) => String::from_utf8_lossy(text).into_owned(),
-            Shown::Screen(screen) => screen.screen().contents(),
+        match self {
+            Self::Headless(process) => {
+                let status = process.0.try_wait().expect("a child can be waited for")?;
+                Some(status.code().unwrap_or(-1))
+            }
+            Self::OnScreen(session) => session.ended(),
         }
     }
 
-    /// Everything that it said; on a screen what stands there after the end, and what stood there before.
-    fn said(&mut self) -> String {
-        if self.terminal.is_none() {
-            self.join();
-        } else {
-            std::thread::sleep(Duration::from_millis(50));
+    /// What stands on the screen.
+    fn shown(&mut self) -> String {
+        match self {
+            Self::Headless(_) => String::new(),
+            Self::OnScreen(session) => session.now(),
         }
-        self.shown()
+    }
+
+    /// Everything that it said, once it has ended; on a screen what stands there.
+    fn said(self) -> String {
+        match self {
+            Self::Headless(process) => {
+                let done = process.end();
+                done.stdout + &done.stderr
+            }
+            Self::OnScreen(mut session) => {
+                std::thread::sleep(Duration::from_millis(50));
+                session.now()
+            }
+        }
     }
 }
 
@@ -316,7 +232,7 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
         Host::CloseOutput => program.close(),
         Host::StopKey => program.press(" "),
         Host::QuitKey => program.press("q"),
-        Host::InterruptKey if program.terminal.is_some() => program.press("\u{3}"),
+        Host::InterruptKey if matches!(program, Program::OnScreen(_)) => program.press("\u{3}"),
         Host::Interrupt | Host::InterruptKey => program.signal(Signal::SIGINT),
         Host::FolderGone => {
             // At once: while it is emptied file by file, the recorder may make it again.
@@ -346,7 +262,7 @@ fn sit_through(
         }
         let now_s = line.now_s();
         if now_s > PATIENCE_S {
-            program.end_by_force();
+            program.signal(Signal::SIGKILL);
             break -3;
         }
         let waited_s = kept.since_last_look_s(program.id());
@@ -401,10 +317,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         said.push_str(screen);
     }
     let state = line.lock();
-    let from_s = match fault.act {
-        Act::Host(_) | Act::StopIgnored(_) => done_s,
-        _ => state.drive.seen_s(),
-    };
+    let from_s = trials::from_s(fault, &state.drive, done_s);
     // What matters is what the witness did not see once the fault was there, or shortly before.
     let stood_still_s = state
         .gaps
@@ -413,11 +326,8 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         .map(|(_, gap_s)| *gap_s)
         .fold(0.0, f64::max);
     let came_about = state.drive.from_s.is_some();
-    let mut wrong = judge(&state.drive, fault.act, fault.class, from_s);
+    let mut wrong = trials::wrong(fault, &state.drive, done_s, status);
     drop(state);
-    if !fault.statuses.contains(&status) {
-        wrong.push(format!("status {status} instead of {:?}", fault.statuses));
-    }
     let documents = documents(&desk.out());
     // A screen is full of words; what counts is what stands as an error, and what is kept.
     let mut told: String = documents.iter().map(|(text, _)| text.as_str()).collect();
@@ -443,7 +353,17 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     let mut parameters = Vec::new();
     if fault.class == Class::GoesOn && way.command() == "run" {
         for (_, result) in &documents {
-            hold_against_truth(result, &mut parameters, &mut wrong);
+            let (words, off) = trials::hold_against_truth(SIGMAS, |key| {
+                let parameter = &result["parameters"][key];
+                let verdict = parameter["verdict"].as_str().unwrap_or("not told");
+                (
+                    verdict,
+                    parameter["value"].as_f64(),
+                    parameter["std"].as_f64(),
+                )
+            });
+            parameters.extend(words);
+            wrong.extend(off);
         }
     }
     let last: Vec<&str> = said.lines().filter(|l| !l.trim().is_empty()).collect();
@@ -480,23 +400,4 @@ fn documents(runs: &Path) -> Vec<(String, Value)> {
             (text, result)
         })
         .collect()
-}
-
-/// R, Ke and J of a result: what is settled has to hold the truth.
-fn hold_against_truth(result: &Value, found: &mut Vec<String>, wrong: &mut Vec<String>) {
-    for (key, truth) in motor::TRUTHS {
-        let parameter = &result["parameters"][key];
-        let verdict = parameter["verdict"].as_str().unwrap_or("not told");
-        let (Some(value), Some(std)) = (parameter["value"].as_f64(), parameter["std"].as_f64())
-        else {
-            found.push(format!("{key} {verdict}"));
-            continue;
-        };
-        let off = (value - truth) / std;
-        let text = format!("{key} {verdict} {value:.5} +- {std:.5} ({off:+.1} sigma)");
-        if verdict == "settled" && off.abs() > SIGMAS {
-            wrong.push(format!("{text}: the truth is {truth}"));
-        }
-        found.push(text);
-    }
 }

@@ -22,17 +22,16 @@ use nalgebra::{DMatrix, DVector};
 
 pub use self::processing::{Motion, Processing};
 
-use self::processing::{Part, filter, gridded, rate, spanned};
+use self::processing::{Measured, Part, filter, gridded, rate, spanned};
 use super::balance::{self, Column, Method, Signals, TorqueRows, Unknown, as_ratio, scored_s};
 use super::output_error::BLOCK_S;
-use super::speed_from_angle;
 use super::verdict::judge;
 use crate::numerics::count::whole;
 use crate::numerics::filter::{Butterworth, decimated};
 use crate::numerics::least_squares;
 use crate::numerics::statistics::extent;
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
-use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
+use crate::sample::{ParameterEstimate, Run, Verdict};
 use crate::signal;
 
 /// An acceleration whose own part is less than this many times its noise (in power) carries no inertia.
@@ -65,7 +64,7 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         Input::Voltage => &[Balance::Voltage, Balance::Torque],
         Input::Current | Input::Torque => &[Balance::Torque],
     };
-    let gridded = gridded(run, scenario);
+    let gridded = gridded(&Measured::of_run(run, scenario.input), scenario);
     let mut model = model.clone();
     let mut balances = Vec::new();
     for &equation in equations {
@@ -571,8 +570,7 @@ fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
 /// anything between 3.97 and 4.60 %: this axis turns round every 3.12 s exactly, always at the same offset, and what the
 /// filter rings with there is caught or missed.
 pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
-    let run = as_run(scenario)?;
-    let gridded = gridded(&run, scenario)?;
+    let gridded = gridded(&Measured::of_scenario(scenario), scenario)?;
     let processing = Processing::choose(&gridded);
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
     let decimating = processing.at_half_cut_off();
@@ -650,50 +648,6 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         span_s: 1.0 / decimating.cut_off_hz,
         averaging: Box::new(averaging),
     })
-}
-
-/// The scenario as a recorded run: the processing filters the angle before it differentiates it, so it has to know
-/// whether the speed was measured or derived from the angle.
-fn as_run(scenario: &Scenario) -> Option<Run> {
-    let measured = |values: &[f64]| -> Vec<(f64, f64)> {
-        let samples = scenario
-            .sample_time_s
-            .iter()
-            .copied()
-            .zip(values.iter().copied());
-        samples.filter(|point| point.1.is_finite()).collect()
-    };
-    let (drives, driving) = match scenario.input {
-        Input::Torque => (Channel::Torque, scenario.events.clone()),
-        Input::Voltage | Input::Current => (Channel::Current, measured(&scenario.current_a)),
-    };
-    let speed = measured(&scenario.speed_rad_s);
-    let mut times: Vec<f64> = [&driving, &speed, &scenario.angle]
-        .into_iter()
-        .flat_map(|points| points.iter().map(|point| point.0))
-        .collect();
-    times.sort_by(f64::total_cmp);
-    times.dedup();
-    let spread = |points: &[(f64, f64)]| -> Vec<f64> {
-        let mut next = points.iter().peekable();
-        let mut at = |time_s: &f64| Some(next.next_if(|point| point.0 <= *time_s)?.1);
-        times
-            .iter()
-            .map(|time_s| at(time_s).unwrap_or(f64::NAN))
-            .collect()
-    };
-    let mut run = Run::new(scenario.name.clone(), times.clone()).ok()?;
-    let derived = speed_from_angle::span(scenario).map(|_| Origin::Derived);
-    for (channel, points, origin) in [
-        (Channel::Angle, &scenario.angle, Origin::Measured),
-        (drives, &driving, Origin::Measured),
-        (Channel::Speed, &speed, derived.unwrap_or(Origin::Measured)),
-    ] {
-        if channel != Channel::Angle || !points.is_empty() {
-            run.set_column(channel, spread(points), origin).ok()?;
-        }
-    }
-    Some(run)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! Where the stamps are even already the values are taken as they stand. Otherwise a natural cubic spline carries them
 //! over: it keeps the curvature that a line between two stamps would cut off, and with it the acceleration.
 
+use super::super::speed_from_angle;
 use crate::numerics::count::whole;
 use crate::numerics::filter::{Butterworth, spline};
 use crate::numerics::statistics;
@@ -286,24 +287,64 @@ pub(super) struct Gridded {
 
 type Points = Vec<(f64, f64)>;
 
+/// What is measured beside the angle: the processing filters the angle before it differentiates it, so it has to know
+/// whether the speed was derived from it.
+pub(super) struct Measured {
+    speed: Points,
+    speed_is_derived: bool,
+    /// Torque or current.
+    driving: Points,
+}
+
+impl Measured {
+    pub(super) fn of_run(run: &Run, input: Input) -> Self {
+        let driving = match input {
+            Input::Torque => Channel::Torque,
+            Input::Voltage | Input::Current => Channel::Current,
+        };
+        Self {
+            speed: run.points(Channel::Speed).collect(),
+            speed_is_derived: run.origin(Channel::Speed) == Origin::Derived,
+            driving: run.points(driving).collect(),
+        }
+    }
+
+    pub(super) fn of_scenario(scenario: &Scenario) -> Self {
+        let times = || scenario.sample_time_s.iter().copied();
+        let of = |values: &[f64]| finite(times().zip(values.iter().copied()));
+        Self {
+            speed: of(&scenario.speed_rad_s),
+            speed_is_derived: speed_from_angle::span(scenario).is_some(),
+            driving: match scenario.input {
+                Input::Torque => finite(scenario.events.iter().copied()),
+                Input::Voltage | Input::Current => of(&scenario.current_a),
+            },
+        }
+    }
+}
+
+fn finite(points: impl Iterator<Item = (f64, f64)>) -> Points {
+    points.filter(|point| point.1.is_finite()).collect()
+}
+
 /// `None`: neither speed nor angle is measured, or no stretch is long enough.
-pub(super) fn gridded(run: &Run, scenario: &Scenario) -> Option<Gridded> {
+pub(super) fn gridded(measured: &Measured, scenario: &Scenario) -> Option<Gridded> {
     let times = &scenario.sample_time_s;
     let (first_s, last_s) = (*times.first()?, *times.last()?);
-    let points = |channel: Channel| within(run.points(channel), first_s, last_s);
-    let angles = |angle: &[(f64, f64)]| within(angle.iter().copied(), first_s, last_s);
-    let speed = points(Channel::Speed);
-    let (angle, shaft) = (angles(&scenario.angle), angles(&scenario.shaft_angle()));
+    let points = |points: &[(f64, f64)]| within(points.iter().copied(), first_s, last_s);
+    let speed = points(&measured.speed);
+    let (angle, shaft) = (points(&scenario.angle), points(&scenario.shaft_angle()));
     // A speed that this program derived from the angle is filtered already, by another filter.
-    let derived = speed.is_empty() || run.origin(Channel::Speed) == Origin::Derived;
+    let derived = speed.is_empty() || measured.speed_is_derived;
     let (motion, moving) = if derived && !angle.is_empty() {
         (Motion::Angle, angle)
     } else {
         (Motion::Speed, speed)
     };
+    let driving = points(&measured.driving);
     let (current, torque) = match scenario.input {
-        Input::Torque => (Vec::new(), points(Channel::Torque)),
-        Input::Voltage | Input::Current => (points(Channel::Current), Vec::new()),
+        Input::Torque => (Vec::new(), driving),
+        Input::Voltage | Input::Current => (driving, Vec::new()),
     };
     let mut gridded = Gridded {
         motion,
@@ -314,6 +355,9 @@ pub(super) fn gridded(run: &Run, scenario: &Scenario) -> Option<Gridded> {
         .into_iter()
         .filter(|points| !points.is_empty())
         .collect();
+    if needed.is_empty() {
+        return None;
+    }
     let period_s = needed
         .iter()
         .map(|points| median_gap(points))

@@ -1,6 +1,8 @@
 use super::*;
+use crate::identification::speed_from_angle;
 use crate::identification::testing::{self, *};
 use crate::plant::Motor;
+use crate::sample::Channel;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -291,7 +293,7 @@ fn the_interval_covers_on_even_jittered_slow_and_quantised_data() {
         assert!(all.len() >= 80, "{name}");
         let covered = |p: &&ParameterEstimate| {
             let expected = truth.get(MotorKey::from_key(&p.key).unwrap()).unwrap();
-            (p.value.unwrap() - expected).abs() <= 1.96 * p.std.unwrap()
+            covers(p, expected, 1.96)
         };
         let share = all.iter().filter(covered).count() as f64 / all.len() as f64;
         // At a period of L/R the error is one of resolution: its size is judged from half the samples, not known.

@@ -15,50 +15,10 @@ fn steps(seconds: f64, scale: f64, hold_s: f64) -> Vec<(f64, f64)> {
     testing::steps(0.5037, seconds, scale, hold_s)
 }
 
-/// Bias, spread, reported deviation (all relative) and share of covered truths, over seeds.
-struct Statistics {
-    bias: [f64; 5],
-    spread: [f64; 5],
-    told: [f64; 5],
-    covered: [f64; 5],
-    missing: u32,
-}
-
-fn statistics(record: &Record, truth: &Truth, seeds: u64) -> Statistics {
-    let rows: Vec<[[f64; 2]; 5]> = (0..seeds)
-        .into_par_iter()
-        .filter_map(|seed| {
-            let estimates = identify(&unknown(), &record.run(Some(seed)), &[]).estimates();
-            let mut row = [[0.0; 2]; 5];
-            for k in 0..5 {
-                row[k] = [
-                    estimates[k].value? / truth[k] - 1.0,
-                    estimates[k].std? / truth[k],
-                ];
-            }
-            Some(row)
-        })
-        .collect();
-    let count = rows.len() as f64;
-    let over = |f: &dyn Fn(&[f64; 2]) -> f64| -> [f64; 5] {
-        std::array::from_fn(|k| rows.iter().map(|row| f(&row[k])).sum::<f64>() / count)
-    };
-    let bias = over(&|row| row[0]);
-    let squares = over(&|row| row[0] * row[0]);
-    Statistics {
-        bias,
-        spread: std::array::from_fn(|k| (squares[k] - bias[k] * bias[k]).sqrt()),
-        told: over(&|row| row[1]),
-        covered: over(&|row| f64::from(u8::from(row[0].abs() < 1.96 * row[1]))),
-        missing: u32::try_from(seeds).unwrap() - u32::try_from(rows.len()).unwrap(),
-    }
-}
-
-fn print(name: &str, s: &Statistics) {
-    println!(
-        "{name}: missing {}\n  bias    {:.5?}\n  spread  {:.5?}\n  told    {:.5?}\n  covered {:.3?}",
-        s.missing, s.bias, s.spread, s.told, s.covered
-    );
+fn statistics(record: &Record, truth: &Truth, seeds: u64) -> Statistics<5> {
+    let of_seed = |seed| identify(&unknown(), &record.run(Some(seed)), &[]).estimates();
+    let seeds: Vec<_> = (0..seeds).into_par_iter().map(of_seed).collect();
+    Statistics::over(seeds.iter(), truth)
 }
 
 fn cases() -> Vec<(&'static str, Truth, f64, f64, f64)> {
@@ -96,12 +56,12 @@ fn intervals_cover_on_three_motors_at_regular_and_jittered_stamps() {
         let stamps = jittered(period_s, seconds, 5);
         let record = Record::of(&model, steps(seconds, scale, hold_s), stamps);
         let found = statistics(&record, &truth, 60);
-        print(name, &found);
+        println!("{name}: {found:.5?}");
         assert_eq!(found.missing, 0);
         assert!(found.covered.iter().all(|share| *share >= 0.83), "{name}");
         for k in 0..5 {
             assert!(found.bias[k].abs() < found.spread[k], "{name} {k}");
-            assert!(found.told[k] < 1.3 * found.spread[k], "{name} {k}");
+            assert!(found.claimed[k] < 1.3 * found.spread[k], "{name} {k}");
         }
     }
 }

@@ -356,73 +356,51 @@ fn sizes(table: &Table, confirmed: bool, back_emf: Option<f64>) -> Vec<Finding> 
 
 // What the header of a mapped column says about its unit.
 
-/// `(target, words in the header, its unit, factor to the target's unit)`.
-const UNITS: &[(&str, &[&str], &str, &str)] = &[
-    ("speed_rad_s", &["krpm"], "1000 r/min", "104.719755"),
+/// `(target, words of which one stands in the header, its unit, factor to the target's unit)`.
+const UNITS: &[(&str, &str, &str, &str)] = &[
+    ("speed_rad_s", "krpm", "1000 r/min", "104.719755"),
     (
         "speed_rad_s",
-        &[
-            "rpm", "r/min", "u/min", "rev/min", "1/min", "min-1", "min^-1",
-        ],
+        "rpm r/min u/min rev/min 1/min min-1 min^-1",
         "r/min (a factor 9.5493)",
         "0.104719755",
     ),
     (
         "speed_rad_s",
-        &["deg/s", "dps", "\u{b0}/s"],
+        "deg/s dps \u{b0}/s",
         "deg/s",
         "0.01745329252",
     ),
     (
         "speed_rad_s",
-        &["rps", "rev/s", "turns/s", "hz"],
+        "rps rev/s turns/s hz",
         "turns per second",
         "6.283185307",
     ),
-    ("current_a", &["ma", "milliamp", "milliamps"], "mA", "0.001"),
-    ("current_a", &["ka"], "kA", "1000"),
-    (
-        "voltage_v",
-        &["mv", "millivolt", "millivolts"],
-        "mV",
-        "0.001",
-    ),
-    ("voltage_v", &["kv"], "kV", "1000"),
-    ("voltage_cmd_v", &["mv"], "mV", "0.001"),
-    ("voltage_cmd_v", &["kv"], "kV", "1000"),
-    ("bus_v", &["mv"], "mV", "0.001"),
+    ("current_a", "ma milliamp milliamps", "mA", "0.001"),
+    ("current_a", "ka", "kA", "1000"),
+    ("voltage_v", "mv millivolt millivolts", "mV", "0.001"),
+    ("voltage_v", "kv", "kV", "1000"),
+    ("voltage_cmd_v", "mv", "mV", "0.001"),
+    ("voltage_cmd_v", "kv", "kV", "1000"),
+    ("bus_v", "mv", "mV", "0.001"),
+    ("time_s", "ms msec millis milliseconds", "ms", "0.001"),
     (
         "time_s",
-        &["ms", "msec", "millis", "milliseconds"],
-        "ms",
-        "0.001",
-    ),
-    (
-        "time_s",
-        &["us", "usec", "micros", "\u{b5}s", "\u{3bc}s"],
+        "us usec micros \u{b5}s \u{3bc}s",
         "us",
         "0.000001",
     ),
-    ("time_s", &["ns", "nanos"], "ns", "0.000000001"),
+    ("time_s", "ns nanos", "ns", "0.000000001"),
     (
         "angle_rad",
-        &["deg", "degrees", "\u{b0}"],
+        "deg degrees \u{b0}",
         "degrees",
         "0.01745329252",
     ),
-    (
-        "angle_rad",
-        &["rev", "turns", "revs"],
-        "turns",
-        "6.283185307",
-    ),
-    (
-        "torque_n_m",
-        &["mnm", "nmm", "mn.m", "n.mm"],
-        "mN.m",
-        "0.001",
-    ),
-    ("torque_n_m", &["ncm", "n.cm"], "N.cm", "0.01"),
+    ("angle_rad", "rev turns revs", "turns", "6.283185307"),
+    ("torque_n_m", "mnm nmm mn.m n.mm", "mN.m", "0.001"),
+    ("torque_n_m", "ncm n.cm", "N.cm", "0.01"),
 ];
 
 /// The unit that a header names where it is not the target's. `scaled`: the map gives a factor, so somebody thought of it.
@@ -434,9 +412,9 @@ pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
     let words: Vec<&str> = header_lower
         .split(|letter: char| letter.is_whitespace() || "_,;:()[]{}|\"".contains(letter))
         .collect();
-    let (_, _, unit, factor) = UNITS
-        .iter()
-        .find(|(of, names, ..)| *of == target && names.iter().any(|name| words.contains(name)))?;
+    let (_, _, unit, factor) = UNITS.iter().find(|(of, names, ..)| {
+        *of == target && names.split(' ').any(|name| words.contains(&name))
+    })?;
     Some(Finding::refusal(
         Kind::Unit,
         format!("--map {target}={header}: the header names {unit}, and no factor is given"),

@@ -130,14 +130,10 @@ mod tests {
     fn the_order_of_cogging_is_found_from_an_angle_that_starts_again_each_turn() {
         let start = paper().with_effect("cogging").unwrap();
         let truth = paper_with("cogging", &[0.06, -0.05, 9.0]);
-        let events = vec![
-            (0.0, 0.0),
-            (0.2, 7.0),
-            (1.2, 15.0),
-            (2.0, -6.0),
-            (3.0, -20.0),
-            (3.5, 0.0),
-        ];
+        let events = held(
+            [0.0, 0.2, 1.2, 2.0, 3.0, 3.5],
+            [0.0, 7.0, 15.0, -6.0, -20.0, 0.0],
+        );
         let recorded = record(&truth, events, 0.002, 4.0, 5);
         let mut run = testing::recorded(&recorded);
         let (mut angle, mut last) = (0.0, 0.0);

@@ -305,7 +305,7 @@ impl Grid {
 
     fn without_noise(&self) -> Option<Doubt> {
         let noise = self.noise_rad_s.map_or(Noise::FromResidual, Noise::Known);
-        let (better, sigma) = noise_free(Form::Exact, &self.series(), &self.direction, noise)?;
+        let (better, sigma) = noise_free(&self.series(), &self.direction, noise)?;
         let known = if self.noise_rad_s.is_some() {
             "as at standstill"
         } else {

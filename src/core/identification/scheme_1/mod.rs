@@ -538,25 +538,9 @@ pub enum Noise {
     FromResidual,
 }
 
-/// Least squares with the noise taken out; `None` where nothing is left that belongs to a motor.
-pub fn noise_free(
-    form: Form,
-    series: &Series<'_>,
-    direction: &[i8],
-    noise: Noise,
-) -> Option<(Dynamics, f64)> {
-    match form {
-        Form::Printed => solve::<4>(form, series, direction, noise),
-        Form::Exact => solve::<5>(form, series, direction, noise),
-    }
-}
-
-fn solve<const N: usize>(
-    form: Form,
-    series: &Series<'_>,
-    direction: &[i8],
-    noise: Noise,
-) -> Option<(Dynamics, f64)> {
+/// Least squares of the exact form with the noise taken out; `None` where nothing is left that belongs to a motor.
+pub fn noise_free(series: &Series<'_>, direction: &[i8], noise: Noise) -> Option<(Dynamics, f64)> {
+    const N: usize = 5;
     let mut normal = SMatrix::<f64, N, N>::zeros();
     let mut right = SVector::<f64, N>::zeros();
     let (mut square, mut count) = (0.0, 0.0);
@@ -593,10 +577,8 @@ fn solve<const N: usize>(
         }
     }
     let theta = normal.try_inverse()? * right;
-    let coefficients: [f64; 5] =
-        std::array::from_fn(|j| theta.iter().copied().nth(j).unwrap_or(0.0));
-    let coefficients = Coefficients::from_array(coefficients);
-    let dynamics = Dynamics::from_coefficients(form, &coefficients, series.period_s).ok()?;
+    let coefficients = Coefficients::from_array(theta.into());
+    let dynamics = Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s).ok()?;
     Some((dynamics, sigma))
 }
 

@@ -269,8 +269,7 @@ fn the_known_share_of_the_noise_is_taken_out_of_least_squares() {
     let found = |scheme: Dynamics| off(scheme.ta_s, SLOW.ta_s);
     let biased = found(record.feed(Form::Exact, 1.0).dynamics().unwrap());
     for (noise, left) in [(Noise::Known(sigma), 0.2), (Noise::FromResidual, 0.5)] {
-        let (without, used) =
-            noise_free(Form::Exact, &record.series(), &record.direction, noise).unwrap();
+        let (without, used) = noise_free(&record.series(), &record.direction, noise).unwrap();
         let without = found(without);
         assert!(without.abs() < left * biased.abs(), "{biased} {without}");
         assert_near(used, sigma, 0.3);

@@ -1,7 +1,7 @@
 use super::*;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
-use crate::identification::testing::{assert_says, judged, of, paper, record, unknown};
+use crate::identification::testing::{assert_says, covers, judged, of, paper, record, unknown};
 use crate::plant::Motor;
 
 fn step(volts: f64, period_s: f64, held_s: f64, seed: u64) -> Scenario {
@@ -29,10 +29,9 @@ fn one_step_of_the_paper_motor_gives_crude_values_with_intervals_that_hold() {
         let (parameters, notes) = estimates(&unknown(), &run);
         for (key, truth, within) in TRUTH {
             let parameter = judged(&parameters, key, Verdict::Searching);
-            let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
-            let near = (value / truth - 1.0).abs() < within;
+            let near = (parameter.value.unwrap() / truth - 1.0).abs() < within;
             assert!(near, "{volts} V {parameter:?} {truth}");
-            inside += u32::from((value - truth).abs() <= 2.0 * std);
+            inside += u32::from(covers(parameter, truth, 2.0));
             all += 1;
         }
         assert!(notes[0].contains("friction") && notes[0].contains("63 %"));
