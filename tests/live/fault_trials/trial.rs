@@ -289,7 +289,7 @@ fn sit_through(
             if shown.contains("y = start") {
                 program.press("y");
             } else if from_s.is_none() && !shown.trim().is_empty() {
-                program.press("a");
+                program.press("s");
             } else if let Some(off_s) = off_s
                 && (shown.contains("q = quit") && now_s - off_s > 0.8 || now_s - off_s > HOPELESS_S)
             {
