@@ -256,20 +256,56 @@ impl Recorded {
         if let Some(reopened) = &self.summary.reopened {
             kept = format!("{}; {kept}", reopened.text);
         }
-        let (status, headline) = match &self.summary.outcome {
-            Outcome::Done => {
-                let error = self.summary.stop_error.as_ref()?;
-                let headline = format!("the last stop did not reach the drive: {error}");
-                (LINK, headline)
-            }
-            Outcome::Stopped | Outcome::Interrupted => (
-                INTERRUPTED,
-                "stopped before the end of the sequence".to_owned(),
-            ),
-            Outcome::Tripped(trip) => (TRIP, format!("safety trip: {}", trip.reason)),
-            Outcome::NotStarted { reason } => (LINK, format!("not started: {reason}")),
-            Outcome::LinkLost { reason } => (LINK, format!("link lost: {reason}")),
-        };
+        let summary = &self.summary;
+        let (status, headline) = early_end(&summary.outcome, summary.stop_error.as_deref())?;
         Some(Failure::with_help(status, headline, kept))
+    }
+}
+
+/// Exit status and headline of a run that did not go to its end, or whose drive did not confirm its stop.
+fn early_end(outcome: &Outcome, stop_error: Option<&str>) -> Option<(u8, String)> {
+    let unstopped =
+        stop_error.map(|error| format!("the last stop did not reach the drive: {error}"));
+    Some(match (outcome, unstopped) {
+        (Outcome::Done, None) => return None,
+        // Whoever ended it by hand must not take it for stopped.
+        (Outcome::Done | Outcome::Stopped | Outcome::Interrupted, Some(unstopped)) => {
+            (LINK, unstopped)
+        }
+        (Outcome::Stopped | Outcome::Interrupted, None) => (
+            INTERRUPTED,
+            "stopped before the end of the sequence".to_owned(),
+        ),
+        (Outcome::Tripped(trip), None) => (TRIP, format!("safety trip: {}", trip.reason)),
+        (Outcome::Tripped(trip), Some(unstopped)) => {
+            (TRIP, format!("safety trip: {}; {unstopped}", trip.reason))
+        }
+        (Outcome::NotStarted { reason }, _) => (LINK, format!("not started: {reason}")),
+        (Outcome::LinkLost { reason }, _) => (LINK, format!("link lost: {reason}")),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_whose_drive_did_not_confirm_its_stop_never_ends_as_stopped() {
+        let lost = Outcome::LinkLost {
+            reason: "gone".to_owned(),
+        };
+        for (outcome, sure, unsure) in [
+            (Outcome::Done, None, LINK),
+            (Outcome::Stopped, Some(INTERRUPTED), LINK),
+            (Outcome::Interrupted, Some(INTERRUPTED), LINK),
+            (lost, Some(LINK), LINK),
+        ] {
+            let confirmed = early_end(&outcome, None);
+            assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
+            let (status, headline) = early_end(&outcome, Some("no reply")).unwrap();
+            assert_eq!(status, unsure, "{outcome:?}");
+            let is_said = headline.contains("did not reach") || headline.contains("lost");
+            assert!(is_said, "{outcome:?}: {headline}");
+        }
     }
 }

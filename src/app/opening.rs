@@ -335,6 +335,9 @@ impl Rig {
         if self.asked.headless {
             output::message(&self.told(&reopened));
         }
+        if reopened.is_safe() {
+            self.rests();
+        }
         summary.reopened = Some(reopened);
     }
 

@@ -9,14 +9,15 @@ use super::failure::Failure;
 use super::files::Recorded;
 use super::output;
 use super::rig::Rig;
-use crate::bench::{Outcome, Plan};
+use crate::bench::{Outcome, Plan, RunSummary};
 use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, compare};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
 use crate::recording::{LoadedRun, Manifest, RunFile};
 use crate::report::{
-    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
+    CommissionReport, ComparisonReport, ConfirmRun, Context, EarlyEnd, Facts, RunReport, SpeedLoop,
+    Target, Tone,
 };
 use crate::workflow::CommissionResult;
 
@@ -49,10 +50,6 @@ fn run(
     let manifest = &recorded.manifest;
     let mut context = context(manifest, &[recorded.folder.path()]);
     context.plan = plan.map(plan_facts).unwrap_or_default();
-    let trip = match &recorded.summary.outcome {
-        Outcome::Tripped(trip) => Some(trip.reason.as_str()),
-        _ => None,
-    };
     let timing = &recorded.summary.timing;
     let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
     let (p50_ms, p99_ms) = (1e3 * timing.lateness_p50_s, 1e3 * timing.lateness_p99_s);
@@ -70,10 +67,40 @@ fn run(
         nameplate: Some(&model),
         parameters: &recorded.summary.estimates,
         timing: &facts,
-        trip,
+        early_end: early_end(&recorded.summary),
         speed_loop,
     };
     Ok(report.html())
+}
+
+/// Why a run did not go to its end, and that its drive may still turn where it did not confirm its stop.
+fn early_end(summary: &RunSummary) -> Option<EarlyEnd> {
+    let by_hand = "it was ended by hand".to_owned();
+    let (tone, title, reason) = match &summary.outcome {
+        Outcome::Done => (
+            Tone::Bad,
+            "Stop not confirmed",
+            "the sequence went to its end".to_owned(),
+        ),
+        Outcome::Stopped => (Tone::Attention, "Stopped", by_hand),
+        Outcome::Interrupted => (Tone::Attention, "Interrupted", by_hand),
+        Outcome::Tripped(trip) => (Tone::Bad, "Safety trip", trip.reason.clone()),
+        Outcome::LinkLost { reason } => (Tone::Bad, "Link lost", reason.clone()),
+        Outcome::NotStarted { reason } => (Tone::Attention, "Not started", reason.clone()),
+    };
+    match &summary.stop_error {
+        Some(error) => Some(EarlyEnd {
+            tone: Tone::Bad,
+            title,
+            reason: format!("{reason}; the last stop did not reach the drive: {error}"),
+        }),
+        None if summary.outcome == Outcome::Done => None,
+        None => Some(EarlyEnd {
+            tone,
+            title,
+            reason,
+        }),
+    }
 }
 
 /// The free runs of the models before and after, where the run that shows them has a voltage.

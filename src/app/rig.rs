@@ -189,7 +189,7 @@ impl Rig {
         self.word.set(DriveWord::MayBeOn { end_s });
     }
 
-    /// The drive was told to stop, and nothing more is asked of it for now.
+    /// The drive has confirmed that it stopped, and nothing more is asked of it for now.
     pub(crate) fn rests(&self) {
         self.word.set(DriveWord::Off);
     }
@@ -222,8 +222,8 @@ impl Rig {
         };
         let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
-        self.rests();
         let report = report?;
+        self.rests();
         if controls.is_stopped() {
             return Err(Failure::interrupted(
                 "interrupted in the checks; nothing is energised",
@@ -316,8 +316,8 @@ impl Rig {
         self.energises(controls, 0.0);
         let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let measured = measure_delay(link, clock, rate_hz, self.last_seq);
-        self.rests();
         let (delay, last_seq) = measured?;
+        self.rests();
         self.last_seq = last_seq;
         Ok(delay)
     }
@@ -427,7 +427,9 @@ impl Rig {
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
-        self.rests();
+        if summary.stop_error.is_none() {
+            self.rests();
+        }
         if summary.lost_its_drive() {
             self.lost = true;
             self.get_back(&mut summary, &mut recorder, controls);

@@ -108,6 +108,12 @@ impl LoopParts {
                 },
             )
         })?;
+        if bench.motor.is_unknown() && bench.nameplate().is_some() {
+            return Err(Failure::usage(
+                "motor.unknown is set: no speed loop is closed around a motor that nobody has checked",
+                "`drivebench run` finds it from small steps; put what it found into [motor] and take `unknown` out",
+            ));
+        }
         let motor = nameplate(bench)?;
         let reference = bench
             .reference(&section)

@@ -282,7 +282,11 @@ impl Runner<'_> {
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
         self.tell_record(now_s);
-        self.publish(now_s, options.rate_hz, Some(outcome.name()));
+        self.publish(
+            now_s,
+            options.rate_hz,
+            Some((outcome.name(), stop_error.clone())),
+        );
         let recorder = self.recorder.status();
         RunSummary {
             outcome,
@@ -524,7 +528,8 @@ impl Runner<'_> {
         estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
     }
 
-    fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
+    /// `end`: the outcome of a run that is over, and why its stop could not be confirmed, if it could not.
+    fn publish(&mut self, now_s: f64, rate_hz: f64, end: Option<(&'static str, Option<String>)>) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
         let recorder = self.recorder.status();
         let session = &self.session;
@@ -534,7 +539,9 @@ impl Runner<'_> {
             shown.timing = self.punctuality.timing(rate_hz);
             shown.rows = recorder.rows as u64;
             shown.recorder_error = recorder.error;
-            shown.outcome = outcome;
+            if let Some((outcome, stop_error)) = end {
+                (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
+            }
         });
     }
 }

@@ -769,10 +769,11 @@ impl Session {
         self.actions.push(Action::Finished(outcome));
     }
 
-    /// What is to be said after the link's own last stop, and how that failed, where the session ended without the drive's
-    /// word.
+    /// What is to be said after the link's own last stop, and how that failed, where it did or the session ended without
+    /// the drive's word.
     pub fn last_word(&self, failed: Option<&LinkError>) -> Option<Notice> {
-        if !self.word.unconfirmed {
+        // A drive that had stopped by its own word may have been switched on by what was under way.
+        if !self.word.unconfirmed && failed.is_none() {
             return None;
         }
         let not = |why: &str| format!("stop NOT confirmed by the drive{why}");

@@ -85,6 +85,8 @@ pub struct Snapshot {
     pub reopening: Option<String>,
     /// Set once, when the run is over.
     pub outcome: Option<&'static str>,
+    /// Why zero output could not be confirmed then, if it could not.
+    pub stop_error: Option<String>,
 }
 
 /// The latest snapshot, shared between the runner and the screens. Neither waits for the other.

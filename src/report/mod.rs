@@ -23,8 +23,8 @@ mod tables;
 
 pub use commission::{CommissionReport, ConfirmRun};
 pub use comparison::{ComparisonReport, SignalFigures};
-pub use page::Page;
-pub use run::{RunReport, SpeedLoop};
+pub use page::{Page, Tone};
+pub use run::{EarlyEnd, RunReport, SpeedLoop};
 
 /// Stands on every page and at the end of every text.
 pub const SAFETY_NOTICE: &str = "A stop over a serial line or a network is not a safety function. Have a wired STO or \

@@ -19,10 +19,18 @@ pub struct RunReport<'a> {
     pub parameters: &'a [ParameterEstimate],
     /// Rate, lateness, missed cycles.
     pub timing: &'a Facts,
-    /// Why the guard stopped the run, if it did.
-    pub trip: Option<&'a str>,
+    /// Why the run did not go to its end, if it did not.
+    pub early_end: Option<EarlyEnd>,
     /// How the speed loop did, where there was one.
     pub speed_loop: Option<&'a SpeedLoop>,
+}
+
+/// An end before that of the sequence.
+#[derive(Clone, Debug)]
+pub struct EarlyEnd {
+    pub tone: Tone,
+    pub title: &'static str,
+    pub reason: String,
 }
 
 /// The closed loop of a run, for its page.
@@ -57,11 +65,11 @@ impl RunReport<'_> {
         let duration_s =
             time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
         let rows = format!("{} rows over {} s", run.rows(), significant(duration_s, 3));
-        match self.trip {
-            Some(reason) => page.lead(
-                Tone::Bad,
-                "Safety trip",
-                format!("{reason}. Recorded until then: {rows}."),
+        match &self.early_end {
+            Some(end) => page.lead(
+                end.tone,
+                end.title,
+                format!("{}. Recorded until then: {rows}.", end.reason),
             ),
             None if run.rows_dropped > 0 => page.lead(
                 Tone::Attention,
@@ -71,7 +79,7 @@ impl RunReport<'_> {
                     run.rows_dropped
                 ),
             ),
-            None => page.lead(Tone::Good, "Recorded", format!("{rows}, no trip.")),
+            None => page.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
         }
         page.section("Signals");
         page.figure(
@@ -198,7 +206,11 @@ mod tests {
             nameplate: None,
             parameters: &[],
             timing: &vec![("rate".into(), "100 Hz".into())],
-            trip: Some("current 31.0 A is above the limit of 30 A"),
+            early_end: Some(EarlyEnd {
+                tone: Tone::Bad,
+                title: "Safety trip",
+                reason: "current 31.0 A is above the limit of 30 A".to_owned(),
+            }),
             speed_loop: None,
         };
         let text = report.text();

@@ -259,7 +259,7 @@ fn the_page_of_a_run_is_whole() {
         nameplate: Some(&Model::baseline(Motor::zk_22fc())),
         parameters: &[resistance],
         timing: &vec![("period asked".into(), "4 ms".into())],
-        trip: None,
+        early_end: None,
         speed_loop: None,
     };
     let html = report.html();

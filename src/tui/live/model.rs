@@ -216,10 +216,12 @@ impl Model {
     }
 
     fn stop(&mut self) -> Vec<Effect> {
-        self.say(if self.is_finished() {
-            "already over: nothing is energised, q = quit"
-        } else {
-            "STOP sent"
+        self.say(match (self.is_finished(), &self.snapshot.stop_error) {
+            (true, None) => "already over: nothing is energised, q = quit",
+            (true, Some(_)) => {
+                "already over, its stop NOT confirmed: see that the shaft stands still"
+            }
+            (false, _) => "STOP sent",
         });
         vec![Effect::Send(Intent::Stop), Effect::RequestStop]
     }

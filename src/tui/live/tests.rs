@@ -290,6 +290,24 @@ fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
 }
 
 #[test]
+fn a_stop_that_was_not_confirmed_is_never_an_output_that_is_off() {
+    for (phase, outcome) in [
+        (Phase::Stopped, "stopped"),
+        (Phase::Stopped, "interrupted"),
+        (Phase::Tripped, "tripped"),
+        (Phase::LinkLost, "link_lost"),
+        (Phase::Stopped, "not_started"),
+    ] {
+        let mut unsure = done();
+        (unsure.phase, unsure.outcome) = (Some(phase), Some(outcome));
+        unsure.stop_error = Some("no reply within 200 ms".to_owned());
+        let shown = text(&finished(model(unsure)), 80, 24);
+        assert!(shown.contains("Stop NOT confirmed"), "{outcome}: {shown}");
+        assert!(!shown.contains("Output off"), "{outcome}: {shown}");
+    }
+}
+
+#[test]
 fn the_report_is_shown_when_it_comes() {
     let mut model = finished(model(done()));
     report(&mut model, false);

@@ -332,10 +332,10 @@ impl Banner {
     fn of(model: &Model) -> Option<Self> {
         let snapshot = &model.snapshot;
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
-        let end = if is_over {
-            " Output off, q = quit."
-        } else {
-            ""
+        let end = match (is_over, &snapshot.stop_error) {
+            (false, _) => "",
+            (true, None) => " Output off, q = quit.",
+            (true, Some(_)) => " Stop NOT confirmed: see that the shaft stands still. q = quit.",
         };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
@@ -367,8 +367,11 @@ impl Banner {
                 "done" => ("DONE", "The run went to its end.", theme::GOOD),
                 "stopped" => ("STOPPED", "The run was stopped.", theme::CAREFUL),
                 "interrupted" => ("INTERRUPTED", "The run was interrupted.", theme::CAREFUL),
+                "not_started" => ("NOT STARTED", "The run was not started.", theme::CAREFUL),
                 other => (other, "The run has ended.", theme::CAREFUL),
             };
+            let is_sure = snapshot.stop_error.is_none();
+            let style = if is_sure { style } else { theme::ALARM };
             (title, format!("{text}{end}"), style)
         };
         let title = format!(" {title} ");
