@@ -359,6 +359,11 @@ impl Guard {
         self.shaper.ramp_s(self.limits.voltage_v) + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
     }
 
+    /// Whether the last command left the output off: the motor stands or coasts.
+    pub const fn is_output_off(&self) -> bool {
+        self.shaper.is_off()
+    }
+
     /// From here on the output goes down, with the bench's slew limit, and never up again.
     pub fn begin_stop(&mut self, now_s: f64) {
         self.set_slew(None);

@@ -47,6 +47,8 @@ struct DriveWord {
     heard_s: f64,
     /// It was seen to run, or does not tell whether it does.
     has_run: bool,
+    /// It was told to stop since the session began to: a state that answers anything before says nothing of the stop.
+    was_told: bool,
     /// The session ended without its word that the output is off.
     unconfirmed: bool,
 }
@@ -58,6 +60,7 @@ impl Default for DriveWord {
             stop_time_s: CommandTimes::default().stop_s,
             heard_s: 0.0,
             has_run: false,
+            was_told: false,
             unconfirmed: false,
         }
     }
@@ -441,6 +444,7 @@ impl Session {
             seq: self.seq,
             demand,
         };
+        self.word.was_told |= demand == Demand::Stop;
         self.guard.sent(&command);
         self.actions.push(Action::Send(command));
         command
@@ -488,7 +492,7 @@ impl Session {
                 self.notice(Level::Warning, "the drive is in fault");
                 self.enter(Phase::Connecting);
             }
-            (Phase::Stopping, _) => self.finish(true),
+            (Phase::Stopping, _) if self.word.was_told => self.finish(true),
             _ => {}
         }
     }
@@ -704,6 +708,11 @@ impl Session {
 
     fn end(&mut self, outcome: Outcome) {
         self.ending = Some(outcome);
+        // A motor that coasts has no output to ramp down: zero volts switched on would short its winding at full back-EMF.
+        if self.guard.is_output_off() && !self.is_at_rest() {
+            self.stop_now();
+            return;
+        }
         self.ramp_since_s = self.now_s;
         self.guard.begin_stop(self.now_s);
         self.enter(Phase::RampDown);
@@ -732,6 +741,7 @@ impl Session {
 
     fn stop_now(&mut self) {
         self.stopping_since_s = self.now_s;
+        self.word.was_told = false;
         if self.ramp_since_s <= self.started_s.unwrap_or(self.now_s) {
             self.ramp_since_s = self.now_s;
         }

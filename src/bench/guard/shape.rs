@@ -133,6 +133,10 @@ impl Shaper {
             .map_or(0.0, |braking| braking.coast_s(speed_rad_s))
     }
 
+    pub(super) const fn is_off(&self) -> bool {
+        self.was_off
+    }
+
     pub(super) fn rest(&mut self, now_s: f64) {
         self.output_v = 0.0;
         self.asked_rad_s = 0.0;

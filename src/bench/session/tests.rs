@@ -146,6 +146,51 @@ fn the_first_stop_ramps_down_and_the_second_is_immediate() {
 }
 
 #[test]
+fn a_stop_while_the_motor_coasts_switches_nothing_on() {
+    let coasts = Wave {
+        duration_s: 5.0,
+        demand: |time_s: f64| {
+            if time_s < 1.0 {
+                Demand::Voltage(20.0)
+            } else {
+                Demand::Disable
+            }
+        },
+    };
+    let motor = Nameplate::zk_22fc();
+    let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
+    let session = Session::new(Box::new(coasts), guard);
+    let mut bench = bench(session, ScriptedDrive::new(0.01)).started(105);
+    let before = bench.link.demands.len();
+    assert_eq!(bench.link.demands.last(), Some(&Demand::Disable));
+    let turns = |bench: &Bench| bench.recorded(Channel::Speed).last().unwrap().1;
+    assert!(turns(&bench) > 10.0, "{}", turns(&bench));
+    bench.ask(Intent::Stop);
+    bench.cycles(5);
+    assert_eq!(bench.energised_from(before), 0);
+    assert_eq!(bench.outcome(), Some(&Outcome::Stopped));
+}
+
+#[test]
+fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
+    // Armed, and not seen to run yet.
+    let drive = ScriptedDrive::new(0.01).with(0, EVER, Fault::NeverRuns);
+    let mut bench = bench(session(), drive).started(2);
+    bench.ask(Intent::Stop);
+    bench.cycles(300);
+    assert_eq!(bench.outcome(), Some(&Outcome::Stopped));
+    let is_stop =
+        |action: &Action| matches!(action, Action::Send(command) if command.demand == Demand::Stop);
+    let is_end = |action: &Action| matches!(action, Action::Finished(_));
+    let told = bench.log.iter().position(is_stop);
+    let ended = bench.log.iter().position(is_end);
+    assert!(
+        told.is_some_and(|told| told < ended.unwrap()),
+        "{told:?} {ended:?}"
+    );
+}
+
+#[test]
 fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
     let bench = run_for(400, 60, EVER, Fault::IgnoresStop);
     assert!(stops(&bench) >= 99, "{}", stops(&bench));
