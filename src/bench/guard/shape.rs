@@ -227,6 +227,7 @@ impl Shaper {
                     braking.current(self.speed_rad_s, wanted_a)
                 });
                 causes.supply = (amps - wanted_a).abs() > 1e-9 * limits.current_a;
+                self.was_off = false;
                 (Demand::Current(amps), causes)
             }
             Demand::Speed(speed) => {

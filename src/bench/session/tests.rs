@@ -172,6 +172,41 @@ fn a_stop_while_the_motor_coasts_switches_nothing_on() {
 }
 
 #[test]
+fn a_stop_of_any_output_that_is_on_asks_for_zero_before_it_is_switched_off() {
+    let demands: [fn(f64) -> Demand; 3] = [
+        |_| Demand::Voltage(20.0),
+        |_| Demand::Current(3.0),
+        |_| Demand::Speed(50.0),
+    ];
+    for demand in demands {
+        let motor = Nameplate::zk_22fc();
+        let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
+        let program = Wave {
+            duration_s: 5.0,
+            demand,
+        };
+        let session = Session::new(Box::new(program), guard);
+        let spins: fn(usize, Sample) -> Option<Sample> = |sent, sample| {
+            // It turns from shortly before the stop on.
+            Some(if sent < 61 {
+                sample
+            } else {
+                sample.with(Channel::Speed, 20.0)
+            })
+        };
+        let link = (ScriptedDrive::new(0.01), VirtualClock::new());
+        let mut bench = Lab::new(session, link, spins).started(60);
+        let asked = bench.link.demands.last().copied().unwrap();
+        assert_eq!(bench.session.phase(), Phase::Running, "{asked:?}");
+        bench.ask(Intent::Stop);
+        bench.cycles(1);
+        assert_eq!(bench.session.phase(), Phase::RampDown, "{asked:?}");
+        let next = bench.link.demands.last().unwrap();
+        assert!(next.energises(), "{asked:?}: {next:?}");
+    }
+}
+
+#[test]
 fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
     // Armed, and not seen to run yet.
     let drive = ScriptedDrive::new(0.01).with(0, EVER, Fault::NeverRuns);
