@@ -71,6 +71,7 @@ pub struct RecorderStatus {
     pub bytes_waiting: usize,
     /// Rows that neither the file nor the memory could keep.
     pub rows_lost: usize,
+    pub events_lost: usize,
     /// The first trouble with the disk; it is over when no bytes wait.
     pub error: Option<String>,
     /// Sentences for the person at the bench, the newest last: what goes wrong with the record, and what was done about it.
@@ -218,8 +219,12 @@ impl<S: Durable> Journal<S> {
 
     pub(super) fn event(&mut self, event: &Event) {
         self.status.events += 1;
+        let lost = self.events.lost;
         let result = self.events.push(&event.line());
         self.note(result);
+        if lost == 0 && self.events.lost > 0 {
+            self.tell_loss("events", self.events.room);
+        }
         let synced = self.events.sink.sync();
         self.note_sync(synced);
     }
@@ -252,6 +257,7 @@ impl<S: Durable> Journal<S> {
         RecorderStatus {
             bytes_waiting: self.samples.bytes_waiting() + self.events.bytes_waiting(),
             rows_lost: self.samples.lost,
+            events_lost: self.events.lost,
             ..self.status.clone()
         }
     }
@@ -278,16 +284,20 @@ impl<S: Durable> Journal<S> {
         }
     }
 
+    fn tell_loss(&mut self, of: &str, room: usize) {
+        let most = room >> 20;
+        self.tell(format!(
+            "{most} MiB of {of} wait in memory and there is no room for more: {of} are lost from here on"
+        ));
+    }
+
     pub(super) fn rows(&mut self, rows: &[Row]) {
         for row in rows {
             let lost = self.samples.lost;
             let result = self.samples.push(&self.layout.line(row));
             self.note(result);
             if lost == 0 && self.samples.lost > 0 {
-                let most = self.samples.room >> 20;
-                self.tell(format!(
-                    "{most} MiB of rows wait in memory and there is no room for more: rows are lost from here on"
-                ));
+                self.tell_loss("rows", self.samples.room);
             }
             self.status.rows += 1;
             self.unsynced_rows += 1;
@@ -331,7 +341,11 @@ impl<S: Durable> Journal<S> {
             }
             Ok(()) if self.trouble.is_some() && self.status().bytes_waiting == 0 => {
                 self.trouble = None;
-                self.tell("the record can be written again, and is whole so far".to_owned());
+                let lost = match (self.samples.lost, self.events.lost) {
+                    (0, 0) => ", and is whole so far".to_owned(),
+                    (rows, events) => format!("; {rows} rows and {events} events are lost"),
+                };
+                self.tell(format!("the record can be written again{lost}"));
             }
             Ok(()) => {}
         }
@@ -500,6 +514,19 @@ mod tests {
         assert!((80..100).contains(&status.rows_lost), "{status:?}");
         assert_eq!(status.news.len(), 2, "{status:?}");
         assert!(status.news[1].contains("rows are lost"), "{status:?}");
+        journal.event(&Event::new(0.0, None, "mark"));
+        journal.event(&Event::new(0.0, None, "mark"));
+        let status = journal.status();
+        assert_eq!(status.events_lost, 2);
+        assert!(status.news[2].contains("events are lost"), "{status:?}");
+        // The disk is emptied: what is lost is not whole again.
+        journal.samples.sink.room = 10_000;
+        row(&mut journal, 0.5);
+        let status = journal.status();
+        assert!(
+            status.news[3].contains("rows and 2 events are lost"),
+            "{status:?}"
+        );
         // Another disk: a header, the rows that are left, and the new ones.
         journal.go_on_in(disk(10_000), disk(10_000));
         row(&mut journal, 100.0);

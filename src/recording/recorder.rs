@@ -369,8 +369,9 @@ impl Writer {
         if status.bytes_waiting > 0 {
             return Err(failed(status.error.unwrap_or_else(|| "unknown".into())));
         }
-        if status.rows_lost > 0 {
-            return Err(failed(format!("{} rows are lost", status.rows_lost)));
+        if status.rows_lost + status.events_lost > 0 {
+            let (rows, events) = (status.rows_lost, status.events_lost);
+            return Err(failed(format!("{rows} rows and {events} events are lost")));
         }
         if let Some(reason) = self.journal.doubt() {
             return Err(failed(reason.to_owned()));
