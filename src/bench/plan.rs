@@ -174,7 +174,9 @@ pub fn plan(
         parameters: parameters(&trace, motor, rate_hz),
         segments,
     };
-    plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a);
+    let last_v = trace.points.last().map_or(0.0, |point| point.voltage_v);
+    let ramp_s = last_v.abs() / limits.slew_v_per_s;
+    plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a, ramp_s);
     plan.refusals
         .extend(impossible(&trace, &plan.segments, motor, limits));
     plan.warnings = warnings(&trace, &plan, limits, rate_hz);
@@ -187,19 +189,27 @@ pub fn plan(
     Ok(plan)
 }
 
-fn beyond_limits(plan: &Plan, limits: &Limits, drive_current_limit_a: Option<f64>) -> Vec<Refusal> {
+/// `ramp_s`: in which the output goes down after the last segment.
+fn beyond_limits(
+    plan: &Plan,
+    limits: &Limits,
+    drive_current_limit_a: Option<f64>,
+    ramp_s: f64,
+) -> Vec<Refusal> {
     // Where the drive would clip the voltage to hold its own limit, the run would not be the one that was planned.
     let current_a =
         drive_current_limit_a.map_or(limits.current_a, |amps| amps.min(limits.current_a));
     let (volts, amps) = (Some(limits.voltage_v), Some(current_a));
     let (speed, time) = (Some(limits.speed_rad_s), Some(limits.time_s));
-    let of = |segment: &SegmentPlan| {
+    let last = plan.segments.len().saturating_sub(1);
+    let of = |(index, segment): (usize, &SegmentPlan)| {
+        let on_s = segment.end_s + if index == last { ramp_s } else { 0.0 };
         let rows = [
             ("peak voltage", segment.peak_voltage_v, volts, "V"),
             ("peak current", segment.peak_current_a, amps, "A"),
             ("peak speed", segment.peak_speed_rad_s, speed, "rad/s"),
             ("travel", segment.travel_rad, limits.travel_rad, "rad"),
-            ("time with the output on", segment.end_s, time, "s"),
+            ("time with the output on", on_s, time, "s"),
         ];
         let beyond = |(quantity, predicted, limit, unit): (_, f64, Option<f64>, _)| {
             let limit = limit.filter(|limit| predicted > *limit)?;
@@ -207,7 +217,7 @@ fn beyond_limits(plan: &Plan, limits: &Limits, drive_current_limit_a: Option<f64
         };
         rows.into_iter().filter_map(beyond).collect::<Vec<_>>()
     };
-    plan.segments.iter().flat_map(of).collect()
+    plan.segments.iter().enumerate().flat_map(of).collect()
 }
 
 fn grow(peak: &mut f64, value: f64) {
@@ -534,15 +544,21 @@ mod tests {
     }
 
     fn step(volts: f64, slew_v_per_s: f64) -> Plan {
+        step_within(
+            volts,
+            &Limits {
+                slew_v_per_s,
+                ..limits()
+            },
+        )
+    }
+
+    fn step_within(volts: f64, limits: &Limits) -> Plan {
         let program = Wave {
             duration_s: 1.0,
             demand: move |time_s: f64| Demand::Voltage(if time_s < 0.1 { 0.0 } else { volts }),
         };
-        let limits = Limits {
-            slew_v_per_s,
-            ..limits()
-        };
-        plan(&program, &Nameplate::zk_22fc(), &limits, 100.0, None).unwrap()
+        plan(&program, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
     }
 
     #[test]
@@ -564,6 +580,19 @@ mod tests {
         assert!(!plan.is_refused(), "{:?}", plan.refusals);
         // s R J/Ke^2 / R + Mc/Ke = 10.8 + 1.3 A
         near(plan.peak_current_a, 12.1, 0.6);
+        // The way down is time with the output on: 1 s and a third.
+        for (time_s, refused) in [(1.3, true), (1.4, false)] {
+            let limits = Limits {
+                slew_v_per_s: 300.0,
+                time_s,
+                ..limits()
+            };
+            assert_eq!(
+                step_within(100.0, &limits).is_refused(),
+                refused,
+                "{time_s}"
+            );
+        }
     }
 
     #[test]

@@ -222,7 +222,8 @@ struct ModelTrace {
     motor: Motor,
     state: State,
     last_s: Option<f64>,
-    voltage_v: f64,
+    /// `None`: the output was off, or nobody knows.
+    voltage_v: Option<f64>,
     is_identified: bool,
     scenario: Scenario,
     out: Trajectory,
@@ -237,7 +238,7 @@ impl ModelTrace {
             motor,
             state: State::default(),
             last_s: None,
-            voltage_v: 0.0,
+            voltage_v: None,
             is_identified: false,
             scenario: under_voltage("live", vec![0.0]),
             out: Trajectory::default(),
@@ -271,17 +272,19 @@ impl ModelTrace {
     fn follow(&mut self, sample: &Sample, demand: Demand) -> f64 {
         let now_s = sample.time_s;
         let now_v = match demand {
-            // Off: the terminals are where the drive leaves them, which only a measurement tells.
-            Demand::Voltage(volts) => volts,
-            _ => sample.get(Channel::Voltage).unwrap_or(0.0),
+            Demand::Voltage(volts) => Some(volts),
+            _ if demand.energises() => sample.get(Channel::Voltage),
+            // Off: no current flows, and a drive that reports 0 V has not shorted the winding.
+            _ => None,
         };
         let before_v = std::mem::replace(&mut self.voltage_v, now_v);
         let last_s = self.last_s.replace(now_s);
-        let fresh = last_s.is_none_or(|last_s| !(0.0..LONGEST_GAP_S).contains(&(now_s - last_s)));
-        let Some(plant) = self.plant.as_mut() else {
+        let is_next = |last_s: &f64| (0.0..LONGEST_GAP_S).contains(&(now_s - last_s));
+        let (Some(plant), Some(now_v)) = (self.plant.as_mut(), now_v) else {
             return f64::NAN;
         };
-        let Some(begin_s) = last_s.filter(|_| !fresh) else {
+        let before = last_s.filter(is_next).zip(before_v);
+        let Some((begin_s, before_v)) = before else {
             let read = |channel| sample.get(channel).unwrap_or(0.0);
             self.state = State::at(read(Channel::Current), read(Channel::Speed));
             return self.state.speed_rad_s;
@@ -292,10 +295,29 @@ impl ModelTrace {
         if applied_s > begin_s {
             self.scenario.events.push((begin_s, before_v));
         }
-        self.scenario.events.push((applied_s, self.voltage_v));
+        self.scenario.events.push((applied_s, now_v));
         self.scenario.sample_time_s[0] = now_s;
         plant.simulate_into(&self.scenario, self.state, &mut self.out);
         self.state = State::at(self.out.current_a[0], self.out.speed_rad_s[0]);
         self.state.speed_rad_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::testing::near;
+
+    #[test]
+    fn the_model_is_not_shorted_while_the_output_is_off() {
+        let mut model = ModelTrace::new(Some(&Nameplate::zk_22fc()));
+        let at = |time_s| {
+            let turning = Sample::at(time_s).with(Channel::Speed, 100.0);
+            turning.with(Channel::Voltage, 0.0)
+        };
+        for time_s in [0.0, 0.1] {
+            assert!(model.follow(&at(time_s), Demand::Stop).is_nan());
+        }
+        near(model.follow(&at(0.2), Demand::Voltage(35.0)), 100.0, 1e-9);
     }
 }
