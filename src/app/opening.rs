@@ -321,7 +321,7 @@ impl Rig {
             ReopenBench {
                 clock: self.way.clock.as_mut(),
                 recorder,
-                interrupted: &controls.interrupted,
+                stopped: &|| controls.is_stopped(),
                 intents: controls.intents(),
                 snapshots: &controls.snapshots,
             },

@@ -7,7 +7,6 @@
 //!
 //! The run stays what it was, lost; what is found here are events behind its last row.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
 use serde::Serialize;
@@ -65,8 +64,8 @@ pub struct ReopenBench<'a> {
     pub clock: &'a mut dyn Clock,
     /// The run's, still open.
     pub recorder: &'a mut dyn Record,
-    /// Read only: whoever comes after must see it as well.
-    pub interrupted: &'a AtomicBool,
+    /// Whether somebody wants to end. Only looked at: whoever comes after must see it as well.
+    pub stopped: &'a dyn Fn() -> bool,
     pub intents: &'a Receiver<Intent>,
     pub snapshots: &'a SnapshotCell,
 }
@@ -141,7 +140,7 @@ impl Search<'_> {
         self.bench.recorder.event(lost);
         loop {
             let Some(due_s) = self.reopening.due_s() else {
-                let text = format!("it did not come back: {}", self.reason());
+                let text = format!("given up: {}", self.reason());
                 return (self.end(ReopenEnding::GivenUp, None, &text), None);
             };
             if !self.wait_until(due_s) {
@@ -175,8 +174,13 @@ impl Search<'_> {
                             "stop taken but not confirmed: this drive does not tell whether its output is off, see that the shaft stands still",
                         )
                     };
+                    let fault = if state == Some(DriveState::Fault) {
+                        "; it is in fault"
+                    } else {
+                        ""
+                    };
                     let text = format!(
-                        "the same drive is back, zero reference and stop sent, {how}; nothing is armed"
+                        "the same drive is back, zero reference and stop sent, {how}; nothing is armed{fault}"
                     );
                     let state = state.filter(|_| confirms);
                     return (self.end(ending, state, &text), Some(link));
@@ -224,9 +228,7 @@ impl Search<'_> {
     fn wait_until(&mut self, due_s: f64) -> bool {
         loop {
             let leaves = |intent| matches!(intent, Intent::Stop | Intent::Quit);
-            if self.bench.interrupted.load(Ordering::Acquire)
-                || self.bench.intents.try_iter().any(leaves)
-            {
+            if (self.bench.stopped)() || self.bench.intents.try_iter().any(leaves) {
                 return false;
             }
             let now_s = self.bench.clock.now_s();
@@ -257,7 +259,8 @@ impl Search<'_> {
             event.details.extend(details);
         }
         self.bench.recorder.event(event);
-        let phase = reopened.is_safe().then_some(Phase::Safe);
+        let is_safe = reopened.is_safe() && state != Some(DriveState::Fault);
+        let phase = is_safe.then_some(Phase::Safe);
         self.show(reopened.text.clone(), phase, state);
         reopened
     }

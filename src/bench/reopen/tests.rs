@@ -14,6 +14,8 @@ struct Case {
     faults: Vec<(u64, u64, Fault)>,
     limit_s: Option<f64>,
     intent: Option<Intent>,
+    /// A stop key was pressed.
+    stopped: bool,
 }
 
 impl Default for Case {
@@ -25,6 +27,7 @@ impl Default for Case {
             faults: Vec::new(),
             limit_s: Some(10.0),
             intent: None,
+            stopped: false,
         }
     }
 }
@@ -49,7 +52,6 @@ impl Case {
         let mut clock = VirtualClock::new();
         clock.set_time_s(20.0);
         let mut recorder = MemoryRecorder::new(Layout::plain(&[]));
-        let interrupted = AtomicBool::new(false);
         let (sender, intents) = channel();
         if let Some(intent) = self.intent.clone() {
             sender.send(intent).unwrap();
@@ -80,7 +82,7 @@ impl Case {
             ReopenBench {
                 clock: &mut clock,
                 recorder: &mut recorder,
-                interrupted: &interrupted,
+                stopped: &|| self.stopped,
                 intents: &intents,
                 snapshots: &snapshots,
             },
@@ -170,12 +172,21 @@ fn a_drive_that_never_comes_is_given_up_after_the_time_and_one_that_is_mute_as_w
 }
 
 #[test]
+fn a_drive_that_is_back_in_fault_is_not_shown_as_safe() {
+    let done = done(|case| case.faults = vec![(0, u64::MAX, Fault::TripWith(7))]);
+    assert_eq!(done.reopened.ending, ReopenEnding::Stopped);
+    has(&done.reopened.text, "it is in fault");
+    assert_ne!(done.shown.phase, Some(Phase::Safe));
+}
+
+#[test]
 fn whoever_wants_to_leave_does_not_wait() {
-    for intent in [Intent::Stop, Intent::Quit] {
+    for intent in [Some(Intent::Stop), Some(Intent::Quit), None] {
         let done = Case {
             there_at: u32::MAX,
             limit_s: None,
-            intent: Some(intent),
+            stopped: intent.is_none(),
+            intent,
             ..Case::default()
         }
         .go();
