@@ -129,7 +129,7 @@ failures! {
     SealError: |_| USAGE;
     TargetError: |_| USAGE;
     TuningError: |_| USAGE;
-    CheckError: |_| LINK;
+    CheckError: |error| if matches!(error, CheckError::Stopped) { INTERRUPTED } else { LINK };
     LinkError: |_| LINK;
     FitError: |error| usage_if(matches!(error, FitError::Model(_)), NOT_IDENTIFIABLE);
     IdentifyError: |error| usage_if(error.is_usage(), NOT_IDENTIFIABLE);

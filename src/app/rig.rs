@@ -19,10 +19,10 @@ use super::opening::{
 };
 use super::output;
 use crate::bench::{
-    Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, FirstMove, Guard,
-    LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK, RowEstimator,
-    RunOptions, Session, SpeedPilot, Target, Waivers, check, layout, layout_with_reference,
-    manifest, measure_delay, plan, run, stage_session,
+    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
+    Guard, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
+    RowEstimator, RunOptions, Session, SpeedPilot, Target, Waivers, check, layout,
+    layout_with_reference, manifest, measure_delay, plan, run, stage_session,
 };
 use crate::drive::offer::{self, Purpose};
 use crate::drive::{CutIn, DriveLink, DriveProfile, open_tapped};
@@ -209,7 +209,6 @@ impl Rig {
         let first_move = plate.as_ref().map(|plate| FirstMove {
             plate,
             profile: &self.profile,
-            stopped: &stopped,
         });
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
@@ -218,12 +217,15 @@ impl Rig {
             hardware_said: self.asked.hardware,
             waivers: self.asked.waivers,
             first_move,
+            stopped: &stopped,
             reset_fault: std::mem::take(&mut self.asked.reset_fault),
         };
         let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
+        if matches!(report, Ok(_) | Err(CheckError::Stopped)) {
+            self.rests();
+        }
         let report = report?;
-        self.rests();
         if controls.is_stopped() {
             return Err(Failure::interrupted(
                 "interrupted in the checks; nothing is energised",

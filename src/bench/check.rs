@@ -12,7 +12,7 @@ mod judge;
 mod rest;
 
 pub use first_move::FirstMove;
-pub(super) use rest::LONGEST_WATCHDOG_S;
+pub(super) use rest::{LONGEST_WATCHDOG_S, WATCHDOG};
 
 use serde::Serialize;
 use thiserror::Error;
@@ -34,16 +34,26 @@ const ASKS_CYCLES: f64 = 3.0;
 pub enum CheckError {
     #[error(transparent)]
     Link(#[from] LinkError),
+    /// A person wants to end; nothing is energised any more.
+    #[error("interrupted in the checks; nothing is energised")]
+    Stopped,
+    /// The output was on and the stop is not confirmed; `before`: what had ended the checks, if anything had.
+    #[error("{}stop NOT confirmed by the drive: {stop}", before.as_ref().map_or_else(String::new, |text| format!("{text}; ")))]
+    Unstopped {
+        stop: LinkError,
+        before: Option<String>,
+    },
 }
 
 impl CheckError {
     pub const fn help(&self) -> &'static str {
         match self {
             // It may have run at zero, or turned the shaft a little.
-            Self::Link(LinkError::Gone { .. }) => {
-                "check the cable, the adapter and the drive's power; if the drive was running, its watchdog must have stopped the motor"
+            Self::Link(LinkError::Gone { .. }) | Self::Unstopped { .. } => {
+                "see that the shaft stands still, then check the cable, the adapter and the drive's power"
             }
             Self::Link(error) => error.help(),
+            Self::Stopped => "start again when the shaft may turn",
         }
     }
 }
@@ -67,6 +77,8 @@ pub struct CheckOptions<'a> {
     pub waivers: Waivers,
     /// `None`: the motor is not known, and what finds it begins with steps that are as small.
     pub first_move: Option<FirstMove<'a>>,
+    /// Whether somebody has asked to stop: from then on nothing is energised.
+    pub stopped: &'a (dyn Fn() -> bool + Send + Sync),
     /// Clear a fault that the drive has latched, once it is known that this may be done and nobody runs it.
     pub reset_fault: bool,
 }
@@ -158,6 +170,9 @@ pub fn check(
         zero: kind.demand(hold.0),
         hold,
         touched: false,
+        energised: false,
+        stopped: options.stopped,
+        silence_s: limits.link_silence_s,
         link,
         clock,
         period_s: 1.0 / options.rate_hz,
@@ -172,10 +187,19 @@ pub fn check(
         result?;
         return Ok(checker.report.clone());
     }
-    let stopped = checker.link.stop();
-    result?;
-    stopped?;
-    Ok(checker.report.clone())
+    match (result, checker.link.stop()) {
+        (Ok(()), Ok(())) => Ok(checker.report.clone()),
+        (Err(error), Ok(())) => Err(error),
+        (Err(error), Err(_)) if !checker.energised => Err(error),
+        (Ok(()), Err(stop)) if !checker.energised => Err(stop.into()),
+        (result, Err(stop)) => {
+            let refusal = checker.report.refusal();
+            let refusal = refusal.map(|item| format!("{}: {}", item.name, item.text));
+            let before = result.err().map(|error| error.to_string()).or(refusal);
+            let before = before.filter(|before| *before != stop.to_string());
+            Err(CheckError::Unstopped { stop, before })
+        }
+    }
 }
 
 struct Checker<'a> {
@@ -188,6 +212,11 @@ struct Checker<'a> {
     hold: (f64, f64),
     /// Something was asked of the drive.
     touched: bool,
+    /// Its output was asked to be on.
+    energised: bool,
+    stopped: &'a (dyn Fn() -> bool + Send + Sync),
+    /// No exchange takes longer, repeats and all, s.
+    silence_s: f64,
     report: CheckReport,
 }
 
@@ -224,7 +253,7 @@ enum Reached {
 }
 
 impl Checker<'_> {
-    fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), LinkError> {
+    fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), CheckError> {
         let go_on = self.identity(options.hardware_allowed, options.hardware_said)
             && self.limits(limits)
             && self.rate(options.rate_hz)
@@ -285,7 +314,7 @@ impl Checker<'_> {
     }
 
     /// What somebody left in the drive, reference and command, is taken back first: with the fault gone it may count again.
-    fn reset(&mut self, wanted: bool) -> Result<bool, LinkError> {
+    fn reset(&mut self, wanted: bool) -> Result<bool, CheckError> {
         if !wanted {
             return Ok(true);
         }
@@ -366,7 +395,7 @@ impl Checker<'_> {
         &mut self,
         demand: Demand,
         mut wanted: impl FnMut(DriveState) -> bool,
-    ) -> Result<bool, LinkError> {
+    ) -> Result<bool, CheckError> {
         self.until_sample(demand, |sample| sample.state.is_some_and(&mut wanted))
     }
 
@@ -374,7 +403,7 @@ impl Checker<'_> {
         &mut self,
         demand: Demand,
         mut wanted: impl FnMut(&Sample) -> bool,
-    ) -> Result<bool, LinkError> {
+    ) -> Result<bool, CheckError> {
         let mut next_s = self.clock.now_s();
         let until_s = next_s + self.patience_s(demand);
         while self.clock.now_s() < until_s {
@@ -393,7 +422,7 @@ impl Checker<'_> {
         demand: Demand,
         still: &mut Still,
         wanted: impl Fn(DriveState) -> bool,
-    ) -> Result<Reached, LinkError> {
+    ) -> Result<Reached, CheckError> {
         let mut moved = None;
         let reached = self.until_sample(demand, |sample| {
             moved = still.moved(sample);
@@ -413,13 +442,13 @@ impl Checker<'_> {
     }
 
     /// The reply to `demand`, which moves nothing and may therefore be sent again where a reply is lost.
-    fn answer(&mut self, demand: Demand) -> Result<Sample, LinkError> {
+    fn answer(&mut self, demand: Demand) -> Result<Sample, CheckError> {
         let until_s = self.clock.now_s() + ASKS_S.max(ASKS_CYCLES * self.period_s);
         loop {
             let reply = self.exchange(demand);
             let now_s = self.clock.now_s();
             match reply {
-                Err(error) if error.is_transient() && now_s < until_s => {
+                Err(CheckError::Link(error)) if error.is_transient() && now_s < until_s => {
                     self.clock.sleep_until_s(now_s + self.period_s);
                 }
                 reply => return reply,
@@ -428,21 +457,28 @@ impl Checker<'_> {
     }
 
     /// As [`Self::exchange`]; `None`: the reply was lost, and the next cycle may try again.
-    fn sample(&mut self, demand: Demand) -> Result<Option<Sample>, LinkError> {
+    fn sample(&mut self, demand: Demand) -> Result<Option<Sample>, CheckError> {
         match self.exchange(demand) {
             Ok(sample) => Ok(Some(sample)),
-            Err(error) if error.is_transient() => Ok(None),
+            Err(CheckError::Link(error)) if error.is_transient() => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    fn exchange(&mut self, demand: Demand) -> Result<Sample, LinkError> {
+    fn exchange(&mut self, demand: Demand) -> Result<Sample, CheckError> {
+        if demand.energises() {
+            if (self.stopped)() {
+                return Err(CheckError::Stopped);
+            }
+            self.energised = true;
+        }
         self.touched = true;
         self.report.last_seq += 1;
-        self.link.exchange(Command {
+        self.link.bound(self.silence_s);
+        Ok(self.link.exchange(Command {
             seq: self.report.last_seq,
             demand,
-        })
+        })?)
     }
 }
 

@@ -33,8 +33,9 @@ const LEFT_RUNNING_S: f64 = 0.05;
 const VOLTAGE_MARGIN: f64 = 1.1;
 /// A shaft that has not come to rest after so long is not waited for, s.
 const LONGEST_COAST_S: f64 = 60.0;
-/// Share of the speed and current limits below which a motor counts as at rest for re-arming.
-const REST_SHARE: f64 = 0.02;
+/// Shares of the speed and of the current limit below which a motor counts as at rest.
+const REST_SPEED_SHARE: f64 = 0.01;
+const REST_CURRENT_SHARE: f64 = 0.02;
 
 /// What was found; the name in events and reports is the snake-case form.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -233,15 +234,23 @@ pub enum RearmError {
     },
     #[error("the drive is in state {state:?}, it must be disabled or ready")]
     State { state: &'static str },
+    #[error("not known to be at rest: the last sample has no {name}")]
+    Unread { name: &'static str },
     #[error("no valid sample yet")]
     NoSample,
 }
 
 impl RearmError {
+    /// Whether it may be over with the next sample.
+    pub const fn may_change(&self) -> bool {
+        matches!(self, Self::Moving { .. } | Self::Unread { .. })
+    }
+
     pub const fn help(&self) -> &'static str {
         match self {
             Self::Moving { .. } => "wait until the shaft stands still",
             Self::State { .. } => "reset the drive's fault first",
+            Self::Unread { .. } => "try again; if it stays away, check the sensor and its cable",
             Self::NoSample => "check the link",
         }
     }
@@ -498,11 +507,18 @@ impl Guard {
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
         self.shaper.hear(now_s);
+        let last_s = self.last_sample_time_s;
+        let is_newer = last_s.is_none_or(|last_s| sample.time_s > last_s);
         for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
             *seen |= sample.get(channel).is_some();
         }
-        if let Some(speed) = sample.get(Channel::Speed) {
+        // A reading that is handed out once more tells nothing of where the shaft has come to meanwhile.
+        if let Some(speed) = sample.get(Channel::Speed).filter(|_| is_newer) {
             self.shaper.see_speed(now_s, speed);
+        }
+        // From the first angle on: the sample with which a run began may have lacked it.
+        if armed && self.counts.angle_origin_rad.is_none() {
+            self.counts.angle_origin_rad = sample.get(Channel::Angle);
         }
         let doubt = self.plausibility.look(now_s, sample, armed);
         let found = if armed && self.trip.is_none() {
@@ -515,7 +531,7 @@ impl Guard {
                     Some(self.plausibility.explained(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
-                .or_else(|| self.stuck_clock(now_s, sample))
+                .or_else(|| self.stuck_clock(now_s, sample.time_s, is_newer))
                 .or(doubt)
         } else {
             None
@@ -578,20 +594,30 @@ impl Guard {
             });
         }
         for (channel, limit) in [
-            (Channel::Speed, self.limits.speed_rad_s),
-            (Channel::Current, self.limits.current_a),
+            (Channel::Speed, self.rest_rad_s()),
+            (Channel::Current, REST_CURRENT_SHARE * self.limits.current_a),
         ] {
-            let value = sample.get(channel).unwrap_or(0.0);
-            if value.abs() > REST_SHARE * limit {
-                return Err(RearmError::Moving {
-                    name: channel.name(),
-                    value,
-                    limit: REST_SHARE * limit,
-                    unit: channel.unit(),
-                });
+            let (name, unit) = (channel.name(), channel.unit());
+            match sample.get(channel) {
+                Some(value) if value.abs() <= limit => {}
+                Some(value) => {
+                    return Err(RearmError::Moving {
+                        name,
+                        value,
+                        limit,
+                        unit,
+                    });
+                }
+                None if self.has_seen(channel) => return Err(RearmError::Unread { name }),
+                None => {}
             }
         }
         Ok(())
+    }
+
+    /// Speed below which the shaft counts as at rest, rad/s.
+    pub fn rest_rad_s(&self) -> f64 {
+        REST_SPEED_SHARE * self.limits.speed_rad_s
     }
 
     /// Keeps the time for which the output was on, and since when the drive should run.
@@ -705,12 +731,10 @@ impl Guard {
         }
     }
 
-    fn stuck_clock(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
-        let last_s = self.last_sample_time_s;
-        let advanced = last_s.is_none_or(|last_s| sample.time_s > last_s);
+    fn stuck_clock(&mut self, now_s: f64, drive_s: f64, advanced: bool) -> Option<Trip> {
         let stuck = &mut self.counts.stuck_clock;
         *stuck = if advanced { 0 } else { *stuck + 1 };
-        let what = format!("drive time stays at {} s", sample.time_s);
+        let what = format!("drive time stays at {drive_s} s");
         Self::too_often(TripKind::ClockStuck, now_s, *stuck, &what)
     }
 

@@ -339,7 +339,8 @@ impl Runner<'_> {
             .session
             .last_sample()
             .map(|sample| guard.check_rest(sample));
-        matches!(rest, Some(Err(RearmError::Moving { .. })))
+        let may_change = RearmError::may_change;
+        rest.is_some_and(|rest| rest.is_err_and(|error| may_change(&error)))
     }
 
     /// One input and everything that follows from it.

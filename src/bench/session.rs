@@ -17,6 +17,7 @@ pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 use serde_json::{Value, json};
 
 use super::bench_file::Brake;
+use super::check::WATCHDOG;
 use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot, Program};
 use super::plausibility::PLAUSIBILITY;
@@ -29,9 +30,6 @@ use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 const STOP_SILENCE_S: f64 = 1.0;
 /// After the output has reached zero the shaft is given this long to come to rest under braking, s.
 const COME_TO_REST_S: f64 = 2.0;
-/// Share of the speed limit below which the shaft counts as at rest.
-const REST_SHARE: f64 = 0.01;
-
 /// Longest wait for the first valid reply, s.
 const FIRST_REPLY_S: f64 = 3.0;
 
@@ -47,10 +45,19 @@ struct DriveWord {
     heard_s: f64,
     /// It was seen to run, or does not tell whether it does.
     has_run: bool,
-    /// It was told to stop since the session began to: a state that answers anything before says nothing of the stop.
-    was_told: bool,
-    /// The session ended without its word that the output is off.
-    unconfirmed: bool,
+    /// The user waived its watchdog: nothing is known of what it does when nobody talks to it.
+    is_unwatched: bool,
+    stop: StopRequest,
+}
+
+/// How far the stop with which a session ends has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StopRequest {
+    /// A state that answers anything before it says nothing of the stop.
+    NotSent,
+    Sent,
+    /// The session ended without the drive's word that the output is off.
+    Unconfirmed,
 }
 
 impl Default for DriveWord {
@@ -60,8 +67,8 @@ impl Default for DriveWord {
             stop_time_s: CommandTimes::default().stop_s,
             heard_s: 0.0,
             has_run: false,
-            was_told: false,
-            unconfirmed: false,
+            is_unwatched: false,
+            stop: StopRequest::NotSent,
         }
     }
 }
@@ -232,6 +239,7 @@ impl Session {
         if waived.iter().any(|check| check == PLAUSIBILITY) {
             self.guard.waive_plausibility();
         }
+        self.word.is_unwatched = waived.iter().any(|check| check == WATCHDOG);
         self.waived = waived;
         self
     }
@@ -373,9 +381,7 @@ impl Session {
         }
         let waited_s = self.now_s - *self.begun_s.get_or_insert(self.now_s);
         if self.phase == Phase::Connecting && self.drive.is_none() && waited_s > FIRST_REPLY_S {
-            self.ending = Some(Outcome::LinkLost {
-                reason: format!("no valid reply within {FIRST_REPLY_S} s"),
-            });
+            self.lose(&format!("no valid reply within {FIRST_REPLY_S} s"));
             self.finish(false);
         }
         if self.phase == Phase::Stopping {
@@ -396,7 +402,15 @@ impl Session {
                 self.event("gains", json!({ "reason": reason }));
             }
         }
-        if self.phase == Phase::RampDown && self.is_ramped_down() && self.is_brake_shut() {
+        if self.phase != Phase::RampDown {
+            return;
+        }
+        if !self.is_ramped_down() {
+            // What rested and moves again has to rest anew before its brake counts as shut.
+            if let Some(order) = self.brake.as_mut() {
+                order.resting_since_s = None;
+            }
+        } else if self.is_brake_shut() {
             if !self.is_at_rest() {
                 let text = "the ramp down is over and the shaft is not known to stand still: the output goes off all the same; see that it does";
                 self.notice(Level::Warning, text);
@@ -444,7 +458,9 @@ impl Session {
             seq: self.seq,
             demand,
         };
-        self.word.was_told |= demand == Demand::Stop;
+        if demand == Demand::Stop && self.word.stop == StopRequest::NotSent {
+            self.word.stop = StopRequest::Sent;
+        }
         self.guard.sent(&command);
         self.actions.push(Action::Send(command));
         command
@@ -492,7 +508,7 @@ impl Session {
                 self.notice(Level::Warning, "the drive is in fault");
                 self.enter(Phase::Connecting);
             }
-            (Phase::Stopping, _) if self.word.was_told => self.finish(true),
+            (Phase::Stopping, _) if self.word.stop == StopRequest::Sent => self.finish(true),
             _ => {}
         }
     }
@@ -520,19 +536,11 @@ impl Session {
         self.event(kind, json!({ "message": message }));
         if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
             self.notice(Level::Error, message.clone());
-            self.ending = Some(Outcome::LinkLost {
-                reason: message.clone(),
-            });
+            self.lose(message);
             self.stop_now();
         }
         if matches!(lost, Lost::Gone(_)) && !self.phase.is_final() {
-            let ending = match self.ending.take() {
-                Some(ending @ Outcome::Tripped(_)) => ending,
-                _ => Outcome::LinkLost {
-                    reason: message.clone(),
-                },
-            };
-            self.ending = Some(ending);
+            self.lose(message);
             self.finish(false);
         }
     }
@@ -543,9 +551,8 @@ impl Session {
     }
 
     fn is_at_rest(&self) -> bool {
-        let limit = REST_SHARE * self.guard.limits().speed_rad_s;
         let speed = self.drive.as_ref().and_then(|s| s.get(Channel::Speed));
-        speed.is_some_and(|speed| speed.abs() <= limit)
+        speed.is_some_and(|speed| speed.abs() <= self.guard.rest_rad_s())
     }
 
     fn is_ramped_down(&self) -> bool {
@@ -727,21 +734,26 @@ impl Session {
         self.notice(Level::Error, trip.reason.clone());
         // What made it stop is the reason, not what else is found while it stops.
         let has_reason = matches!(self.ending, Some(Outcome::LinkLost { .. }));
-        if self.phase != Phase::Stopping || !has_reason {
-            self.ending = Some(if trip.kind.is_link() {
-                Outcome::LinkLost {
-                    reason: trip.reason.clone(),
-                }
-            } else {
-                Outcome::Tripped(trip.clone())
-            });
+        if trip.kind.is_link() {
+            self.lose(&trip.reason);
+        } else if self.phase != Phase::Stopping || !has_reason {
+            self.ending = Some(Outcome::Tripped(trip.clone()));
         }
         self.stop_now();
     }
 
+    /// A lost link is how the session ends, unless a trip or a person had ended it before.
+    fn lose(&mut self, reason: &str) {
+        if matches!(self.ending, None | Some(Outcome::Done)) {
+            self.ending = Some(Outcome::LinkLost {
+                reason: reason.to_owned(),
+            });
+        }
+    }
+
     fn stop_now(&mut self) {
         self.stopping_since_s = self.now_s;
-        self.word.was_told = false;
+        self.word.stop = StopRequest::NotSent;
         if self.ramp_since_s <= self.started_s.unwrap_or(self.now_s) {
             self.ramp_since_s = self.now_s;
         }
@@ -769,7 +781,9 @@ impl Session {
             Outcome::Tripped(_) => Phase::Tripped,
             Outcome::LinkLost { .. } => Phase::LinkLost,
         };
-        self.word.unconfirmed = !confirmed;
+        if !confirmed {
+            self.word.stop = StopRequest::Unconfirmed;
+        }
         if confirmed && !self.word.tells_stop {
             self.notice(Level::Warning, TOLD_NOTHING);
         }
@@ -783,7 +797,7 @@ impl Session {
     /// the drive's word.
     pub fn last_word(&self, failed: Option<&LinkError>) -> Option<Notice> {
         // A drive that had stopped by its own word may have been switched on by what was under way.
-        if !self.word.unconfirmed && failed.is_none() {
+        if self.word.stop != StopRequest::Unconfirmed && failed.is_none() {
             return None;
         }
         let not = |why: &str| format!("stop NOT confirmed by the drive{why}");
@@ -801,6 +815,10 @@ impl Session {
             }
             Some(_) if !self.word.has_run => {
                 let why = ", which was not seen to run; see that the shaft stands still";
+                (Level::Error, not(why))
+            }
+            Some(_) if self.word.is_unwatched => {
+                let why = ", whose watchdog was waived: the motor may still turn";
                 (Level::Error, not(why))
             }
             Some(_) => {

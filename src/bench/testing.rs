@@ -117,6 +117,8 @@ pub(super) struct ScriptedDrive {
     pub(super) times: CommandTimes,
     /// What a stop outside a run ends with; `None`: it is confirmed.
     pub(super) stop_fails: Option<fn(String) -> LinkError>,
+    /// Longest that an exchange may take, as it was told last, s.
+    pub(super) bound_s: f64,
     state: DriveState,
     time_s: f64,
     voltage_v: f64,
@@ -225,6 +227,10 @@ impl DriveLink for ScriptedDrive {
             }
         }
         Ok(sample)
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.bound_s = left_s;
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {

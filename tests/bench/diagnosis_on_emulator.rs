@@ -26,6 +26,7 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
         hardware_said: false,
         waivers: Waivers::default(),
         first_move: None,
+        stopped: &|| false,
         reset_fault: false,
     };
     let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();

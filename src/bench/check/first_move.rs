@@ -2,15 +2,15 @@
 
 use super::judge::{self, Known};
 use super::rest::{AT_ZERO_HELP, Still};
-use super::{CheckOptions, Checker, Reached, commanded, floor};
+use super::{CheckError, CheckOptions, Checker, commanded, floor};
 use crate::bench::bench_file::Brake;
 use crate::bench::clock::SUSPENDED_S;
 use crate::bench::guard::{Guard, Trip};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::plausibility::PLAUSIBILITY;
 use crate::control::Actuator;
+use crate::drive::DriveProfile;
 use crate::drive::register_map::{Quantity, RegisterMap};
-use crate::drive::{DriveProfile, LinkError};
 use crate::sample::{Channel, Demand, DriveState, Sample};
 
 /// Speed limit of the pulse, in rated speeds, and its current limit in rated currents.
@@ -31,24 +31,22 @@ const DIRECTION: &str = "direction";
 pub struct FirstMove<'a> {
     pub plate: &'a Nameplate,
     pub profile: &'a DriveProfile,
-    /// Whether the user has asked to stop.
-    pub stopped: &'a (dyn Fn() -> bool + Send + Sync),
 }
 
 /// Why a pulse ended before its end.
 enum Cut {
     Trip(Trip),
-    Stopped,
     /// The drive took a speed for quite another.
     Astray,
     /// Something moved before anything was asked.
     Moved(String),
-    Lost(LinkError),
+    /// The drive does not answer, or a person wants to end.
+    Ended(CheckError),
 }
 
-impl From<LinkError> for Cut {
-    fn from(error: LinkError) -> Self {
-        Self::Lost(error)
+impl From<CheckError> for Cut {
+    fn from(error: CheckError) -> Self {
+        Self::Ended(error)
     }
 }
 
@@ -57,7 +55,7 @@ impl Checker<'_> {
         &mut self,
         limits: &Limits,
         options: CheckOptions<'_>,
-    ) -> Result<bool, LinkError> {
+    ) -> Result<bool, CheckError> {
         let Some(first) = options.first_move else {
             let text = "not tried: the motor is not known, and what finds it begins with steps that are as small";
             return Ok(self.note(DIRECTION, true, text.to_owned(), ""));
@@ -85,7 +83,7 @@ impl Checker<'_> {
         limits: &Limits,
         options: CheckOptions<'_>,
         first: FirstMove<'_>,
-    ) -> Result<bool, LinkError> {
+    ) -> Result<bool, CheckError> {
         let noise = &self.report.noise;
         let speed = floor(noise, Channel::Speed);
         let zero = self.link.zero();
@@ -99,9 +97,9 @@ impl Checker<'_> {
         };
         let still = self.still(limits);
         let one_way = limits.quadrants < 4;
-        let mut mover = Mover::new(self, limits, first, known.size, still);
+        let mut mover = Mover::new(self, limits, first.plate, known.size, still);
         let (legs, cut) = mover.both_ways(one_way);
-        if let Some(Cut::Lost(error)) = cut {
+        if let Some(Cut::Ended(error)) = cut {
             return Err(error);
         }
         let gives_speed = self.report.signals.contains(&Channel::Speed);
@@ -116,10 +114,6 @@ impl Checker<'_> {
         };
         let figures = format!("pulse {way}: {figures}");
         let (text, help) = match (cut, refusal) {
-            (Some(Cut::Stopped), _) => (
-                "stopped by the user".to_owned(),
-                "start again when the shaft may turn",
-            ),
             (Some(Cut::Moved(text)), _) => (
                 format!("the shaft moved at zero reference: {text}"),
                 AT_ZERO_HELP,
@@ -170,7 +164,7 @@ fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
 }
 
 /// The pulse under way.
-struct Mover<'c, 'a, 'f> {
+struct Mover<'c, 'a> {
     checker: &'c mut Checker<'a>,
     guard: Guard,
     size: Size,
@@ -178,21 +172,19 @@ struct Mover<'c, 'a, 'f> {
     brake: Option<Brake>,
     /// Mean of the speed at rest, and the most beside it, rad/s.
     rest: (f64, f64),
-    first: FirstMove<'f>,
     next_s: f64,
     /// For how long the computer had been suspended before.
     slept_s: f64,
 }
 
-impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
+impl<'c, 'a> Mover<'c, 'a> {
     fn new(
         checker: &'c mut Checker<'a>,
         limits: &Limits,
-        first: FirstMove<'f>,
+        plate: &Nameplate,
         size: Size,
         still: Still,
     ) -> Self {
-        let plate = first.plate;
         let own = Limits {
             current_a: limits
                 .current_a
@@ -213,7 +205,6 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             still,
             brake: limits.load.brake(),
             rest: (mean, share.max(REST_NOISE * std)),
-            first,
             next_s: checker.clock.now_s(),
             slept_s: checker.clock.slept_s(),
             checker,
@@ -232,23 +223,10 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
     }
 
     fn all(&mut self, one_way: bool, legs: &mut Vec<Leg>) -> Result<(), Cut> {
-        // With the torque that holds a load from the first cycle on: the drive opens its brake when it runs.
-        let zero = self.checker.zero;
-        let runs = |state| state == DriveState::Running;
-        let times = self.checker.times();
-        match self.checker.until_still(zero, &mut self.still, runs)? {
-            Reached::Yes => {}
-            Reached::Never => {
-                let state = DriveState::Disabled;
-                let trip = Trip::not_running(self.next_s, state, times.enable_s, times.enable_s);
-                return Err(Cut::Trip(trip));
-            }
-            Reached::Moved(text) => return Err(Cut::Moved(text)),
-        }
-        let sample = self.checker.answer(zero)?;
+        let sample = self.checker.answer(Demand::Disable)?;
         self.next_s = self.checker.clock.now_s();
         self.guard.begin(self.next_s, &sample);
-        self.guard.shape(self.next_s, zero);
+        self.enable()?;
         if let Some(brake) = self.brake {
             self.hold_for(brake.release_s + self.rise_of_hold_s())?;
         }
@@ -269,7 +247,30 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         if self.checker.until(Demand::Disable, stands)? {
             return Ok(());
         }
-        Err(Cut::Trip(Trip::unstopped(self.next_s, times.stop_s)))
+        let waited_s = self.checker.times().stop_s;
+        Err(Cut::Trip(Trip::unstopped(self.next_s, waited_s)))
+    }
+
+    /// Output on with the torque that holds a load, under the guard from the first cycle on: the drive opens its brake
+    /// when it runs.
+    fn enable(&mut self) -> Result<(), Cut> {
+        let enable_s = self.checker.times().enable_s;
+        let until_s = self.next_s + enable_s;
+        while self.next_s < until_s {
+            let (sample, trip) = self.step(self.checker.zero)?;
+            if let Some(text) = sample.as_ref().and_then(|sample| self.still.moved(sample)) {
+                return Err(Cut::Moved(text));
+            }
+            if let Some(trip) = trip {
+                return Err(Cut::Trip(trip));
+            }
+            if sample.is_some_and(|sample| sample.state == Some(DriveState::Running)) {
+                return Ok(());
+            }
+        }
+        let state = DriveState::Disabled;
+        let trip = Trip::not_running(self.next_s, state, enable_s, enable_s);
+        Err(Cut::Trip(trip))
     }
 
     fn one_way(&mut self, legs: &mut [Leg]) -> Result<(), Cut> {
@@ -336,9 +337,6 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
 
     /// One cycle under the guard. A lost reply is nothing but that, until the guard says otherwise.
     fn step(&mut self, wanted: Demand) -> Result<(Option<Sample>, Option<Trip>), Cut> {
-        if (self.first.stopped)() {
-            return Err(Cut::Stopped);
-        }
         let clock = &mut self.checker.clock;
         let slept_s = clock.slept_s() - self.slept_s;
         if slept_s > SUSPENDED_S

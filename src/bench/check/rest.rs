@@ -4,11 +4,10 @@
 //! Figures of standing still are shares of the bench's limits, or a multiple of what the sensors show at rest where that
 //! is more.
 
-use super::{Checker, NoiseFloor, RATE_CHECK, Reached, floor};
+use super::{CheckError, Checker, NoiseFloor, RATE_CHECK, Reached, floor};
 use crate::bench::limits::Limits;
 use crate::bench::timing::quantile;
 use crate::control::Actuator;
-use crate::drive::LinkError;
 use crate::sample::{Channel, Demand, DriveState, Sample};
 use crate::text::number::with_std;
 
@@ -31,7 +30,7 @@ const SILENCE_IN_WATCHDOGS: f64 = 1.5;
 const STANDS_S: f64 = 0.1;
 const STANDS_CYCLES: f64 = 3.0;
 
-const WATCHDOG: &str = "watchdog";
+pub(in crate::bench) const WATCHDOG: &str = "watchdog";
 
 pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the set-points' address, scale and word order, and what the profile's enable command writes; an output with an offset does this too";
 
@@ -182,7 +181,7 @@ impl Checker<'_> {
         &mut self,
         first: Sample,
         limits: &Limits,
-    ) -> Result<Option<Sample>, LinkError> {
+    ) -> Result<Option<Sample>, CheckError> {
         let mut last = first;
         let begin_s = self.clock.now_s();
         loop {
@@ -207,7 +206,7 @@ impl Checker<'_> {
     }
 
     /// Set-points that the profile says can be read back, compared with the output off.
-    pub(super) fn set_points(&mut self) -> Result<bool, LinkError> {
+    pub(super) fn set_points(&mut self) -> Result<bool, CheckError> {
         let Some(compared) = self.link.compare_set_points()? else {
             return Ok(true);
         };
@@ -217,7 +216,7 @@ impl Checker<'_> {
         Ok(self.note("set-points", passed, text, help))
     }
 
-    pub(super) fn probe(&mut self, limits: &Limits, rate_hz: f64) -> Result<bool, LinkError> {
+    pub(super) fn probe(&mut self, limits: &Limits, rate_hz: f64) -> Result<bool, CheckError> {
         let mut round_trips_s = Vec::new();
         let mut samples = Vec::new();
         let mut last_error = None;
@@ -252,14 +251,14 @@ impl Checker<'_> {
                     }
                     samples.push(sample);
                 }
-                Err(error) if error.is_transient() => last_error = Some(error),
+                Err(CheckError::Link(error)) if error.is_transient() => last_error = Some(error),
                 Err(error) => return Err(error),
             }
         }
         if samples.is_empty()
             && let Some(error) = last_error
         {
-            return Err(error);
+            return Err(error.into());
         }
         let median_s = quantile(&mut round_trips_s, 0.5);
         let tail_s = quantile(&mut round_trips_s, 0.99);
@@ -353,7 +352,7 @@ impl Checker<'_> {
     }
 
     /// Enables at zero, stops talking on purpose, and wants to hear that the drive gave up by itself.
-    pub(super) fn watchdog(&mut self, limits: &Limits, waived: bool) -> Result<bool, LinkError> {
+    pub(super) fn watchdog(&mut self, limits: &Limits, waived: bool) -> Result<bool, CheckError> {
         const HELP: &str = "set the drive's command watchdog to 1 s or less (watchdog.set_ms of its profile), or waive it explicitly (--waive-watchdog)";
         let Some(watchdog_s) = self.report.identity.watchdog_s else {
             let text = "the drive tells of no watchdog".to_owned();
@@ -381,7 +380,9 @@ impl Checker<'_> {
             let when = format!(", seen after {silence_s:.3} s of silence");
             return Ok(self.moved_at_zero(&when, &text));
         }
-        let tripped = after.state == Some(DriveState::Fault) || after.fault.is_some();
+        // 0 is no code.
+        let has_code = after.fault.is_some_and(|code| code != 0);
+        let tripped = after.state == Some(DriveState::Fault) || has_code;
         let text = format!(
             "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was in {}{}",
             after.state.map_or("no known state", DriveState::name),
@@ -407,7 +408,7 @@ impl Checker<'_> {
     }
 
     /// Enables at zero, and looks for a while whether the shaft stands there.
-    fn runs_at_zero(&mut self, still: &mut Still) -> Result<Reached, LinkError> {
+    fn runs_at_zero(&mut self, still: &mut Still) -> Result<Reached, CheckError> {
         let zero = self.zero;
         let runs = |state| state == DriveState::Running;
         let reached = self.until_still(zero, still, runs)?;

@@ -8,7 +8,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::limits::Nameplate;
-use crate::bench::testing::{Fault, ScriptedDrive, Stalls, exact, has, in_memory, near, within};
+use crate::bench::testing::{
+    Fault, ScriptedDrive, Stalls, exact, gone, has, in_memory, near, within,
+};
 use crate::drive::{CommandTimes, ProfiledLink, RegisterBus};
 use crate::emulator::{
     EmulatorConfig, FaultsConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive,
@@ -33,6 +35,7 @@ fn options() -> CheckOptions<'static> {
         hardware_said: false,
         waivers: NONE,
         first_move: None,
+        stopped: &|| false,
         reset_fault: false,
     }
 }
@@ -68,11 +71,8 @@ fn stopped_by<'a>(
     (plate, profile): &'a (Nameplate, DriveProfile),
 ) -> CheckOptions<'a> {
     CheckOptions {
-        first_move: Some(FirstMove {
-            plate,
-            profile,
-            stopped,
-        }),
+        first_move: Some(FirstMove { plate, profile }),
+        stopped,
         ..options()
     }
 }
@@ -270,8 +270,8 @@ fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_
     let first = plain();
     let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
     let asked = stopped_by(&|| true, &first);
-    let report = check(&mut link, &mut clock, &limits(), asked).unwrap();
-    assert_eq!(report.refusal().unwrap().text, "stopped by the user");
+    let stopped = check(&mut link, &mut clock, &limits(), asked);
+    assert!(matches!(stopped, Err(CheckError::Stopped)), "{stopped:?}");
     turned_less(&link, 1e-12);
     let limits = Limits {
         field_min_a: Some(0.3),
@@ -426,6 +426,27 @@ fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
     assert!(is_timeout, "{silent:?}");
     let report = scripted(faulty(5, 15, Fault::Timeout), options()).unwrap();
     refuses(&report, "link", "10 lost");
+}
+
+#[test]
+fn nothing_is_energised_once_somebody_has_asked_to_stop_and_no_exchange_lasts_longer_than_the_silence()
+ {
+    let mut drive = ScriptedDrive::new(0.01);
+    let asked = asking(|options| options.stopped = &|| true);
+    let stopped = check(&mut drive, &mut VirtualClock::new(), &limits(), asked);
+    assert!(matches!(stopped, Err(CheckError::Stopped)), "{stopped:?}");
+    assert!(drive.stops == 1 && !drive.demands.iter().any(|demand| demand.energises()));
+    near(drive.bound_s, limits().link_silence_s, 1e-12);
+}
+
+#[test]
+fn a_stop_that_fails_is_said_beside_what_had_ended_the_checks() {
+    let mut drive = faulty(0, u64::MAX, Fault::NeverRuns);
+    drive.stop_fails = Some(gone);
+    let error = scripted(drive, options()).unwrap_err();
+    has(&error, "watchdog: the drive does not run at zero");
+    has(&error, "stop NOT confirmed by the drive");
+    has(error.help(), "shaft stands still");
 }
 
 #[test]

@@ -221,8 +221,8 @@ fn work(
         first_move: Some(FirstMove {
             plate: &plate,
             profile,
-            stopped: &stopped,
         }),
+        stopped: &stopped,
         reset_fault: false,
     };
     let report = match check(link, clock, &bench.limits(), options) {

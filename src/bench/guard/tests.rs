@@ -242,6 +242,19 @@ fn a_shaft_that_was_not_seen_may_have_followed_the_voltage_and_is_braked_no_hard
     for volts in &known[3..] {
         near(*volts, seen_v + load_v, 1e-9);
     }
+    // The same reading once more, with the same stamp, tells nothing new of the shaft.
+    let mut repeated = guard().with_period(PERIOD_S);
+    repeated.watch(-PERIOD_S, &sample(-PERIOD_S), false);
+    let repeats = |guard: &mut Guard, now_s| {
+        guard.shape(now_s, Demand::Voltage(60.0));
+        guard.watch(now_s, &sample(0.0), true);
+    };
+    repeated.begin(0.0, &sample(0.0));
+    repeated.set_slew(Some(1e6));
+    for cycle in 0..3 {
+        repeats(&mut repeated, f64::from(cycle) * PERIOD_S);
+    }
+    near(repeated.volts(3.0 * PERIOD_S, -60.0), known[3], 1e-9);
     // Without the period the old speed counts for ever, and twice the limit would flow.
     let trusting = unseen(guard());
     near(trusting[3], seen_v - winding_v, 1e-9);
@@ -255,6 +268,18 @@ fn after_coasting_the_voltage_begins_at_the_back_emf() {
     let shaped = guard.shape(now_s + 0.02, Demand::Voltage(0.0));
     near(shaped.demand.voltage_v().unwrap(), 200.0 * 0.3538, 4.0);
     assert!(shaped.causes.slew);
+}
+
+#[test]
+fn travel_counts_from_the_first_angle_where_the_run_began_without_one() {
+    let mut guard = guard();
+    guard.begin(0.0, &sample(0.0).with(Channel::Angle, f64::NAN));
+    for (time_s, angle_rad) in [(0.01, 7.0), (0.02, 56.9)] {
+        guard.cycle(time_s, 5.0, &sample(time_s).with(Channel::Angle, angle_rad));
+        assert_eq!(guard.tripped(), None, "{angle_rad}");
+    }
+    guard.cycle(0.03, 5.0, &sample(0.03).with(Channel::Angle, 57.1));
+    assert_eq!(guard.tripped().unwrap().kind, TripKind::Travel);
 }
 
 #[test]
@@ -275,6 +300,12 @@ fn a_trip_stays_until_it_is_re_armed_at_rest() {
     rest.set(Channel::Speed, 0.1);
     rest.set(Channel::Current, 0.1);
     assert_eq!(guard.rearm(now_s, None), Err(RearmError::NoSample));
+    // What it gave before and does not give now may be anything.
+    for channel in [Channel::Speed, Channel::Current] {
+        let unread = guard.rearm(now_s, Some(&rest.clone().with(channel, f64::NAN)));
+        let name = channel.name();
+        assert_eq!(unread, Err(RearmError::Unread { name }));
+    }
     assert_eq!(guard.rearm(now_s, Some(&rest)), Ok(()));
     assert!(guard.tripped().is_none());
 }

@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::bench::bench_file::Brake;
 use crate::bench::guard::TripKind;
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, unspoilt, within};
@@ -223,6 +224,71 @@ fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
         told.is_some_and(|told| told < ended.unwrap()),
         "{told:?} {ended:?}"
     );
+}
+
+#[test]
+fn a_link_that_is_lost_after_a_stop_by_hand_ends_as_asked_and_unconfirmed() {
+    for fault in [Fault::Gone, Fault::Timeout] {
+        let mut bench = run_for(60, 66, EVER, fault.clone());
+        bench.ask(Intent::Quit);
+        bench.cycles(400);
+        assert_eq!(bench.outcome(), Some(&Outcome::Interrupted), "{fault:?}");
+        let said = bench.session.last_word(None).unwrap();
+        assert_eq!(said.level, Level::Warning, "{fault:?}: {}", said.text);
+    }
+}
+
+#[test]
+fn a_watchdog_that_was_waived_is_not_said_to_have_stopped_the_motor() {
+    for (waived, words) in [
+        (None, "watchdog must have"),
+        (Some("watchdog"), "may still"),
+    ] {
+        let waived = waived.map(str::to_owned).into_iter().collect();
+        let drive = ScriptedDrive::new(0.01).with(60, EVER, Fault::Gone);
+        let bench = bench(session().with_waivers(waived), drive).started(100);
+        has(
+            bench
+                .session
+                .last_word(Some(&gone("x".to_owned())))
+                .unwrap()
+                .text,
+            words,
+        );
+    }
+}
+
+#[test]
+fn a_shaft_that_moves_again_in_the_ramp_down_rests_anew_before_its_brake_is_shut() {
+    let applies = |bench: &Bench| -> Vec<f64> {
+        let brakes = events(bench, "brake").into_iter();
+        let applies = brakes.filter(|event| event.details["brake"] == "applies");
+        applies.map(|event| event.time_s).collect()
+    };
+    let run = |moves_at| {
+        let brake = Brake {
+            hold_current_a: 0.0,
+            release_s: 0.05,
+            apply_s: 0.2,
+        };
+        let session = session().with_waivers(vec![PLAUSIBILITY.to_owned()]);
+        let moves = Fault::Set(Channel::Speed, 10.0);
+        let drive = ScriptedDrive::new(0.01).with(moves_at, moves_at + 3, moves);
+        bench(session.with_brake(Some(brake)), drive).started(600)
+    };
+    let calm = run(EVER - 3);
+    let [rests_s] = *applies(&calm) else {
+        panic!("{:?}", applies(&calm));
+    };
+    let moved = run((rests_s / 0.01) as u64 + 10);
+    let [_, rests_s] = *applies(&moved) else {
+        panic!("{:?}", applies(&moved));
+    };
+    let phases = events(&moved, "phase");
+    let ends = phases
+        .iter()
+        .find(|event| event.details["to"] == "stopping");
+    within(ends.unwrap().time_s - rests_s, 0.199..0.22);
 }
 
 #[test]
