@@ -5,6 +5,7 @@ use crate::bench::bench_file::Brake;
 use crate::bench::guard::TripKind;
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, unspoilt, within};
+use crate::bench::timing::whole;
 use crate::drive::LinkError;
 use crate::emulator::VirtualClock;
 
@@ -280,7 +281,7 @@ fn a_shaft_that_moves_again_in_the_ramp_down_rests_anew_before_its_brake_is_shut
     let [rests_s] = *applies(&calm) else {
         panic!("{:?}", applies(&calm));
     };
-    let moved = run((rests_s / 0.01) as u64 + 10);
+    let moved = run(whole(rests_s / 0.01) as u64 + 10);
     let [_, rests_s] = *applies(&moved) else {
         panic!("{:?}", applies(&moved));
     };
