@@ -3,7 +3,7 @@
 //! ```text
 //! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
 //! sample        -> watch (limits, signals, clocks, drive state, plausibility) -> Trip
-//!                                                                             latched until `rearm` in a safe state
+//!                                                                             latched for good
 //! ```
 //!
 //! After a trip `shape` returns zero output for whatever it is asked. It is a second line behind the drive's own limits
@@ -222,9 +222,9 @@ impl Trip {
     }
 }
 
-/// Why the guard stays latched.
+/// Why a motor is not known to be at rest.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum RearmError {
+pub enum RestError {
     #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
     Moving {
         name: &'static str,
@@ -236,23 +236,12 @@ pub enum RearmError {
     State { state: &'static str },
     #[error("not known to be at rest: the last sample has no {name}")]
     Unread { name: &'static str },
-    #[error("no valid sample yet")]
-    NoSample,
 }
 
-impl RearmError {
+impl RestError {
     /// Whether it may be over with the next sample.
     pub const fn may_change(&self) -> bool {
         matches!(self, Self::Moving { .. } | Self::Unread { .. })
-    }
-
-    pub const fn help(&self) -> &'static str {
-        match self {
-            Self::Moving { .. } => "wait until the shaft stands still",
-            Self::State { .. } => "reset the drive's fault first",
-            Self::Unread { .. } => "try again; if it stays away, check the sensor and its cable",
-            Self::NoSample => "check the link",
-        }
     }
 }
 
@@ -577,19 +566,10 @@ impl Guard {
         shaped
     }
 
-    /// Unlatches a trip: only on an explicit request, with the motor at rest and the drive without a fault.
-    pub fn rearm(&mut self, now_s: f64, sample: Option<&Sample>) -> Result<(), RearmError> {
-        let sample = sample.ok_or(RearmError::NoSample)?;
-        self.check_rest(sample)?;
-        self.trip = None;
-        self.begin(now_s, sample);
-        Ok(())
-    }
-
     /// Whether the motor stands still and the drive is off and without a fault.
-    pub fn check_rest(&self, sample: &Sample) -> Result<(), RearmError> {
+    pub fn check_rest(&self, sample: &Sample) -> Result<(), RestError> {
         if let Some(state @ (DriveState::Running | DriveState::Fault)) = sample.state {
-            return Err(RearmError::State {
+            return Err(RestError::State {
                 state: state.name(),
             });
         }
@@ -601,14 +581,14 @@ impl Guard {
             match sample.get(channel) {
                 Some(value) if value.abs() <= limit => {}
                 Some(value) => {
-                    return Err(RearmError::Moving {
+                    return Err(RestError::Moving {
                         name,
                         value,
                         limit,
                         unit,
                     });
                 }
-                None if self.has_seen(channel) => return Err(RearmError::Unread { name }),
+                None if self.has_seen(channel) => return Err(RestError::Unread { name }),
                 None => {}
             }
         }

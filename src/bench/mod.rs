@@ -50,7 +50,7 @@ pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
 pub use escalate::{Foresight, Scaled, bounds, foresee, scale, stage_session};
-pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
+pub use guard::{Causes, Guard, RestError, Shaped, Trip, TripKind};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{

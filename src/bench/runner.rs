@@ -16,7 +16,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::clock::{Clock, SUSPENDED_S};
-use super::guard::RearmError;
+use super::guard::RestError;
 use super::limits::Nameplate;
 use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
 use super::live_online::{Excitation, LiveEstimator};
@@ -339,7 +339,7 @@ impl Runner<'_> {
             .session
             .last_sample()
             .map(|sample| guard.check_rest(sample));
-        let may_change = RearmError::may_change;
+        let may_change = RestError::may_change;
         rest.is_some_and(|rest| rest.is_err_and(|error| may_change(&error)))
     }
 

@@ -2,13 +2,12 @@
 //!
 //! ```text
 //! connecting -> safe -> armed -> running -> ramp_down -> stopping -> done | stopped
-//!                 ^       |         |           |           ^
-//!                 |       +---------+-----------+-- trip ---+-----> tripped | link_lost
-//!                 +------------------------- re-arm, explicit, at rest ------+
+//!                         |         |           |           ^
+//!                         +---------+-----------+-- trip ---+-----> tripped | link_lost
 //! ```
 //!
-//! A set-point never survives a reconnect: a new session begins at `connecting` with zero output, and nothing re-arms
-//! by itself. Every input that is not a sample or a cycle becomes an event with its number.
+//! A session ends for good: whoever wants to go on begins a new one, at `connecting` with zero output. So nothing re-arms,
+//! and no set-point survives a reconnect. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
 
@@ -158,7 +157,6 @@ pub struct Session {
     seq: u64,
     inputs: u64,
     begun_s: Option<f64>,
-    start_wanted: bool,
     reset_wanted: bool,
     /// Host time at which the program began.
     started_s: Option<f64>,
@@ -205,7 +203,6 @@ impl Session {
             seq: 0,
             inputs: 0,
             begun_s: None,
-            start_wanted: false,
             reset_wanted: false,
             started_s: None,
             ramp_since_s: 0.0,
@@ -547,7 +544,7 @@ impl Session {
 
     fn may_run(&self) -> bool {
         let runs = matches!(self.drive_state(), None | Some(DriveState::Running));
-        self.start_wanted && runs && self.is_at_rest()
+        runs && self.is_at_rest()
     }
 
     fn is_at_rest(&self) -> bool {
@@ -576,18 +573,7 @@ impl Session {
         };
         self.event("intent", detail);
         let refused = match intent {
-            Intent::Arm => self.arm(),
-            Intent::Start => {
-                let result = if self.phase == Phase::Safe {
-                    self.arm()
-                } else {
-                    Ok(())
-                };
-                let is_armed = self.phase == Phase::Armed;
-                self.start_wanted |= is_armed;
-                let refused = || format!("cannot start: the session is {}", self.phase.name());
-                result.and(is_armed.then_some(()).ok_or_else(refused))
-            }
+            Intent::Start => self.arm(),
             Intent::Stop => {
                 self.stop(Outcome::Stopped);
                 Ok(())
@@ -603,7 +589,6 @@ impl Session {
                 self.reset_wanted = true;
                 Ok(())
             }
-            Intent::Rearm => self.rearm(),
             Intent::Mark(_) => Ok(()),
         };
         if let Err(reason) = refused {
@@ -616,15 +601,18 @@ impl Session {
     /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
     fn arm(&mut self) -> Result<(), String> {
         if self.phase != Phase::Safe {
-            return Err(format!("cannot arm: the session is {}", self.phase.name()));
+            return Err(format!(
+                "cannot start: the session is {}",
+                self.phase.name()
+            ));
         }
         let sample = self.drive.as_ref();
-        let sample = sample.ok_or("cannot arm: no valid sample yet")?;
+        let sample = sample.ok_or("cannot start: no valid sample yet")?;
         if let Some(hindrance) = sample.hindrance {
-            return Err(format!("cannot arm: {}", hindrance.sentence()));
+            return Err(format!("cannot start: {}", hindrance.sentence()));
         }
         let rest = self.guard.check_rest(sample);
-        rest.map_err(|error| format!("cannot arm: {error}"))?;
+        rest.map_err(|error| format!("cannot start: {error}"))?;
         let needs_angle = self.guard.limits().travel_rad.is_some();
         for (channel, needed) in [
             (Channel::Current, true),
@@ -633,29 +621,13 @@ impl Session {
         ] {
             if needed && !self.guard.has_seen(channel) {
                 return Err(format!(
-                    "cannot arm: the drive gives no {}, so its limit cannot be watched",
+                    "cannot start: the drive gives no {}, so its limit cannot be watched",
                     channel.name()
                 ));
             }
         }
         self.guard.begin(self.now_s, sample);
         self.enter(Phase::Armed);
-        Ok(())
-    }
-
-    /// From an ended session back to safe, explicitly; the ended run stays ended.
-    fn rearm(&mut self) -> Result<(), String> {
-        if !self.phase.is_final() {
-            let phase = self.phase.name();
-            return Err(format!("nothing to re-arm: the session is {phase}"));
-        }
-        let rearmed = self.guard.rearm(self.now_s, self.drive.as_ref());
-        rearmed.map_err(|error| format!("cannot re-arm: {error}"))?;
-        self.start_wanted = false;
-        self.started_s = None;
-        self.segment = None;
-        self.ending = None;
-        self.enter(Phase::Safe);
         Ok(())
     }
 

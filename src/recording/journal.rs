@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use super::{CommandRow, Layout, ReadOptions, RecordingError, Row, RowOrder, read_csv};
 use crate::sample::{Run, Sample};
 
-/// Something that happened and is no sample: a key, a re-arm, a lost deadline, a trip. Replay needs every one.
+/// Something that happened and is no sample: a key, a lost deadline, a trip. Replay needs every one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Event {
     /// On the samples' time axis, s.

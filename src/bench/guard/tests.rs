@@ -283,7 +283,7 @@ fn travel_counts_from_the_first_angle_where_the_run_began_without_one() {
 }
 
 #[test]
-fn a_trip_stays_until_it_is_re_armed_at_rest() {
+fn a_trip_stays_and_what_is_not_known_to_rest_is_not_called_at_rest() {
     let (mut guard, now_s) = running();
     guard.watch(now_s, &sample(now_s).with(Channel::Current, 30.0), true);
     let after = guard.shape(now_s, Demand::Voltage(5.0)).demand;
@@ -291,23 +291,25 @@ fn a_trip_stays_until_it_is_re_armed_at_rest() {
     // A second cause does not replace the first.
     guard.watch(now_s, &at_rad_s(now_s, 900.0), true);
     assert_eq!(guard.tripped().unwrap().kind, TripKind::OverCurrent);
-    let running = RearmError::State { state: "running" };
-    assert_eq!(guard.rearm(now_s, Some(&sample(now_s))), Err(running));
+    assert_eq!(
+        guard.shape(now_s, Demand::Voltage(5.0)).demand,
+        Demand::Stop
+    );
+    let running = RestError::State { state: "running" };
+    assert_eq!(guard.check_rest(&sample(now_s)), Err(running));
     let mut rest = at_rad_s(now_s, 100.0);
     rest.state = Some(DriveState::Disabled);
-    let moving = guard.rearm(now_s, Some(&rest));
-    assert!(matches!(moving, Err(RearmError::Moving { .. })));
+    let moving = guard.check_rest(&rest);
+    assert!(matches!(moving, Err(RestError::Moving { .. })));
     rest.set(Channel::Speed, 0.1);
     rest.set(Channel::Current, 0.1);
-    assert_eq!(guard.rearm(now_s, None), Err(RearmError::NoSample));
     // What it gave before and does not give now may be anything.
     for channel in [Channel::Speed, Channel::Current] {
-        let unread = guard.rearm(now_s, Some(&rest.clone().with(channel, f64::NAN)));
+        let unread = guard.check_rest(&rest.clone().with(channel, f64::NAN));
         let name = channel.name();
-        assert_eq!(unread, Err(RearmError::Unread { name }));
+        assert_eq!(unread, Err(RestError::Unread { name }));
     }
-    assert_eq!(guard.rearm(now_s, Some(&rest)), Ok(()));
-    assert!(guard.tripped().is_none());
+    assert_eq!(guard.check_rest(&rest), Ok(()));
 }
 
 fn anything() -> impl Strategy<Value = f64> {

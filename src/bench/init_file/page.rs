@@ -66,7 +66,7 @@ pub(super) fn text(
     link(&mut page, request, bench, reasons);
     motor(&mut page, request, bench);
     page.line("");
-    page.comment("Crossing one ends the run at zero output; the trip stays latched until it is re-armed by hand at rest.");
+    page.comment("Crossing one ends the run at zero output; nothing starts again by itself.");
     page.line("[limits]");
     for (key, unit, _) in bench.limits.clone().rows() {
         let whole = format!("limits.{key}");

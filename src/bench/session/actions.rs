@@ -56,29 +56,23 @@ impl From<&LinkError> for Lost {
 /// What a person, a signal or the workflow asks for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Intent {
-    /// Output on at zero.
-    Arm,
-    /// Begin the program; arms first if the session is safe.
+    /// Output on at zero, then the program.
     Start,
     /// Ramp down and end; a second one ends at once.
     Stop,
     /// As `Stop`, and the program is to end (Ctrl-C, SIGTERM, SIGHUP, `q`).
     Quit,
     ResetFault,
-    /// Back from an ended session to safe.
-    Rearm,
     Mark(String),
 }
 
 impl Intent {
     pub const fn name(&self) -> &'static str {
         match self {
-            Self::Arm => "arm",
             Self::Start => "start",
             Self::Stop => "stop",
             Self::Quit => "quit",
             Self::ResetFault => "reset_fault",
-            Self::Rearm => "rearm",
             Self::Mark(_) => "mark",
         }
     }

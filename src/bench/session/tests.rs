@@ -349,7 +349,7 @@ fn a_drive_that_never_runs_is_named_after_the_enable_time() {
 }
 
 #[test]
-fn nothing_starts_by_itself_and_a_trip_is_re_armed_only_by_hand() {
+fn nothing_starts_by_itself_and_a_session_that_has_tripped_never_again() {
     let mut idle = idle();
     idle.cycles(300);
     assert!(idle.link.demands.iter().all(|d| *d == Demand::Disable));
@@ -361,13 +361,6 @@ fn nothing_starts_by_itself_and_a_trip_is_re_armed_only_by_hand() {
     bench.cycles(20);
     assert_eq!(bench.energised_from(62), 0);
     assert_eq!(events(&bench, "refused").len(), 1);
-    bench.ask(Intent::Rearm);
-    bench.cycles(20);
-    assert_eq!(bench.session.phase(), Phase::Safe);
-    assert_eq!(bench.energised_from(62), 0);
-    bench.ask(Intent::Start);
-    bench.cycles(30);
-    assert_eq!(bench.session.phase(), Phase::Running);
 }
 
 #[test]
@@ -424,7 +417,6 @@ fn any_input() -> impl Strategy<Value = Input> {
     });
     let intent = prop_oneof![
         4 => Just(Intent::Start),
-        2 => Just(Intent::Arm),
         1 => Just(Intent::Stop),
         1 => Just(Intent::ResetFault),
         1 => Just(Intent::Mark("m".to_owned())),
@@ -458,7 +450,7 @@ proptest! {
                 }
                 other => other,
             };
-            asked |= matches!(&input, Input::Intent(Intent::Start | Intent::Arm));
+            asked |= matches!(&input, Input::Intent(Intent::Start));
             let mut actions = Vec::new();
             session.step(now_s, input, &mut actions);
             for action in actions {

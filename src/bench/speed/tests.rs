@@ -234,7 +234,8 @@ fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
     lab.ask(Intent::Stop);
     lab.cycles(300);
     assert_eq!(lab.outcome(), Some(&Outcome::Stopped));
-    lab.ask(Intent::Rearm);
+    lab.session = healthy_lab().session;
+    lab.cycles(3);
     assert_eq!(lab.session.phase(), Phase::Safe);
     let before = lab.sent.len();
     lab.ask(Intent::Start);
