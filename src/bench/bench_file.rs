@@ -1,13 +1,10 @@
 //! The bench file: drive, link, motor, limits and the sequence of excitations.
 
-mod mechanics;
-
-pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
-
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::limits::{Limits, MotorSection, Nameplate, POSITIVE};
+use super::mechanics::{DriveFacts, LoadSection, SupplySection};
 use super::speed::{Reference, ReferenceError, SpeedSection};
 use crate::config_text::{self, ConfigError};
 pub use crate::drive::Protocol;

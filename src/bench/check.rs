@@ -4,11 +4,12 @@
 //!
 //! ```text
 //! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends it
-//!                       rest.rs                    rest.rs     first_move.rs: the pulse -> judge.rs
+//!                       rest.rs                    rest.rs     first_move.rs, pulse.rs  -> judge.rs
 //! ```
 
 mod first_move;
 mod judge;
+mod pulse;
 mod rest;
 
 pub use first_move::FirstMove;
@@ -163,9 +164,9 @@ pub fn check(
 ) -> Result<CheckReport, CheckError> {
     let identity = link.identify()?;
     let kind = commanded(link.zero());
-    let hold = options.first_move.map_or((0.0, 0.0), |first| {
-        first_move::hold(kind, first.plate, limits)
-    });
+    let hold = options
+        .first_move
+        .map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
     let mut checker = Checker {
         zero: kind.demand(hold.0),
         hold,

@@ -13,11 +13,12 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::bench_file::{
-    BenchFile, BenchFileError, DriveFacts, DriveSection, EmulatorSection, LimitsSection,
-    LinkSection, LoadSection, Port, Protocol, RunsSection, SupplySection,
+    BenchFile, BenchFileError, DriveSection, EmulatorSection, LimitsSection, LinkSection, Port,
+    Protocol, RunsSection,
 };
 use super::check::LONGEST_WATCHDOG_S;
 use super::limits::{MotorSection, POSITIVE};
+use super::mechanics::{DriveFacts, LoadSection, SupplySection};
 use super::plan::Plan;
 use crate::drive::DriveProfile;
 use crate::drive::offer::{self, Purpose};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::bench_file::LoadSection;
+use super::mechanics::LoadSection;
 use crate::plant::{Motor, MotorKey};
 use crate::units::rad_s_from_rpm;
 

@@ -22,6 +22,7 @@ mod init_file;
 mod limits;
 mod line_watch;
 mod live_online;
+mod mechanics;
 mod next_bench;
 mod pilot;
 mod plan;
@@ -34,12 +35,12 @@ mod speed;
 #[cfg(test)]
 mod testing;
 mod timing;
+mod trip;
 
 pub use crate::emulator::VirtualClock;
 pub use bench_file::{
-    BenchFile, BenchFileError, Brake, DriveFacts, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME,
-    EmulatorSection, LimitsSection, LinkSection, LoadSection, Port, Protocol, RunsSection,
-    SupplySection,
+    BenchFile, BenchFileError, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EmulatorSection,
+    LimitsSection, LinkSection, Port, Protocol, RunsSection,
 };
 pub use burst::burst_part;
 pub use check::{
@@ -50,12 +51,13 @@ pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
 pub use escalate::{Foresight, Scaled, bounds, foresee, scale, stage_session};
-pub use guard::{Causes, Guard, RestError, Shaped, Trip, TripKind};
+pub use guard::{Causes, Guard, RestError, Shaped};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
     Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,
 };
+pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::{Pilot, Program};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
@@ -71,3 +73,4 @@ pub use speed::{
     timing as loop_timing,
 };
 pub use timing::Timing;
+pub use trip::{Trip, TripKind};

@@ -1,7 +1,7 @@
 //! Demands of a run: a program that knows time only, or a pilot that answers to samples.
 
-use super::guard::Trip;
 use super::speed::SpeedReport;
+use super::trip::Trip;
 use crate::excitation;
 use crate::sample::{Command, Demand, Sample};
 

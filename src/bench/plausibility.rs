@@ -27,12 +27,12 @@ mod repeats;
 #[cfg(test)]
 mod tests;
 
-use self::balance::{Factor, Plate, Scale, Window, negative};
-use self::history::{History, Range, Row};
+use self::balance::{Factor, Plate, Window, negative};
+use self::history::{History, Range, Row, Scale};
 use self::repeats::Repeats;
-use super::guard::{Trip, TripKind};
 use super::limits::{Limits, Nameplate};
 use super::timing::whole;
+use super::trip::{Trip, TripKind};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Its name among the checks that may be waived.

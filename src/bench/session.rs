@@ -15,12 +15,13 @@ pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
-use super::bench_file::Brake;
 use super::check::WATCHDOG;
-use super::guard::{Causes, Guard, Trip};
+use super::guard::{Causes, Guard};
+use super::mechanics::Brake;
 use super::pilot::{OpenLoop, Pilot, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
+use super::trip::Trip;
 use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::guard::Trip;
 use super::limits::Nameplate;
 use super::live_online::Excitation;
 use super::plan::under_voltage;
 use super::session::{Notice, Phase, Session};
 use super::timing::Timing;
+use super::trip::Trip;
 use crate::drive::{Identity, LinkStatistics};
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
 use crate::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};

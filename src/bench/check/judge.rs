@@ -11,7 +11,7 @@
 //! no tolerance but another unit or another motor. The friction's current is the same before and after it breaks away,
 //! so drops of brushes and bridge cancel out of Ke.
 
-use super::first_move::{Leg, Point, Size};
+use super::pulse::{Leg, Point, Size};
 use crate::bench::limits::Nameplate;
 use crate::control::Actuator;
 use crate::units::rpm_from_rad_s;

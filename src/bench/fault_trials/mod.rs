@@ -16,11 +16,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
-use super::bench_file::{BenchFile, DriveFacts};
+use super::bench_file::BenchFile;
 use super::check::{CheckOptions, CheckReport, FirstMove, Waivers, check};
 use super::clock::Clock;
 use super::guard::Guard;
 use super::live_online::RowEstimator;
+use super::mechanics::DriveFacts;
 use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Intent, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};

@@ -12,15 +12,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::history::{Range, Row};
-
-/// What the quantities are measured by: rated values, or limits where nothing is rated.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Scale {
-    pub(super) volts: f64,
-    pub(super) amps: f64,
-    pub(super) rad_s: f64,
-}
+use super::history::{Range, Row, Scale};
 
 /// The nameplate, as the balances need it.
 #[derive(Clone, Copy, Debug)]

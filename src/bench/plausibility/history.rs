@@ -4,7 +4,6 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
-use super::balance::Scale;
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Commands that may still be answered.
@@ -21,6 +20,14 @@ const STEADY_COMMAND: f64 = 0.03;
 const LATE_COMMANDS: u64 = 5;
 /// Samples kept, at most.
 const KEPT: usize = 64;
+
+/// What the quantities are measured by: rated values, or limits where nothing is rated.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Scale {
+    pub(super) volts: f64,
+    pub(super) amps: f64,
+    pub(super) rad_s: f64,
+}
 
 /// Lowest and highest value.
 #[derive(Clone, Copy, Debug, PartialEq)]

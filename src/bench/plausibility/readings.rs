@@ -7,7 +7,7 @@ use super::{
     ANY, CHECK_ENCODER, CHECK_SET_POINT, CONFIRM, IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S,
     LONGEST_WINDOW, Plausibility, REST_SPEED, SAME, WINDOW,
 };
-use crate::bench::guard::{Trip, TripKind};
+use crate::bench::trip::{Trip, TripKind};
 use crate::sample::Demand;
 
 /// A set-point that is not followed for so long, s: of a voltage, of a current, and of a speed, of which the drive's own

@@ -1,12 +1,13 @@
 //! Broken signals through the session and the runner, in virtual time, and what must not be taken for broken.
 
 use crate::bench::bench_file::BenchFile;
-use crate::bench::guard::{Guard, TripKind};
+use crate::bench::guard::Guard;
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::pilot::Program;
 use crate::bench::session::{Outcome, Session};
 use crate::bench::testing::{Course, Tamper, Tampered, Wave, in_memory};
 use crate::bench::timing::whole;
+use crate::bench::trip::TripKind;
 use crate::drive::{DriveLink, LinkError};
 use crate::emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
 use crate::sample::{Channel, Command, Demand, Sample};

@@ -5,13 +5,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::clock::MonotonicClock;
-use crate::bench::guard::{Guard, TripKind};
+use crate::bench::guard::Guard;
 use crate::bench::limits::Limits;
 use crate::bench::live_online::{RowEstimator, replay};
 use crate::bench::testing::{
     Course, Fault, LateClock, ScriptedDrive, Stalls, Tamper, Tampered, Wave, constant, exact, gone,
     has, in_memory, near, timeout, within,
 };
+use crate::bench::trip::TripKind;
 use crate::drive::{DriveProfile, LinkError, ProfiledLink};
 use crate::emulator::{EmulatorConfig, ForeignBus, ForeignDrive, Guise, SoftDrive, VirtualClock};
 use crate::identification::online::OnlineConfig;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::bench::guard::Trip;
+use crate::bench::trip::Trip;
 use crate::drive::LinkError;
 use crate::recording::Event;
 use crate::sample::{Command, Sample};

@@ -1,11 +1,11 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::bench::bench_file::Brake;
-use crate::bench::guard::TripKind;
 use crate::bench::limits::{Limits, Nameplate};
+use crate::bench::mechanics::Brake;
 use crate::bench::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, unspoilt, within};
 use crate::bench::timing::whole;
+use crate::bench::trip::TripKind;
 use crate::drive::LinkError;
 use crate::emulator::VirtualClock;
 

@@ -4,8 +4,8 @@ use super::delay::DelayMeter;
 use super::reference::Reference;
 use super::regulator::Regulator;
 use super::report::{Cycle, GainChange, SpeedReport, figures, tracking};
-use crate::bench::guard::{Trip, TripKind};
 use crate::bench::pilot::Pilot;
+use crate::bench::trip::{Trip, TripKind};
 use crate::control::{Measured, SpeedController};
 use crate::sample::{Channel, Command, Demand, Sample};
 

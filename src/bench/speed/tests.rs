@@ -3,9 +3,10 @@
 
 use super::*;
 use crate::bench::bench_file::BenchFile;
-use crate::bench::guard::{Guard, TripKind};
+use crate::bench::guard::Guard;
 use crate::bench::session::{Intent, Outcome, Phase, Session};
 use crate::bench::testing::{Lab, ScriptedDrive, exact, has, in_memory, near, unspoilt, within};
+use crate::bench::trip::TripKind;
 use crate::bench::{Limits, Nameplate};
 use crate::control::Actuator;
 use crate::emulator::{EmulatorConfig, FaultsConfig, MemoryLink, VirtualClock, mystery};
