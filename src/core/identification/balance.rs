@@ -11,9 +11,7 @@
 //! the diagnosis puts one candidate effect after the other beside the same rows, so what costs time is done once.
 
 use crate::plant::effect::Sums;
-use crate::plant::{
-    ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Path, Scenario, Slot,
-};
+use crate::plant::{ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Scenario, Slot};
 use crate::sample::ParameterEstimate;
 use crate::text::number::with_std;
 
@@ -37,14 +35,8 @@ pub(super) fn why_no_regressor(
         active.effect.terms(&values)
     };
     let terms = of_size(1.0);
-    if terms.path() != Path::default() {
-        return Some("it lies on the way of command or measurement, not in a balance");
-    }
-    if terms.coupling().is_some() {
-        return Some("it is a second inertia with a motion of its own");
-    }
-    if terms.states() > 0 {
-        return Some("it has a state of its own, which no balance shows");
+    if let Some(why) = terms.why_no_term() {
+        return Some(why);
     }
     if !electrical && !active.effect.card().enters.includes(Balance::Torque) {
         return Some("it enters the voltage balance, and there is no voltage");
