@@ -186,6 +186,22 @@ impl Signals<'_> {
     }
 }
 
+/// Takes what one balance found over into the model of the next; gives the relative standard deviation that its torque
+/// constant comes with.
+pub(super) fn hand_on(model: &mut Model, found: &[ParameterEstimate]) -> f64 {
+    let given = model.motor.get(MotorKey::TorqueConstant).is_some();
+    let mut doubt_of_torque = 0.0;
+    for estimate in found {
+        if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
+            model.motor.set(key, value);
+            if key == MotorKey::BackEmf && !given {
+                doubt_of_torque = estimate.std.unwrap_or(0.0) / value.abs();
+            }
+        }
+    }
+    doubt_of_torque
+}
+
 /// Whether current is all that drives this run, with nothing to turn it into torque: everything is a ratio to it.
 pub(super) fn lacks_torque_constant(model: &Model, scenario: &Scenario) -> bool {
     scenario.input == Input::Current && model.motor.torque_constant().is_none()

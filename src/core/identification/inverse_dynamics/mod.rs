@@ -67,11 +67,13 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
     let gridded = gridded(&Measured::of_run(run, scenario.input), scenario);
     let mut model = model.clone();
     let mut balances = Vec::new();
+    let mut doubt_of_torque = 0.0;
     for &equation in equations {
         let case = Case {
             model: &model,
             scenario,
             equation,
+            doubt_of_left: doubt_of_torque,
             unknowns: balance::unknowns(&model, scenario, equation, |_| true),
         };
         let balance = match &gridded {
@@ -81,11 +83,7 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
             ),
             Some(gridded) => case.solved(&gridded.parts, Processing::choose(gridded)),
         };
-        for estimate in &balance.parameters {
-            if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
-                model.motor.set(key, value);
-            }
-        }
+        doubt_of_torque = balance::hand_on(&mut model, &balance.parameters);
         balances.push(balance);
     }
     // A torque has no armature circuit before it that would have to be resolved.
@@ -122,6 +120,8 @@ struct Case<'a> {
     model: &'a Model,
     scenario: &'a Scenario,
     equation: Balance,
+    /// Relative standard deviation of a factor of the left-hand side.
+    doubt_of_left: f64,
     unknowns: Vec<Unknown>,
 }
 
@@ -175,7 +175,13 @@ impl Case<'_> {
             && self.scenario.input != Input::Torque
             && self.model.motor.torque_constant().is_none();
         let estimates = free.iter().enumerate().map(|(place, slot)| {
-            let found = solved.judged(place, slot, &free, &others, &processing);
+            let found = solved.judged(
+                place,
+                slot,
+                &free,
+                &others,
+                (&processing, self.doubt_of_left),
+            );
             if relative {
                 as_ratio(found)
             } else {
@@ -353,7 +359,7 @@ impl Solved {
         slot: &Slot,
         free: &[&Slot],
         others: &[Option<Self>],
-        processing: &Processing,
+        (processing, doubt_of_left): (&Processing, f64),
     ) -> ParameterEstimate {
         let own = |place: usize| 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
         let power = self.rows_per_fit * processing.acceleration_noise.powi(2);
@@ -379,7 +385,9 @@ impl Solved {
             .flatten()
             .map(|other| other.x[place] - self.x[place]);
         let variance = self.covariance[(place, place)].max(0.0);
-        let doubts = moves.chain([pull]).filter(|doubt| doubt.is_finite());
+        let doubts = moves
+            .chain([pull, doubt_of_left * self.x[place]])
+            .filter(|doubt| doubt.is_finite());
         let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
         judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
