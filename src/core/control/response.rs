@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use super::tuning::SETTLED_SHARE;
+/// Share of the step within which a response has settled.
+const SETTLED_SHARE: f64 = 0.05;
 
 /// What a step response shows; times from the step on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
