@@ -58,7 +58,7 @@ fn controllers(criterion: &mut Criterion) {
     let tuning = tune(&plant, &timing, &Request::default()).expect("the plant is an ordinary one");
     let pi = || Pi::new(tuning.gains, AntiWindup::Hold, holding);
     cycle(criterion, "pi", pi());
-    let forward = FeedForward::new(&model, Actuator::Voltage, None).expect("the model is complete");
+    let forward = FeedForward::new(&model, Actuator::Voltage).expect("the model is complete");
     let compensated = Compensated::new(Box::new(pi()), forward);
     cycle(criterion, "pi_with_feed_forward", compensated);
     let settings = AddcSettings::new(holding, 0.15);

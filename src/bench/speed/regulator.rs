@@ -293,7 +293,7 @@ impl Design<'_> {
 
     /// The controller with the model's effects beside it. What is given forward is not for it to hold.
     fn compensated(&self, plant: &LinearPlant) -> Result<Box<dyn SpeedController>, RegulatorError> {
-        let forward = FeedForward::new(self.model, self.actuator, None);
+        let forward = FeedForward::new(self.model, self.actuator);
         let why = match self.actuator {
             Actuator::Speed => "with a speed command: the drive's own loop holds the speed",
             _ => "without the motor's friction and constants in the model",

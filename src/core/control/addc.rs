@@ -140,18 +140,18 @@ impl Addc {
     }
 
     /// Softer gains, or those of before, at once: a swing does not wait for the estimate.
-    fn still_the_swing(&mut self, reference_rad_s: f64, speed_rad_s: f64) {
+    fn still_the_swing(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
         let before = self.swing.share();
         self.swung = self.swing.push(reference_rad_s, speed_rad_s).or(self.swung);
         let change = self.swing.share() / before;
         if (change - 1.0).abs() > 1e-9 {
             let mut gains = *self.pi.gains();
             gains.proportional *= change;
-            self.pi.set_gains(gains, reference_rad_s - speed_rad_s);
+            (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         }
     }
 
-    fn adapt(&mut self, error_rad_s: f64, period_s: f64) {
+    fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
         let load = self.estimator.load();
         self.moved = false;
         let limited = self.pi.is_limited().then_some("the output is limited");
@@ -178,7 +178,7 @@ impl Addc {
         gains.proportional = moved(now.proportional, proportional);
         gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
         gains.reference_filter_s = wanted.gains.reference_filter_s;
-        self.pi.set_gains(gains, error_rad_s);
+        (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         self.moved = true;
     }
 }
@@ -190,8 +190,8 @@ impl SpeedController for Addc {
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
-        self.still_the_swing(reference_rad_s, now.speed_rad_s);
-        self.adapt(reference_rad_s - now.speed_rad_s, period_s);
+        self.still_the_swing(reference_rad_s, now.speed_rad_s, period_s);
+        self.adapt(reference_rad_s, now.speed_rad_s, period_s);
         self.pi.step(reference_rad_s, now, period_s)
     }
 

@@ -9,8 +9,6 @@ use serde::{Deserialize, Serialize};
 use super::{LinearPlant, LoopTiming};
 use crate::numerics::{count, linear_map, root};
 
-/// Longest delay that is looked at, periods.
-const LONGEST_DELAY_PERIODS: f64 = 64.0;
 /// Frequencies between the lowest and Nyquist's on which crossings are looked for.
 const FREQUENCIES: usize = 600;
 /// Lowest frequency, as share of Nyquist's.
@@ -80,10 +78,8 @@ struct Memory {
 }
 
 impl LoopShape {
-    /// # Panics
-    /// Never for a valid timing; a delay beyond 64 periods counts as 64.
     pub fn new(plant: &LinearPlant, timing: &LoopTiming, gains: &PiGains) -> Self {
-        let periods = (timing.delay_s / timing.period_s).clamp(0.0, LONGEST_DELAY_PERIODS);
+        let periods = timing.delay_cycles().clamp(0.0, LoopTiming::MOST_CYCLES);
         let mut whole = periods.floor();
         let mut rest_s = (periods - whole) * timing.period_s;
         // 0.02/0.01 may come as 1.999..: what is a millionth short of a period is one.
@@ -128,8 +124,11 @@ impl LoopShape {
         output
     }
 
-    /// Largest eigenvalue of the closed loop.
+    /// Largest eigenvalue of the closed loop; infinite where the timing is none that can be looked at.
     pub fn radius(&self) -> f64 {
+        if !self.timing.is_valid() {
+            return f64::INFINITY;
+        }
         let filter = usize::from(self.filter_share < 1.0);
         let size = 2 + self.whole + 1 + 1 + filter;
         let pipe = 2..3 + self.whole;
@@ -176,8 +175,8 @@ impl LoopShape {
         let mut margins = Margins {
             phase_margin_deg: f64::INFINITY,
             gain_margin: f64::INFINITY,
-            crossover_rad_s: 0.0,
-            bandwidth_rad_s: 0.0,
+            crossover_rad_s: f64::NAN,
+            bandwidth_rad_s: f64::NAN,
             radius: self.radius(),
         };
         let size = |w: f64| self.open(w).norm() - 1.0;
@@ -203,6 +202,14 @@ impl LoopShape {
                 let gain = 1.0 / self.open(at).norm();
                 margins.gain_margin = margins.gain_margin.min(gain);
             }
+        }
+        // What crosses nowhere is above at every frequency, or below.
+        let nowhere = |at_end: f64| if at_end > 0.0 { f64::INFINITY } else { 0.0 };
+        if margins.crossover_rad_s.is_nan() {
+            margins.crossover_rad_s = nowhere(size(nyquist));
+        }
+        if margins.bandwidth_rad_s.is_nan() {
+            margins.bandwidth_rad_s = nowhere(closed(nyquist));
         }
         // At Nyquist's frequency the open loop is real.
         let last = self.open(nyquist);
@@ -292,6 +299,24 @@ mod tests {
             // Holding after a part of a period is exact at the samples: to second order in what happens in a period.
             assert_close(phase(0.0) - phase(cycles), w * 0.01 * cycles, 2e-5);
         }
+    }
+
+    #[test]
+    fn a_loop_that_never_falls_has_no_end_of_its_bandwidth() {
+        // Slow sampling without a delay: at Nyquist's frequency the closed loop still gives more than it gets.
+        let gains = PiGains {
+            proportional: 0.6,
+            integral_time_s: 0.2,
+            reference_filter_s: 0.0,
+        };
+        let slow = LoopTiming {
+            period_s: 0.1,
+            ..timing(0.0)
+        };
+        let margins = LoopShape::new(&slow_machine(), &slow, &gains).margins();
+        assert!(margins.bandwidth_rad_s.is_infinite(), "{margins:?}");
+        assert!(timing(64.0).is_valid() && !timing(65.0).is_valid());
+        assert!(shape(65.0, 0.01).radius().is_infinite());
     }
 
     #[test]

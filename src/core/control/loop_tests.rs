@@ -183,3 +183,38 @@ fn the_load_observer_knows_its_load_and_keeps_its_speed() {
     held_under_load(&mut controller);
     assert_close(controller.load_n_m(), 1.0 + 0.455, 0.05);
 }
+
+#[test]
+fn a_limit_that_only_the_drive_sees_is_taken_for_no_load() {
+    let settings = LoadObservingSettings::default();
+    let mut observer = LoadObserving::new(&model(), &plant(), &timing(), &settings).unwrap();
+    let lag = PaperBPlant::new(0.001, 0.009, 0.2, 0.3538);
+    let mut paper_b = PaperB::new(lag, PaperBSettings::default()).unwrap();
+    let integrator = TrialMachine {
+        back_emf_v_s_per_rad: 0.0,
+        friction_n_m: 0.0,
+        period_s: 0.001,
+        delay_periods: 0,
+        ..machine(0.0)
+    };
+    let rivals: [(_, &mut dyn SpeedController); 2] =
+        [(machine(0.0), &mut observer), (integrator, &mut paper_b)];
+    let course = Course {
+        reference_rad_s: &|_| 200.0,
+        inertia_kg_m2: &|_| inertia(0.2),
+        load_n_m: &|_| 0.0,
+    };
+    let limiter = Limiter {
+        output: 110.0,
+        current: None,
+    };
+    for (machine, rival) in rivals {
+        let cycles = whole(20.0 / machine.period_s);
+        let trace = trial(&machine, &course, rival, &limiter, cycles, 1);
+        assert_close(trace[cycles - 1].speed_rad_s, 200.0, 1e-6);
+        let speeds = trace.iter().map(|point| point.speed_rad_s);
+        // Told nothing of the limit they go 14 and 5 rad/s too far.
+        let most = speeds.fold(0.0, f64::max);
+        assert!(most < 204.0, "{}: {most}", rival.id());
+    }
+}

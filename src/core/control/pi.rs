@@ -60,19 +60,26 @@ impl Pi {
         self.limited.abs() > 0.0
     }
 
-    /// New gains without a step of the output at this error.
-    pub fn set_gains(&mut self, gains: PiGains, error_rad_s: f64) {
-        self.integral += (self.gains.proportional - gains.proportional) * error_rad_s;
-        self.gains = gains;
+    /// New gains without a step of the output in the cycle that comes, which has this reference and this speed: the error
+    /// that counts is the one behind the reference's filter.
+    pub fn set_gains(
+        &mut self,
+        gains: PiGains,
+        reference_rad_s: f64,
+        speed_rad_s: f64,
+        period_s: f64,
+    ) {
+        let before = std::mem::replace(&mut self.gains, gains).proportional;
+        let error = self.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
+        self.integral += (before - gains.proportional) * error;
     }
 
-    fn filtered(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
+    /// The reference behind its filter in this cycle.
+    fn filtered(&self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
         let share = lag_share(period_s, self.gains.reference_filter_s);
         // A start from rest or after a stop begins at the speed that is there.
         let before = self.reference_rad_s.unwrap_or(speed_rad_s);
-        let after = before + share * (reference_rad_s - before);
-        self.reference_rad_s = Some(after);
-        after
+        before + share * (reference_rad_s - before)
     }
 }
 
@@ -83,7 +90,9 @@ impl SpeedController for Pi {
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         let speed_rad_s = now.speed_rad_s;
-        let error = self.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
+        let filtered = self.filtered(reference_rad_s, speed_rad_s, period_s);
+        self.reference_rad_s = Some(filtered);
+        let error = filtered - speed_rad_s;
         if now.limited && !self.is_limited() {
             // A limit of the drive that this side does not see: what it gives less lies on the side of the error.
             self.limited = error.signum();
@@ -174,15 +183,22 @@ mod tests {
     }
 
     #[test]
-    fn new_gains_do_not_move_the_output() {
-        let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
-        let before = pi.step(10.0, &Measured::at(2.0), 0.01);
-        let stronger = PiGains {
-            proportional: 6.0,
-            ..gains()
-        };
-        pi.set_gains(stronger, 8.0);
-        assert_close(6.0 * 8.0 + pi.integral, before, 1e-12);
+    fn new_gains_do_not_move_the_output_whatever_the_filter_holds_back() {
+        for reference_filter_s in [0.0, 0.2] {
+            let gains = |proportional| PiGains {
+                proportional,
+                integral_time_s: 1e9,
+                reference_filter_s,
+            };
+            let mut pi = Pi::new(gains(2.0), AntiWindup::Hold, holding());
+            pi.reset(&Measured::at(2.0), 0.7);
+            pi.step(10.0, &Measured::at(2.0), 0.01);
+            let mut same = pi.clone();
+            pi.set_gains(gains(6.0), 10.0, 2.0, 0.01);
+            let [moved, stayed] =
+                [&mut pi, &mut same].map(|pi| pi.step(10.0, &Measured::at(2.0), 0.01));
+            assert_close(moved, stayed, 1e-6);
+        }
     }
 
     /// An integrating load, limited hard: what is beyond the reference at the end of a long acceleration.

@@ -17,14 +17,17 @@ pub struct LoopTiming {
 }
 
 impl LoopTiming {
+    /// Longest delay that is looked at, periods.
+    pub const MOST_CYCLES: f64 = 64.0;
+
     /// The delay in sampling periods.
     pub fn delay_cycles(&self) -> f64 {
         self.delay_s / self.period_s
     }
 
-    /// The delay in whole periods, 64 at most.
+    /// The delay in whole periods.
     pub fn whole_cycles(&self) -> usize {
-        whole(self.delay_cycles().round().clamp(0.0, 64.0))
+        whole(self.delay_cycles().round().clamp(0.0, Self::MOST_CYCLES))
     }
 
     /// Mean age of what the motor gets, s: an output holds for a period, so it is half a period old on top of its delay.
@@ -43,5 +46,6 @@ impl LoopTiming {
             && [self.delay_s, self.filter_s]
                 .iter()
                 .all(|time| time.is_finite() && *time >= 0.0)
+            && self.delay_cycles() <= Self::MOST_CYCLES
     }
 }

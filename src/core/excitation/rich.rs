@@ -5,6 +5,9 @@ use super::{Dither, Prbs, Ramp, Segment, Sine, Standstill, Steps};
 /// Length of the rich sequence where the slew limit allows it, s.
 pub const RICH_SECONDS: f64 = 12.0;
 
+/// Changes of level that the random part has room for at least, however slow the slew limit.
+const FEWEST_CLOCKS: f64 = 8.0;
+
 /// Standstill, bipolar steps over the full range with dither, a slow ramp through zero, a five-level pseudo-random part
 /// of both signs, a slow sine through zero, standstill.
 ///
@@ -20,6 +23,7 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
         .map(|share| share * full_v)
         .to_vec();
     let random_v = 0.5 * voltage_v;
+    let clock_s = (0.5 * random_v / slew_v_per_s).max(0.04);
     let (standstill_s, ramp_s, sine_s) = (0.5, 2.0, 2.5);
     let other_s = levels_v.len() as f64 * hold_s + 2.0 * standstill_s + ramp_s + sine_s;
     let ramp_v = 0.25 * voltage_v;
@@ -46,8 +50,10 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
         }),
         Segment::Prbs(Prbs {
             amplitude_v: random_v,
-            clock_s: (0.5 * random_v / slew_v_per_s).max(0.04),
-            seconds: (RICH_SECONDS - other_s).max(2.0),
+            clock_s,
+            seconds: (RICH_SECONDS - other_s)
+                .max(2.0)
+                .max(FEWEST_CLOCKS * clock_s),
             seed: seed.wrapping_add(1),
             offset_v: 0.0,
             levels: 5,
@@ -97,6 +103,14 @@ mod tests {
                 those.count() as f64 / 1200.0
             };
             assert!(share(true) > 0.3 && share(false) > 0.3);
+        }
+    }
+
+    #[test]
+    fn a_slow_slew_limit_makes_it_longer_and_refuses_nothing() {
+        for slew_v_per_s in [100.0, 10.0, 1.0] {
+            let slow = program(110.0, slew_v_per_s, 1);
+            assert!(slow.duration_s() > RICH_SECONDS && slow.peak_v() > 99.0);
         }
     }
 

@@ -11,9 +11,7 @@
 //! the diagnosis puts one candidate effect after the other beside the same rows, so what costs time is done once.
 
 use crate::plant::effect::Sums;
-use crate::plant::{
-    ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Path, Scenario, Slot,
-};
+use crate::plant::{ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Scenario, Slot};
 use crate::sample::ParameterEstimate;
 use crate::text::number::with_std;
 
@@ -37,14 +35,8 @@ pub(super) fn why_no_regressor(
         active.effect.terms(&values)
     };
     let terms = of_size(1.0);
-    if terms.path() != Path::default() {
-        return Some("it lies on the way of command or measurement, not in a balance");
-    }
-    if terms.coupling().is_some() {
-        return Some("it is a second inertia with a motion of its own");
-    }
-    if terms.states() > 0 {
-        return Some("it has a state of its own, which no balance shows");
+    if let Some(why) = terms.why_no_term() {
+        return Some(why);
     }
     if !electrical && !active.effect.card().enters.includes(Balance::Torque) {
         return Some("it enters the voltage balance, and there is no voltage");
@@ -192,6 +184,22 @@ impl Signals<'_> {
         });
         added.map(|added| added / size).collect()
     }
+}
+
+/// Takes what one balance found over into the model of the next; gives the relative standard deviation that its torque
+/// constant comes with.
+pub(super) fn hand_on(model: &mut Model, found: &[ParameterEstimate]) -> f64 {
+    let given = model.motor.get(MotorKey::TorqueConstant).is_some();
+    let mut doubt_of_torque = 0.0;
+    for estimate in found {
+        if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
+            model.motor.set(key, value);
+            if key == MotorKey::BackEmf && !given {
+                doubt_of_torque = estimate.std.unwrap_or(0.0) / value.abs();
+            }
+        }
+    }
+    doubt_of_torque
 }
 
 /// Whether current is all that drives this run, with nothing to turn it into torque: everything is a ratio to it.

@@ -128,7 +128,8 @@ impl Online {
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
         let mut estimates = self.scheme_3.estimates();
         if let Some(late) = &self.late {
-            stamps::widen(&mut estimates, &late.estimates(), self.half_width_s);
+            let period_s = self.scheme_3.period_s();
+            stamps::widen(&mut estimates, &late.estimates(), period_s);
             stamps::refuse(&mut estimates, self.half_width_s);
         }
         estimates

@@ -63,8 +63,8 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
 }
 
 /// Widens each value by what it would be had the voltage come later by the half-width, as `late` has it: of a method that
-/// takes the stamps for true.
-pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], half_width_s: f64) {
+/// takes the stamps for true. `period_s`: of the samples.
+pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], period_s: f64) {
     for parameter in parameters.iter_mut() {
         let shifted = late.iter().find(|other| other.key == parameter.key);
         let Some(((value, std), shifted)) = parameter
@@ -78,7 +78,7 @@ pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], h
             continue;
         };
         let wide = std.hypot((shifted - value) / 3f64.sqrt());
-        let judged = judge(&Slot::Motor(key), value, Some(wide), half_width_s);
+        let judged = judge(&Slot::Motor(key), value, Some(wide), period_s);
         if parameter.verdict == Verdict::Settled || judged.value.is_none() {
             *parameter = judged;
         } else {
@@ -90,6 +90,7 @@ pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], h
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::testing::assert_says;
 
     fn found(half_width_s: f64) -> Vec<ParameterEstimate> {
         let mut parameters: Vec<ParameterEstimate> = [
@@ -126,7 +127,11 @@ mod tests {
         let mut late = parameters.clone();
         late[1].value = Some(0.0099 + 1.1 * 2e-3);
         late[2].value = None;
-        widen(&mut parameters, &late, 2e-3);
+        let mut undone = parameters.clone();
+        widen(&mut parameters, &late, 0.01);
+        late[1].value = Some(0.03);
+        widen(&mut undone, &late, 0.01);
+        assert_says(&undone[1], &["at a period of 10.0 ms"]);
         let std = parameters[1].std.unwrap();
         assert!((std - 1.1 * 2e-3 / 3f64.sqrt()).abs() < 1e-4, "{std}");
         assert_eq!(parameters[1].verdict, Verdict::Searching);

@@ -140,6 +140,25 @@ pub(super) fn changed(run: &Run, channel: Channel, cell: impl Fn(usize, f64) -> 
     other
 }
 
+/// The run of a drive of which a limit let 60 % of the commands of that time through, and said so until the next one.
+pub(super) fn limited(run: &Run, within_s: std::ops::Range<f64>) -> Run {
+    let times = run.time_s();
+    let asked = |row: usize, volts: f64| {
+        let share = if within_s.contains(&times[row]) {
+            0.6
+        } else {
+            1.0
+        };
+        volts / share
+    };
+    let mut asked = changed(run, Channel::VoltageCmd, asked);
+    let until_s = within_s.end + 0.15;
+    let rows = 0..run.rows();
+    let rows = rows.filter(|row| (within_s.start..until_s).contains(&times[*row]));
+    asked.set_limited_rows(rows.collect());
+    asked
+}
+
 /// The run that a scenario was recorded as: voltage as applied, current and speed as measured.
 pub(super) fn recorded(scenario: &Scenario) -> Run {
     let times = scenario.sample_time_s.clone();

@@ -15,7 +15,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::balance::{
-    Column, Method, Signals, TorqueRows, Unknown, scored_s, unknowns, why_no_regressor,
+    Column, Method, Signals, TorqueRows, Unknown, hand_on, scored_s, unknowns, why_no_regressor,
 };
 use super::noise::NoiseFloor;
 use super::output_error::BLOCK_S;
@@ -64,19 +64,10 @@ pub struct Balanced {
 pub fn fit(model: &Model, scenario: &Scenario) -> Vec<Balanced> {
     let mut balances = Vec::new();
     let mut model = model.clone();
-    let given = model.motor.get(MotorKey::TorqueConstant).is_some();
-    // Relative standard deviation of the torque constant.
     let mut doubt_of_torque = 0.0;
     if scenario.input == Input::Voltage {
         let voltage = balance(&model, scenario, Balance::Voltage, 0.0);
-        for estimate in &voltage.parameters {
-            if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
-                model.motor.set(key, value);
-                if key == MotorKey::BackEmf && !given {
-                    doubt_of_torque = estimate.std.unwrap_or(0.0) / value.abs();
-                }
-            }
-        }
+        doubt_of_torque = hand_on(&mut model, &voltage.parameters);
         balances.push(voltage);
     }
     balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));

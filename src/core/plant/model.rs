@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::effect::{self, Effect, ParameterRole, ParameterSpec};
+use super::effect::{self, Effect, ParameterRole, ParameterSpec, Terms};
 use super::motor::{Motor, MotorKey};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -94,6 +94,13 @@ impl ActiveEffect {
             .zip(specs)
             .map(|(value, spec)| value.unwrap_or_else(|| spec.guess()))
             .collect()
+    }
+
+    /// Its terms where they are known at any instant: every value is given, and nothing but that instant decides them.
+    pub fn terms_of_the_instant(&self) -> Option<Box<dyn Terms>> {
+        let values: Option<Vec<f64>> = self.values.iter().copied().collect();
+        let terms = self.effect.terms(&values?);
+        terms.is_of_the_instant().then_some(terms)
     }
 }
 

@@ -148,12 +148,22 @@ impl SpeedController for LoadObserving {
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
-        self.x += self.filter * (now.speed_rad_s - self.x[1]);
+        let mut correction = self.filter * (now.speed_rad_s - self.x[1]);
+        if now.limited {
+            // The motor had less than was asked for: what its speed lacks is no load.
+            correction[2] = 0.0;
+            self.x[0] = now.current_a.unwrap_or(self.x[0]);
+        }
+        self.x += correction;
         let mut ahead = self.x;
         for &voltage in &self.on_their_way {
             ahead = self.phi * ahead + self.gamma * voltage;
         }
         let error = ahead[1] - reference_rad_s;
+        if now.limited && self.limited == 0.0 {
+            // A limit of the drive that this side does not see: what it gives less lies on the side of the error.
+            self.limited = -error.signum();
+        }
         if error * self.limited >= 0.0 {
             self.integral += period_s * error;
         }

@@ -131,6 +131,8 @@ struct Memory {
     voltages: [f64; 2],
     filtered: f64,
     compensation: f64,
+    /// A limit of the drive held the output before.
+    limited: bool,
 }
 
 impl PaperB {
@@ -182,15 +184,19 @@ impl PaperB {
         (&self.filter.gain, &self.feedback)
     }
 
-    /// One cycle without the reference's jump: linear in everything but nothing.
-    fn cycle(&self, memory: &mut Memory, reference: f64, speed: f64) -> f64 {
+    /// One cycle. While `limited` the voltages of the prediction are not those that the motor had: its error says nothing
+    /// of the load, and the compensation stands still.
+    fn cycle(&self, memory: &mut Memory, reference: f64, speed: f64, limited: bool) -> f64 {
         let PaperBPlant { a, b, d, f } = self.plant;
         let predicted = -f * memory.speeds[0] - d * memory.speeds[1]
             + a * memory.voltages[0]
             + b * memory.voltages[1];
         let share = self.settings.filter_share;
-        memory.filtered += share * (speed - predicted - memory.filtered);
-        memory.compensation -= self.gain_3 * memory.filtered;
+        if !limited && !memory.limited {
+            memory.filtered += share * (speed - predicted - memory.filtered);
+            memory.compensation -= self.gain_3 * memory.filtered;
+        }
+        memory.limited = limited;
         let innovation = speed - memory.x[0];
         let x = memory.x + self.filter.gain * innovation;
         let voltage = -self.feedback.dot(&(x - Vector2::new(reference, reference)));
@@ -210,9 +216,10 @@ impl PaperB {
                 voltages: [state[6], state[7]],
                 filtered: state[8],
                 compensation: state[9],
+                limited: false,
             };
             let machine = Vector2::new(state[0], state[1]);
-            let output = self.cycle(&mut memory, 0.0, machine[0]);
+            let output = self.cycle(&mut memory, 0.0, machine[0], false);
             let machine = g * machine + h * output;
             state[..2].copy_from_slice(machine.as_slice());
             state[2..4].copy_from_slice(memory.x.as_slice());
@@ -236,7 +243,7 @@ impl SpeedController for PaperB {
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, _period_s: f64) -> f64 {
         let mut memory = self.state;
-        self.wanted = self.cycle(&mut memory, reference_rad_s, now.speed_rad_s);
+        self.wanted = self.cycle(&mut memory, reference_rad_s, now.speed_rad_s, now.limited);
         self.state = memory;
         self.wanted
     }
@@ -257,6 +264,7 @@ impl SpeedController for PaperB {
             voltages: [0.0; 2],
             filtered: 0.0,
             compensation: output,
+            limited: false,
         };
     }
 

@@ -17,8 +17,6 @@ const LEAST_PHASE_MARGIN_DEG: f64 = 40.0;
 const LEAST_GAIN_MARGIN: f64 = 1.8;
 /// Length of the predicted step response, in small time constants.
 const PREDICTED_SMALL_TIMES: f64 = 60.0;
-/// Share of the new speed within which a response has settled.
-pub(crate) const SETTLED_SHARE: f64 = 0.05;
 /// Steps in which a rule without enough margin is slowed down, and where that ends.
 const SLOWER_BY: f64 = 1.1;
 const SLOWEST: f64 = 30.0;
@@ -89,7 +87,8 @@ pub struct Tuning {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum TuningError {
     #[error(
-        "timing: period {period_s} s, delay {delay_s} s, filter {filter_s} s (allowed: a period above 0, the others not negative)"
+        "timing: period {period_s} s, delay {delay_s} s, filter {filter_s} s (allowed: a period above 0, the others not negative, a delay of at most {} periods)",
+        LoopTiming::MOST_CYCLES
     )]
     Timing {
         period_s: f64,

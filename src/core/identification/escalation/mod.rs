@@ -143,7 +143,8 @@ enum Next {
 impl Escalation {
     pub fn new(bounds: Bounds) -> Self {
         let first_v = (FIRST_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
-        let first = stage::feel(&bounds, first_v, "nothing is known yet".to_owned());
+        let nothing = "nothing is known yet".to_owned();
+        let first = stage::look(&bounds, StageKind::Feel, first_v, nothing);
         Self {
             bounds,
             next: Next::Run(first),
@@ -268,7 +269,12 @@ impl Escalation {
             wanted_v = safe_v;
         }
         (
-            Next::Run(stage::feel(bounds, wanted_v, self.leaves_room())),
+            Next::Run(stage::look(
+                bounds,
+                StageKind::Feel,
+                wanted_v,
+                self.leaves_room(),
+            )),
             line,
         )
     }
@@ -292,9 +298,7 @@ impl Escalation {
                     return (not_identified(reason), line);
                 }
                 let reason = "a back-EMF shows, a speed not yet".to_owned();
-                let mut stage = stage::feel(bounds, wanted_v, reason);
-                stage.kind = StageKind::BreakAway;
-                stage.stop_current_a = 1.15 * BREAK_AWAY * bounds.rated_current_a;
+                let stage = stage::look(bounds, StageKind::BreakAway, wanted_v, reason);
                 (Next::Run(stage), line)
             }
         }
@@ -430,12 +434,13 @@ impl Escalation {
         let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
         let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
         let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
+        // The slope may take longer where the friction needs more voltage than it reaches.
+        let slope_v = (SLOPE_S * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
         let peak_v = turned
             .voltage_at(speed_rad_s)?
             .min(bounds.voltage_limit_v)
             .min(SWEEP_GROWTH * self.last_v)
-            .min(SLOPE_S * slew_v_per_s)
-            .max(1.5 * friction_a * lowest_ohm);
+            .min(slope_v);
         let sweep = BothWays {
             kind: StageKind::Sweep,
             peak_v,

@@ -74,13 +74,11 @@ fn steps(levels_v: Vec<f64>, hold_s: f64) -> Segment {
 }
 
 /// Slowly from rest through these levels, each held for a while, and back.
-fn slowly(
-    bounds: &Bounds,
-    kind: StageKind,
-    levels_v: &[f64],
-    stop_a: f64,
-    reason: String,
-) -> Stage {
+fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) -> Stage {
+    let stop_at = match kind {
+        StageKind::Feel => FEEL_CURRENT,
+        _ => 1.15 * BREAK_AWAY,
+    };
     let ramp_s = seconds(RAMP, bounds);
     let ramp = |from_v: f64, to_v: f64| {
         Segment::Ramp(Ramp {
@@ -103,7 +101,8 @@ fn slowly(
         // Not faster than the ramps: an early end is as gentle as they are.
         slew_v_per_s: 1.05 * peak_v / ramp_s,
         peak_v,
-        stop_current_a: stop_a,
+        stop_current_a: (stop_at * bounds.rated_current_a)
+            .min(CURRENT_SHARE * bounds.current_limit_a),
         stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
         winding_v: None,
         back_emf_v_s_per_rad: 0.0,
@@ -111,17 +110,15 @@ fn slowly(
     }
 }
 
-pub(super) fn feel(bounds: &Bounds, peak_v: f64, reason: String) -> Stage {
-    let stop_a = FEEL_CURRENT * bounds.rated_current_a;
-    slowly(bounds, StageKind::Feel, &[peak_v], stop_a, reason)
+/// Slowly to one voltage and back; `kind` says at which current it ends.
+pub(super) fn look(bounds: &Bounds, kind: StageKind, peak_v: f64, reason: String) -> Stage {
+    slowly(bounds, kind, &[peak_v], reason)
 }
 
 /// Half the rated current, then the whole.
 pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stage {
     let rated_v = bounds.rated_current_a * rest.resistance_ohm;
     let peak_v = (most * rated_v).min(bounds.voltage_limit_v);
-    let stop_a =
-        (1.15 * BREAK_AWAY * bounds.rated_current_a).min(CURRENT_SHARE * bounds.current_limit_a);
     let reason = format!(
         "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
         rest.resistance_ohm
@@ -130,7 +127,6 @@ pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stag
         bounds,
         StageKind::BreakAway,
         &[0.5 * peak_v, peak_v],
-        stop_a,
         reason,
     )
 }

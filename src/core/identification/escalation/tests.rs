@@ -100,18 +100,39 @@ fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
     assert!((commanded_v - 27.5).abs() < 0.1, "{found:?}");
 }
 
-#[test]
-fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
-    let motor = Motor::zk_22fc();
-    let mut escalation = Escalation::new(bounds());
+/// The stages of an escalation that finds the motor.
+fn stages(motor: &Motor, bounds: Bounds) -> Vec<Stage> {
+    let mut escalation = Escalation::new(bounds);
     let mut stages = Vec::new();
     while let Some(stage) = escalation.stage().cloned() {
-        let run = answer(&stage, &motor, |_| {});
+        let run = answer(&stage, motor, |_| {});
         escalation.learn(&run).unwrap();
         stages.push(stage);
     }
     let found = matches!(escalation.outcome(), Some(Outcome::Found(_)));
     assert!(found, "{:?}", escalation.history());
+    stages
+}
+
+#[test]
+fn no_stage_goes_beyond_a_limit_for_the_sake_of_the_friction() {
+    let tight = Bounds {
+        voltage_limit_v: 9.0,
+        current_limit_a: 9.0,
+        ..bounds()
+    };
+    let stuck = Motor::zk_22fc().with(MotorKey::LoadTorque, 2.0);
+    for stage in stages(&stuck, tight) {
+        assert!(
+            stage.peak_v <= 9.0 && stage.stop_current_a < 9.0,
+            "{stage:?}"
+        );
+    }
+}
+
+#[test]
+fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
+    let stages = stages(&Motor::zk_22fc(), bounds());
     for stage in stages.iter().filter(|stage| stage.kind == StageKind::Turn) {
         assert!(stage.peak_v / 1.1 < 0.8 * 22.8, "{stage:?}");
         assert!(stage.winding_v.unwrap() < 1.05 * 22.8 * 1.1, "{stage:?}");
@@ -124,7 +145,11 @@ fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
 #[test]
 fn a_record_that_is_too_short_is_an_error_and_the_stage_stays() {
     let mut escalation = Escalation::new(bounds());
-    let run = answer(escalation.stage().unwrap(), &Motor::zk_22fc(), |_| {}).slice(0, 5, "cut");
-    assert!(escalation.learn(&run).is_err());
+    let columns = [Channel::VoltageCmd, Channel::Current, Channel::Speed];
+    let short = run_of(
+        vec![0.0, 0.01, 0.02],
+        columns.map(|channel| (channel, vec![1.0; 3])),
+    );
+    assert!(escalation.learn(&short).is_err());
     assert!(escalation.stage().is_some() && escalation.history().is_empty());
 }

@@ -67,11 +67,13 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
     let gridded = gridded(&Measured::of_run(run, scenario.input), scenario);
     let mut model = model.clone();
     let mut balances = Vec::new();
+    let mut doubt_of_torque = 0.0;
     for &equation in equations {
         let case = Case {
             model: &model,
             scenario,
             equation,
+            doubt_of_left: doubt_of_torque,
             unknowns: balance::unknowns(&model, scenario, equation, |_| true),
         };
         let balance = match &gridded {
@@ -81,11 +83,7 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
             ),
             Some(gridded) => case.solved(&gridded.parts, Processing::choose(gridded)),
         };
-        for estimate in &balance.parameters {
-            if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
-                model.motor.set(key, value);
-            }
-        }
+        doubt_of_torque = balance::hand_on(&mut model, &balance.parameters);
         balances.push(balance);
     }
     // A torque has no armature circuit before it that would have to be resolved.
@@ -122,6 +120,8 @@ struct Case<'a> {
     model: &'a Model,
     scenario: &'a Scenario,
     equation: Balance,
+    /// Relative standard deviation of a factor of the left-hand side.
+    doubt_of_left: f64,
     unknowns: Vec<Unknown>,
 }
 
@@ -175,7 +175,13 @@ impl Case<'_> {
             && self.scenario.input != Input::Torque
             && self.model.motor.torque_constant().is_none();
         let estimates = free.iter().enumerate().map(|(place, slot)| {
-            let found = solved.judged(place, slot, &free, &others, &processing);
+            let found = solved.judged(
+                place,
+                slot,
+                &free,
+                &others,
+                (&processing, self.doubt_of_left),
+            );
             if relative {
                 as_ratio(found)
             } else {
@@ -353,7 +359,7 @@ impl Solved {
         slot: &Slot,
         free: &[&Slot],
         others: &[Option<Self>],
-        processing: &Processing,
+        (processing, doubt_of_left): (&Processing, f64),
     ) -> ParameterEstimate {
         let own = |place: usize| 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
         let power = self.rows_per_fit * processing.acceleration_noise.powi(2);
@@ -379,7 +385,9 @@ impl Solved {
             .flatten()
             .map(|other| other.x[place] - self.x[place]);
         let variance = self.covariance[(place, place)].max(0.0);
-        let doubts = moves.chain([pull]).filter(|doubt| doubt.is_finite());
+        let doubts = moves
+            .chain([pull, doubt_of_left * self.x[place]])
+            .filter(|doubt| doubt.is_finite());
         let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
         judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
@@ -550,14 +558,6 @@ impl Stretch {
     }
 }
 
-/// Angle at the first point not before `time_s`, the last one beyond; not a number where there is none.
-fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
-    let after = angles.partition_point(|point| point.0 < time_s);
-    angles
-        .get(after.min(angles.len().saturating_sub(1)))
-        .map_or(f64::NAN, |point| point.1)
-}
-
 /// Rows of the reference processing with room for any term: the torque balance of the scored part of `scenario`, no row left
 /// out by decimation. `None` where nothing can be processed.
 ///
@@ -602,7 +602,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
             let measured = Some(part.angle_rad[k]).filter(|angle| angle.is_finite());
-            let angle_rad = measured.unwrap_or_else(|| nearest_after(&angles, part.time_s(k)));
+            let angle_rad =
+                measured.unwrap_or_else(|| signal::line_with_ends(&angles, part.time_s(k)));
             at.push(Instant {
                 time_s: part.time_s(k) - scenario.begin_s(),
                 voltage_v: f64::NAN,

@@ -142,10 +142,22 @@ fn near(balances: &[Balanced], key: &str, truth: f64, within: f64) {
 
 #[test]
 fn a_voltage_run_gives_both_balances() {
-    let balances = fitted(&testing::unknown(), &bench(1, every(0.001, 6.0)));
+    let run = bench(1, every(0.001, 6.0));
+    let balances = fitted(&testing::unknown(), &run);
     for (key, truth) in KEYS.into_iter().zip(PAPER) {
         near(&balances, key.key(), truth, 0.02);
     }
+    // The torque constant that the one hands to the other brings its doubt along.
+    let of = |balances: &[Balanced], key| {
+        let found = found(balances, key);
+        (found.value.unwrap(), found.std.unwrap())
+    };
+    let (ke, ke_std) = of(&balances, "back_emf_v_s_per_rad");
+    let mut told = testing::unknown();
+    told.motor.set(MotorKey::TorqueConstant, ke);
+    let (_, sure) = of(&fitted(&told, &run), "inertia_kg_m2");
+    let (inertia, doubted) = of(&balances, "inertia_kg_m2");
+    assert_near(doubted, sure.hypot(inertia * ke_std / ke), 1e-9);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use super::physics::KnownEffects;
 use crate::identification::online::AppliedVoltage;
 use crate::identification::recursive::{Memory, Scheme3};
 use crate::identification::verdict;
-use crate::plant::{Model, MotorKey, Slot, UnknownInput};
+use crate::plant::{Model, MotorKey, Slot};
 use crate::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
 
 /// The five parameters and the states that carry them.
@@ -133,9 +133,11 @@ impl Kalman {
     }
 
     /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
-    /// is held in its place. Stale or missing: the other quantity is used alone.
+    /// is held in its place. Stale or missing: the other quantity is used alone. While a limit of the drive holds its
+    /// output the motor has another voltage than was commanded, and neither side of such a row is learnt from.
     pub fn push(&mut self, sample: &Sample) {
         let time_s = sample.time_s;
+        self.filter.voltage.torn |= sample.limited;
         if let Some(volts) = self.applied.of(sample) {
             self.filter.voltage.apply(time_s, volts, self.filter.now_s);
             if let Some(starter) = &mut self.starter {
@@ -149,22 +151,13 @@ impl Kalman {
         self.samples = self.samples.saturating_add(1);
         self.filter.asleep = !self.begun || self.samples < FEWEST_SAMPLES;
         self.filter.push(time_s, measured);
+        self.filter.voltage.torn |= sample.limited;
         if let (Some(starter), [Some(current), Some(speed)]) = (&mut self.starter, measured) {
+            starter.set_limited(sample.limited);
             starter.push(time_s, current, speed);
             if self.samples.is_multiple_of(LOOK) {
                 self.look_at_starter();
             }
-        }
-    }
-
-    /// Takes every row of a run.
-    fn follow(&mut self, run: &Run, lost: &[UnknownInput]) {
-        let mut torn = lost.iter().filter(|hole| hole.restart.is_some()).peekable();
-        for sample in run.samples() {
-            while torn.next_if(|hole| hole.to_s <= sample.time_s).is_some() {
-                self.filter.voltage.torn = true;
-            }
-            self.push(&sample);
         }
     }
 
@@ -355,11 +348,9 @@ impl Kalman {
 /// count once (and by a hundredth again), and what the first rows do to the parameters stays within the linear range.
 /// With a start 30 % wide the first few rows, at thousands of times the noise, throw the parameters so far that the
 /// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
-///
-/// `lost`: where rows are missing; behind a long such hole the filter begins again from what was measured.
-pub fn identify(model: &Model, run: &Run, lost: &[UnknownInput]) -> Kalman {
+pub fn identify(model: &Model, run: &Run) -> Kalman {
     let mut found = Kalman::new(model);
-    found.follow(run, lost);
+    run.samples().for_each(|sample| found.push(&sample));
     for _ in 0..MOST_PASSES {
         let values = found.values();
         let usable = found.begun
@@ -369,7 +360,7 @@ pub fn identify(model: &Model, run: &Run, lost: &[UnknownInput]) -> Kalman {
             break;
         }
         let mut next = Kalman::again(model, &found);
-        next.follow(run, lost);
+        run.samples().for_each(|sample| next.push(&sample));
         let still = PARAMETERS.iter().all(|(_, state)| {
             let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];
             step.abs() <= SETTLED_STEP * next.filter.belief.p[*state][*state].sqrt()

@@ -16,7 +16,7 @@ fn steps(seconds: f64, scale: f64, hold_s: f64) -> Vec<(f64, f64)> {
 }
 
 fn statistics(record: &Record, truth: &Truth, seeds: u64) -> Statistics<5> {
-    let of_seed = |seed| identify(&unknown(), &record.run(Some(seed)), &[]).estimates();
+    let of_seed = |seed| identify(&unknown(), &record.run(Some(seed))).estimates();
     let seeds: Vec<_> = (0..seeds).into_par_iter().map(of_seed).collect();
     Statistics::over(seeds.iter(), truth)
 }
@@ -40,7 +40,7 @@ fn without_noise_every_parameter_is_found() {
         let model = Model::baseline(motor(&truth));
         let events = steps(seconds, scale, hold_s);
         let record = Record::of(&model, events, every(period_s, seconds));
-        let found = identify(&unknown(), &record.run(None), &[]);
+        let found = identify(&unknown(), &record.run(None));
         let found = errors(&found, &truth);
         println!("{name} {found:.6?}");
         assert!(found.iter().all(|e| e.abs() < 0.001), "{name} {found:?}");
@@ -94,7 +94,7 @@ fn standstill_claims_nothing_and_says_why_in_numbers() {
     let record = Record::of(&model, vec![(0.0, 0.0)], every(0.001, 2.0));
     let run = record.run(Some(1));
     for start in [unknown(), model] {
-        for estimate in identify(&start, &run, &[]).estimates() {
+        for estimate in identify(&start, &run).estimates() {
             assert_eq!(estimate.verdict, Verdict::NotObservable, "{estimate:?}");
             let reason = estimate.reason.unwrap();
             assert!(reason.contains(|c: char| c.is_ascii_digit()), "{reason}");
@@ -108,9 +108,18 @@ fn constant_voltage_settles_neither_inductance_nor_inertia() {
     let record = Record::of(&model, vec![(0.0, 40.0)], every(0.001, 4.0));
     let run = record.run(Some(3));
     // The run without its start: nothing but steady state.
-    let steady = run.slice(1500, run.rows(), "steady");
+    let cells = |channel| (channel, run.column(channel).unwrap()[1500..].to_vec());
+    let mut steady = run_of(
+        run.time_s()[1500..].to_vec(),
+        [Channel::Current, Channel::Speed].map(cells),
+    );
+    put(
+        &mut steady,
+        Channel::VoltageCmd,
+        vec![40.0; run.rows() - 1500],
+    );
     for start in [unknown(), model] {
-        let found = identify(&start, &steady, &[]);
+        let found = identify(&start, &steady);
         let estimates = found.estimates();
         for estimate in &estimates {
             println!("steady {estimate:?}");
@@ -170,7 +179,7 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
     let truth = paper_with("quadratic_load", &[5e-5]);
     let record = Record::of(&truth, steps(6.0, 1.0, 0.0613), every(0.001, 6.0));
     let run = record.run(Some(5));
-    let blind = identify(&unknown(), &run, &[]);
+    let blind = identify(&unknown(), &run);
     for estimate in blind.estimates() {
         println!("blind {estimate:?}");
         assert_ne!(estimate.verdict, Verdict::Settled);
@@ -178,8 +187,17 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
     // Told of the effect, it finds the motor.
     let mut model = unknown();
     model.effects = truth.effects;
-    let told = identify(&model, &run, &[]);
+    let told = identify(&model, &run);
     let found = errors(&told, &PAPER);
     println!("told {found:.5?} {}", told.summary());
     assert!(found.iter().all(|e| e.abs() < 0.005), "{found:?}");
+}
+
+#[test]
+fn what_a_limit_of_the_drive_kept_from_the_motor_is_not_learnt() {
+    let found = identify(&unknown(), &limited(&paper_run(0.001, 6), 1.5..2.5));
+    let errors = errors(&found, &PAPER);
+    assert!(errors.iter().all(|e| e.abs() < 0.01), "{errors:?}");
+    let settled = |estimate: &ParameterEstimate| estimate.verdict == Verdict::Settled;
+    assert!(found.estimates().iter().all(settled));
 }

@@ -128,6 +128,9 @@ impl LoadTracker {
     /// `None` where it carries neither current nor speed.
     pub fn push(&mut self, sample: &Sample) -> Option<LoadPoint> {
         let time_s = sample.time_s;
+        // While a limit of the drive holds its output the motor has another voltage than was commanded.
+        let unlike_command = self.input == Input::Voltage && sample.limited;
+        self.filter.voltage.torn |= unlike_command;
         if self.input == Input::Voltage
             && let Some(volts) = self.applied.of(sample)
         {
@@ -146,6 +149,7 @@ impl LoadTracker {
             self.filter.voltage.energised |= moves;
         }
         self.filter.push(time_s, measured);
+        self.filter.voltage.torn |= unlike_command;
         if self.filter.mode == Mode::AtRest {
             self.bound_by_friction();
         }
@@ -246,6 +250,12 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
                 points.len()
             ),
         });
+    }
+    let limited = run.limited_rows().len();
+    if input == Input::Voltage && limited > 0 {
+        notes.push(format!(
+            "a limit of the drive held its output at {limited} rows: the load torque is not followed there"
+        ));
     }
     if !tracker.left_out.is_empty() {
         let left_out = tracker.left_out.join(", ");

@@ -263,3 +263,16 @@ fn what_is_missing_or_impossible_is_named() {
     let scenario = Scenario::from_run(&record.run(None)).unwrap();
     assert_eq!(scenario.input, Input::Voltage);
 }
+
+#[test]
+fn what_a_limit_of_the_drive_kept_from_the_motor_is_no_load() {
+    let record = plant(&events(), &|_| 0.0, 0.01, 6.0);
+    let model = Model::baseline(motor(&PAPER));
+    let run = limited(&record.run(Some(5)), 3.0..5.0);
+    let trace = load_torque_trace(&run, &model).unwrap();
+    for point in trace.points.iter().filter(|point| point.time_s > 1.0) {
+        let within = point.load_torque_n_m.abs() < 5.0 * point.std_n_m;
+        assert!(within && point.load_torque_n_m.abs() < 0.2, "{point:?}");
+    }
+    assert!(trace.notes.iter().any(|note| note.contains("limit")));
+}

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use crate::numerics::propagator::{LinearPart, Propagator};
-use crate::plant::{Instant, Model, Path, Terms};
+use crate::plant::{Instant, Model, Terms};
 
 /// R, L, Ke, Kt, J and what friction adds per speed, SI units.
 #[derive(Clone, Copy, Debug)]
@@ -80,16 +80,8 @@ impl KnownEffects {
     pub(super) fn of(model: &Model) -> (Self, Vec<&'static str>) {
         let (mut known, mut left) = (Vec::new(), Vec::new());
         for active in &model.effects {
-            let values: Option<Vec<f64>> = active.values.iter().copied().collect();
-            let terms = values.map(|values| active.effect.terms(&values));
-            let simple = |terms: &dyn Terms| {
-                terms.states() == 0
-                    && terms.path() == Path::default()
-                    && terms.coupling().is_none()
-                    && !active.effect.card().needs_angle
-                    && is_of_this_instant(terms)
-            };
-            match terms.filter(|terms| simple(terms.as_ref())) {
+            let terms = active.terms_of_the_instant();
+            match terms.filter(|_| !active.effect.card().needs_angle) {
                 Some(terms) => known.push(terms),
                 None => left.push(active.id()),
             }
@@ -133,33 +125,6 @@ impl KnownEffects {
             torque_n_m: here - physics.b * at.speed_rad_s,
         }
     }
-}
-
-/// Whether the terms depend on voltage, current and speed alone: a filter that runs along does not know the run's supply
-/// nor its first command, and takes the inductance as constant.
-fn is_of_this_instant(terms: &dyn Terms) -> bool {
-    let here = Instant {
-        voltage_v: 1.0,
-        supply_v: 1.0,
-        current_a: 1.0,
-        speed_rad_s: 1.0,
-        resistance_ohm: 1.0,
-        back_emf_v_s_per_rad: 1.0,
-        torque_n_m_per_a: 1.0,
-        ..Instant::default()
-    };
-    let there = Instant {
-        time_s: 1e9,
-        supply_v: 2.0,
-        ..here
-    };
-    let (here, there) = (terms.sums(&here, &[]), terms.sums(&there, &[]));
-    let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
-    here.current_rate_gain == 0.0
-        && there.inertia_gain == 0.0
-        && same(here.voltage_v, there.voltage_v)
-        && same(here.torque_n_m, there.torque_n_m)
-        && same(here.friction_n_m, there.friction_n_m)
 }
 
 #[cfg(test)]

@@ -190,6 +190,11 @@ impl Scheme3 {
         self.half_width_s = half_width_s;
     }
 
+    /// Time between two samples, s; not a number before the second.
+    pub const fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
     /// Whether a limit of the drive held its output at the samples that come from now on. Between such samples, and on
     /// both sides of them, the voltage is not the one that was commanded, and nothing is learnt.
     pub fn set_limited(&mut self, limited: bool) {

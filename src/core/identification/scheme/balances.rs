@@ -6,7 +6,7 @@ use crate::identification::{inverse_dynamics, missing_cells, weak_form};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
 use crate::plant::{ActiveEffect, Balance, Input, Model, MotorKey, Scenario};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
 
 pub(super) const WEAK_FORM: Scheme = Scheme {
     id: "weak-form",
@@ -170,10 +170,31 @@ fn once_each(parameters: Vec<ParameterEstimate>) -> Vec<ParameterEstimate> {
                 let (value, std) = ((wa * a + wb * b) / (wa + wb), (wa + wb).sqrt().recip());
                 // Balances that disagree: the spread is the better measure.
                 let spread = (a - b).abs() / 2.0;
-                if wb > wa {
-                    *earlier = next;
+                let (surer, other) = if wb > wa {
+                    (next, &*earlier)
+                } else {
+                    (earlier.clone(), &next)
+                };
+                let doubt = if 2.0 * spread > TWO_SIDED_95 * (wa.recip() + wb.recip()).sqrt() {
+                    Some(format!(
+                        "the balances do not agree: {} and {}",
+                        surer.text(1.0),
+                        other.text(1.0)
+                    ))
+                } else {
+                    other
+                        .reason
+                        .clone()
+                        .filter(|_| other.verdict != Verdict::Settled)
+                };
+                *earlier = ParameterEstimate {
+                    value: Some(value),
+                    std: Some(std.max(spread)),
+                    ..surer
+                };
+                if let Some(doubt) = doubt {
+                    earlier.unsettle(doubt);
                 }
-                (earlier.value, earlier.std) = (Some(value), Some(std.max(spread)));
             }
             (None, Some(_)) => *earlier = next,
             _ => {}
@@ -223,6 +244,21 @@ mod tests {
             let found = parameters(&model, scenario);
             assert_found(&found, "inertia_kg_m2", 0.0045, within);
             assert_found(&found, "load_torque_n_m", 0.455, within);
+        }
+    }
+
+    #[test]
+    fn what_both_balances_tell_is_settled_where_both_do_and_agree() {
+        for (other, doubt, verdict) in [
+            (1.01, None, Verdict::Settled),
+            (1.2, None, Verdict::Searching),
+            (1.01, Some("few samples".to_owned()), Verdict::Searching),
+        ] {
+            let of = |value, doubt| ParameterEstimate::found("e.x", "-", value, 0.02, doubt);
+            let merged = once_each(vec![of(1.0, None), of(other, doubt)]);
+            assert_eq!(merged.len(), 1);
+            assert_eq!(merged[0].verdict, verdict, "{merged:?}");
+            assert!((merged[0].value.unwrap() - 0.5 * (1.0 + other)).abs() < 1e-12);
         }
     }
 

@@ -53,8 +53,7 @@ fn ekf(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let help = "use --scheme weak-form, or map a voltage with --map voltage_v=HEADER";
         return Err(data.refused(id, "it has no voltage to predict the current from", help));
     }
-    let (run, lost) = (data.run_as_used(), &data.scenario.unknown_input);
-    let found = kalman::identify(data.model, &run, lost);
+    let found = kalman::identify(data.model, &data.run_as_used());
     let identified = Identified::new(id, data.model, found.estimates());
     let left_out = kalman::effects_left_out(data.model);
     let why = |active: &ActiveEffect| {

@@ -105,6 +105,51 @@ pub trait Terms: Send + Sync {
     }
 }
 
+impl dyn Terms + '_ {
+    /// Why it is more than a term of a balance; `None` where it is one.
+    pub fn why_no_term(&self) -> Option<&'static str> {
+        if self.path() != Path::default() {
+            Some("it lies on the way of command or measurement, not in a balance")
+        } else if self.coupling().is_some() {
+            Some("it is a second inertia with a motion of its own")
+        } else if self.states() > 0 {
+            Some("it has a state of its own, which no balance shows")
+        } else {
+            None
+        }
+    }
+
+    /// Whether it is a term that voltage, current, speed and angle of an instant decide: what runs along with a machine
+    /// knows neither the time since a run's first command nor its supply, and takes inductance and inertia as constant.
+    pub fn is_of_the_instant(&self) -> bool {
+        if self.why_no_term().is_some() {
+            return false;
+        }
+        let here = Instant {
+            voltage_v: 1.0,
+            supply_v: 1.0,
+            current_a: 1.0,
+            speed_rad_s: 1.0,
+            resistance_ohm: 1.0,
+            back_emf_v_s_per_rad: 1.0,
+            torque_n_m_per_a: 1.0,
+            ..Instant::default()
+        };
+        let there = Instant {
+            time_s: 1e9,
+            supply_v: 2.0,
+            ..here
+        };
+        let (here, there) = (self.sums(&here, &[]), self.sums(&there, &[]));
+        let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
+        here.current_rate_gain == 0.0
+            && there.inertia_gain == 0.0
+            && same(here.voltage_v, there.voltage_v)
+            && same(here.torque_n_m, there.torque_n_m)
+            && same(here.friction_n_m, there.friction_n_m)
+    }
+}
+
 /// The way of the command to the motor and of the measurement back; all zero is the direct way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Path {
