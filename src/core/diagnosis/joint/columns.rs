@@ -283,7 +283,7 @@ impl<'a> Around<'a> {
     }
 
     /// Two for each sample, whether measured or not.
-    fn rows(&self) -> usize {
+    pub(super) fn rows(&self) -> usize {
         2 * self.scenario.samples()
     }
 }

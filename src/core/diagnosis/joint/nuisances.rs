@@ -1,6 +1,8 @@
 //! Nuisance columns beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
 //! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
 
+use std::mem::{self, Discriminant};
+
 use nalgebra::DVector;
 
 use super::acting::constants;
@@ -138,9 +140,19 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     })
 }
 
+/// What a column is of: the error of one stamp, or of one form of an effect.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) struct ErrorOf {
+    /// The number of the effect; none of a stamp.
+    pub(super) effect: Option<usize>,
+    kind: Option<Discriminant<Tangent>>,
+    /// Among those of the kind.
+    number: usize,
+}
+
 /// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
-/// and the forms of its effects; each with the number of its effect.
-pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
+/// and the forms of its effects. Which forms there are is a matter of the run.
+pub(super) fn of_equations(run: &Around<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
     let of_effects = run.model.effects.iter().enumerate();
     let forms = of_effects.flat_map(|(number, active)| {
         let values = active.values_or_guess();
@@ -148,11 +160,25 @@ pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
         forms.into_iter().map(move |form| (Some(number), form))
     });
     let stamps = stamps(&run.model, run.scenario).map(|stamp| (None, stamp));
-    let (numbers, sources): (Vec<Option<usize>>, Vec<Source>) = stamps.chain(forms).unzip();
+    let mut errors: Vec<ErrorOf> = Vec::new();
+    let mut sources = Vec::new();
+    for (effect, source) in stamps.chain(forms) {
+        let kind = effect.and(source.tangent(0)).map(mem::discriminant);
+        let same = errors
+            .iter()
+            .filter(|own| (own.effect, own.kind) == (effect, kind));
+        let number = same.count();
+        errors.push(ErrorOf {
+            effect,
+            kind,
+            number,
+        });
+        sources.push(source);
+    }
     let sources: Vec<&Source> = sources.iter().collect();
     let columns = columns_of(&sources, std::slice::from_ref(run));
     let columns = columns.into_iter().flat_map(|whitened| whitened.columns);
-    numbers.into_iter().zip(columns).collect()
+    errors.into_iter().zip(columns).collect()
 }
 
 /// Voltages of terms at a small part of the run's largest current and at that current, and that part of it, A.
