@@ -7,7 +7,7 @@ use nalgebra::DVector;
 
 use super::acting::constants;
 use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
-use super::tangent::{Axis, Tangent, Wave, are_tangents};
+use super::tangent::{Axis, Tangent, Wave, are_tangents, wave_of_current};
 use crate::numerics::statistics::largest;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
@@ -250,17 +250,15 @@ pub(super) fn bends(
         let amplitude = sizes.map(|(_, value)| value * value).sum::<f64>().sqrt();
         let order = pairs().find(|(spec, _)| spec.key == "order");
         let order = order.map_or(1.0, |(_, order)| *order);
-        let gain = match effect.card().id {
-            "torque_ripple" => model.motor.torque_constant().unwrap_or(1.0) * 2.0,
-            _ => 1.0,
-        };
+        // What goes with the current does so in any form.
+        let of_current = wave_of_current(effect) == Some(true);
         for harmonic in [2.0, 3.0] {
             for sine in [true, false] {
                 let wave = Wave {
                     order: harmonic * order,
                     sine,
-                    size: FORM_SHARE * amplitude * gain,
-                    of_current: false,
+                    size: FORM_SHARE * amplitude,
+                    of_current,
                 };
                 bends.push(Source::Tangent(Tangent::Wave(wave)));
             }

@@ -701,7 +701,7 @@ pub(super) fn of_effect(
 }
 
 /// Whether the effect is a wave over the angle, and then whether in proportion to the current.
-fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
+pub(super) fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
     match effect.card().id {
         "cogging" => Some(false),
         "torque_ripple" => Some(true),
