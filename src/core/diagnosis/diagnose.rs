@@ -164,7 +164,8 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
     }
     let on_both = |rung: &Standing| {
         let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
-        Some(fitted.deviance() + rung.score.deviance())
+        let noise = &evidence.noise;
+        Some(fitted.deviance(noise) + rung.score.deviance(noise))
     };
     let deviances = rungs.iter().map(on_both).collect::<Option<Vec<f64>>>()?;
     let place = takes_nothing(&deviances)?;
