@@ -448,27 +448,33 @@ fn sentence(diagnosis: &Diagnosis) -> String {
             format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
         DiagnosisVerdict::Ambiguous => format!(
-            "behaves like {names}, which this run cannot tell from {}{}",
-            rival_names(&diagnosis.confusable).join(", "),
+            "behaves like {names}{}{}",
+            not_told(&diagnosis.confusable),
             unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Effect => format!(
-            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}",
+            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}",
             diagnosis.explained_percent,
+            not_told(&diagnosis.confusable),
             unconfirmed(diagnosis)
         ),
     }
 }
 
-/// What the first of each pair cannot be told from, each once.
-fn rival_names(confusable: &[[&'static str; 2]]) -> Vec<&'static str> {
-    let mut rivals: Vec<&'static str> = Vec::new();
-    for [_, rival] in confusable {
-        if !rivals.contains(rival) {
-            rivals.push(rival);
+/// Said where effects of an answer may as well be others: which, each with all that it may be instead.
+fn not_told(confusable: &[[&'static str; 2]]) -> String {
+    let mut pairs: Vec<(&str, String)> = Vec::new();
+    for [id, rival] in confusable {
+        match pairs.iter_mut().find(|(known, _)| known == id) {
+            Some((_, words)) => *words += &format!(", {rival}"),
+            None => pairs.push((id, format!("{id} from {rival}"))),
         }
     }
-    rivals
+    let words: Vec<String> = pairs.into_iter().map(|pair| pair.1).collect();
+    if words.is_empty() {
+        return String::new();
+    }
+    format!("; this run cannot tell {}", words.join(" nor "))
 }
 
 /// Said where the run that had no part in the answer speaks against it.
@@ -551,13 +557,16 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_of_two_names_is_listed_once() {
+    fn each_name_has_its_own_rivals() {
         let pairs = [
             ["quadratic_load", "load_step"],
-            ["quadratic_load", "constant_load"],
             ["viscous_friction", "load_step"],
+            ["quadratic_load", "constant_load"],
         ];
-        assert_eq!(rival_names(&pairs), ["load_step", "constant_load"]);
+        assert_eq!(
+            not_told(&pairs),
+            "; this run cannot tell quadratic_load from load_step, constant_load nor viscous_friction from load_step"
+        );
     }
 
     fn third(diagnosis: &Diagnosis) -> &Confirmation {
