@@ -83,9 +83,9 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
     }
     for own in figures {
         let found = own.holdout.fit_percent;
-        if found < least {
-            let name = own.signal;
-            let headline = format!("held-out {name} fit {found:.1} % is below {least} %");
+        if found.is_nan() || found < least {
+            let (name, found) = (own.signal, percent(found));
+            let headline = format!("held-out {name} fit {found} is below {least} %");
             return Err(Failure::new(REFUSED, headline));
         }
     }

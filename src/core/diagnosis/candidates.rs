@@ -46,7 +46,9 @@ impl Status {
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED_PROBABILITY {
             Self::Supported
-        } else if !excited && probability <= LIKELY_PROBABILITY {
+        } else if probability > LIKELY_PROBABILITY {
+            Self::Possible
+        } else if probability.is_nan() || !excited {
             Self::NotExcited
         } else if probability >= POSSIBLE_PROBABILITY {
             Self::Possible
@@ -309,6 +311,7 @@ mod tests {
             (0.3, false, Status::NotExcited),
             (0.05, true, Status::RuledOut),
             (0.05, false, Status::NotExcited),
+            (f64::NAN, true, Status::NotExcited),
         ] {
             assert_eq!(Status::of(probability, excited), word, "{probability}");
         }

@@ -227,7 +227,7 @@ fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitErro
         (&ahead.speed_rad_s, &scenario.speed_rad_s),
     ];
     Ok(pairs.map(|(predicted, measured)| {
-        scored(predicted, measured, scenario).map_or(0.0, |signal| signal.rmse)
+        scored(predicted, measured, scenario).map_or(f64::NAN, |signal| signal.rmse)
     }))
 }
 

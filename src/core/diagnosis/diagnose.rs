@@ -136,6 +136,9 @@ pub fn diagnose_with(
         of: inference.named.len(),
     });
     let mut rungs = climb(&bench, &baseline, &inference, progress)?;
+    if !rungs[0].score.nrms.is_finite() {
+        return Err(nothing_judged(&bench.evidence.holdout));
+    }
     let doubtful = |inference: &Inference, rungs: &[Standing]| {
         let without_size = without_size(inference, rungs);
         without_size.or_else(|| by_chance(&bench, inference, rungs))
@@ -176,6 +179,12 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
 fn takes_nothing(deviances: &[f64]) -> Option<usize> {
     let mut steps = deviances.windows(2);
     steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE_DEVIANCE)
+}
+
+/// Of an error that is not known nothing can be said.
+fn nothing_judged(run: &Scenario) -> FitError {
+    let run = run.name.clone();
+    FitError::NothingMeasured { run }
 }
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
@@ -333,6 +342,9 @@ fn confirmed(
         let unseen = in_noise(unseen.map(Some), &evidence.noise);
         let floor = Floor::new(evidence, unseen.unwrap_or(0.0));
         let [before, after] = [before.score.nrms, after.score.nrms];
+        if !(before.is_finite() && after.is_finite()) {
+            return Err(nothing_judged(run));
+        }
         let share = floor.explained(before, after);
         let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
         let at_the_floor = floor.is_reached(before / in_motion);

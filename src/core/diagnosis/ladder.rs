@@ -417,6 +417,9 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
 fn fall([before, after]: [&Score; 2], times: &str) -> String {
     let (from, to) = (before.nrms, after.nrms);
     let share = 100.0 * (1.0 - to / from);
+    if !share.is_finite() {
+        return "the held-out error is not known".to_owned();
+    }
     let word = if share >= 0.0 { "falls" } else { "rises" };
     let by = share.abs();
     format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")

@@ -481,7 +481,8 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         if candidate.id != id {
             continue;
         }
-        absent *= (1.0 - found.posterior.probability[k]).max(0.0);
+        // What is not a number stays none.
+        absent *= 1.0 - found.posterior.probability[k];
         out.log_odds = out.log_odds.max(found.posterior.log_factor[k]);
         let form = found.posterior.forms[k];
         let variant = &candidate.variants[form];
