@@ -154,10 +154,16 @@ fn lights(residual: &ResidualLights) -> String {
         return "too few samples to say whether only noise is left".to_owned();
     }
     let mut line = match (residual.white, residual.independent_of_input) {
-        (true, true) => "white and independent of the input, as noise is".to_owned(),
-        (true, false) => "white, but it goes with the input".to_owned(),
-        (false, true) => "not white, but independent of the input".to_owned(),
-        (false, false) => "not white, and it goes with the input".to_owned(),
+        (true, Some(true)) => "white and independent of the input, as noise is".to_owned(),
+        (true, Some(false)) => "white, but it goes with the input".to_owned(),
+        (false, Some(true)) => "not white, but independent of the input".to_owned(),
+        (false, Some(false)) => "not white, and it goes with the input".to_owned(),
+        (white, None) => {
+            let white = if white { "white" } else { "not white" };
+            format!(
+                "{white}; whether it goes with the input this input, which never changes, does not tell"
+            )
+        }
     };
     line.push_str(" (times the 99 % band:");
     for (name, signal) in residual.named() {
