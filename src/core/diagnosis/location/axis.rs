@@ -344,7 +344,7 @@ impl Search<'_> {
             let part = by / model.motor.get(key).unwrap_or(f64::NAN);
             let what = format!(
                 "follows the {}, as {} {} too {} in the model would make it ({} {})",
-                name_of_variable(variable),
+                name_and_unit(variable).0,
                 name_of(key),
                 share(part.abs()),
                 if by > 0.0 { "low" } else { "high" },
@@ -605,12 +605,13 @@ const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
         b"angle_rad" => ("angle", "rad"),
         b"voltage_edge_s" => ("timing of the voltage", "s"),
         b"frequency_hz" => ("phase of a line in frequency", ""),
-        _ => ("variable", ""),
+        // What is the same everywhere follows none.
+        _ => ("", ""),
     }
 }
 
-pub(super) const fn name_of_variable(variable: &str) -> &'static str {
-    name_and_unit(variable).0
+pub(super) fn name_of_variable(variable: &str) -> Option<&'static str> {
+    Some(name_and_unit(variable).0).filter(|name| !name.is_empty())
 }
 
 pub(super) const fn name_of(key: MotorKey) -> &'static str {

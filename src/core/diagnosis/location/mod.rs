@@ -354,12 +354,16 @@ pub(super) fn undecided(
         2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
     };
     let both = doubt(first.follows).hypot(doubt(second.follows));
+    let what = |location: &FailureLocation| match name_of_variable(location.variable) {
+        Some(name) => format!("follows the {name}"),
+        None => "is the same everywhere".to_owned(),
+    };
     ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then(|| {
         format!(
-            "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
+            "the {} error {} and {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
             worst.equation,
-            name_of_variable(first.variable),
-            name_of_variable(second.variable),
+            what(first),
+            what(second),
             100.0 * first.follows,
             100.0 * second.follows
         )
