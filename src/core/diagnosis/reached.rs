@@ -93,7 +93,14 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
             continue;
         };
         let mut moved = values.clone();
-        moved[index] = (values[index] + std).clamp(spec.min, spec.max);
+        // At the upper bound it may be smaller only.
+        let upwards = values[index] + std;
+        let beside = if upwards <= spec.max {
+            upwards
+        } else {
+            values[index] - std
+        };
+        moved[index] = beside.max(spec.min);
         let there = along.sizes(&moved).unwrap_or(sizes);
         for k in 0..4 {
             variances[k] += (there[k] - sizes[k]).powi(2);
