@@ -57,7 +57,7 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
         let axis = map.axis_label();
         let chart = AxisChart {
             title: map.title(),
-            axis,
+            axis: &axis,
             knots: &map.knots,
             values: &map.values,
             std: &map.std,

@@ -8,7 +8,7 @@ use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Input, Model, Scenario};
 
 /// Share of a run that trains when there is no second run; the rest is held out as one block.
-pub const TRAINING_SHARE: f64 = 0.6;
+const TRAINING_SHARE: f64 = 0.6;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

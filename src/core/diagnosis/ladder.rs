@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::compare::{Comparison, compare};
+use super::compare::{Comparison, ProcessingError, compare};
 use super::evidence::Evidence;
 use super::joint::answer::{Inference, asked, infer, refined};
 use super::location::ErrorOf;
@@ -397,7 +397,7 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
     let words = before.zip(after).map(|(before, after)| {
         let from = before.holdout_relative_error_percent;
         let to = after.holdout_relative_error_percent;
-        let whole = |side: &super::ProcessingError| side.whole_run_relative_error_percent;
+        let whole = |side: &ProcessingError| side.whole_run_relative_error_percent;
         let whole = whole(before).zip(whole(after));
         let whole = whole.map_or_else(String::new, |(from, to)| {
             format!(", {from:.2} -> {to:.2} % over the whole run")

@@ -11,7 +11,7 @@ use super::score::varies;
 use crate::numerics::statistics::{self, BAND_99, COLOURED_BY_CHANCE, OUTSIDE_BY_CHANCE};
 
 /// Lags that are looked at.
-pub const LAGS: usize = statistics::WHITENESS_LAGS;
+const LAGS: usize = statistics::WHITENESS_LAGS;
 /// Samples below which a correlation says nothing.
 const FEWEST_SAMPLES: usize = 4 * LAGS;
 /// Multiple of the band above which a light is red whatever the number of lags; chance alone exceeds it once in 10,000

@@ -7,8 +7,9 @@ use nalgebra::DVector;
 
 use super::acting::constants;
 use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
-use super::tangent::{Axis, Tangent, Wave, are_tangents, wave_of_current};
+use super::tangent::{Tangent, Wave, are_tangents, wave_of_current};
 use crate::numerics::statistics::largest;
+use crate::plant::effect::Axis;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
     effect, typical_size,

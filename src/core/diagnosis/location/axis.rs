@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use super::FailureLocation;
 use super::windows::{Window, Windows, own_keys};
 use crate::numerics::count::whole;
+use crate::plant::effect::{Axis, table_weights};
 use crate::plant::{Balance, Model, MotorKey};
 use crate::text::number::{share, shortest};
 
@@ -576,16 +577,8 @@ impl Search<'_> {
 
 /// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
 pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
-    let last = knots.len() - 1;
-    let after = knots.partition_point(|knot| *knot <= value);
-    if after == 0 {
-        row[0] += weight;
-    } else if after > last {
-        row[last] += weight;
-    } else {
-        let share = (value - knots[after - 1]) / (knots[after] - knots[after - 1]);
-        row[after - 1] += weight * (1.0 - share);
-        row[after] += weight * share;
+    for (knot, share) in table_weights(Axis::Speed, knots, value) {
+        row[knot] += weight * share;
     }
 }
 
@@ -594,10 +587,11 @@ pub(super) fn figure(value: f64) -> String {
     shortest(value, 3)
 }
 
-const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
+pub(super) const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
     match variable.as_bytes() {
         b"speed_rad_s" => ("speed", "rad/s"),
         b"current_a" => ("current", "A"),
+        b"voltage_v" => ("voltage", "V"),
         b"time_s" => ("time", "s"),
         b"acceleration_rad_s2" => ("acceleration", "rad/s2"),
         b"current_rate_a_s" => ("rate of the current", "A/s"),

@@ -20,7 +20,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use crate::numerics::statistics::{largest, median};
+use crate::numerics::statistics::{largest, median_step};
 use crate::plant::Scenario;
 
 pub use plan::{Peaks, Recipe};
@@ -174,10 +174,8 @@ impl ExperimentLimits {
 
 /// Time between two samples, s.
 fn period_s(run: &Scenario) -> f64 {
-    let pairs = run.sample_time_s.windows(2);
-    let steps: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();
     // A stamp carries rounding; nobody asks for more than microseconds.
-    (median(&steps) * 1e6).round() * 1e-6
+    (median_step(&run.sample_time_s) * 1e6).round() * 1e-6
 }
 
 /// Largest change of the voltage from one event to the next, which is made within a sample.
