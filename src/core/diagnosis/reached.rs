@@ -312,6 +312,19 @@ mod tests {
     }
 
     #[test]
+    fn at_its_upper_bound_it_is_not_known_exactly() {
+        let model = truth("speed_delay", &[0.004]);
+        let run = testing::record(&model, held(&[60.0, -50.0], 0.7), 0.001, 2.0, 3);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let mut fit = Fitted::from(output_error::fit(&[model], &run, &noise).unwrap());
+        let most = fit.model.effects[0].effect.parameters()[0].max;
+        fit.model.effects[0].values[0] = Some(most);
+        let delay = effect::find("speed_delay").unwrap();
+        let late = of_fit(&fit, delay, &run).unwrap().speed_rad_s.unwrap();
+        assert!(late.std.unwrap() > 0.0, "{late:?}");
+    }
+
+    #[test]
     fn what_sits_in_one_sensor_reaches_nothing_in_the_others() {
         for (id, value, unit) in [
             ("current_filter", 2e-3, "A"),
