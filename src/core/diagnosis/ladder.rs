@@ -431,12 +431,17 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
     let found = inference.of(id);
     let likely = probability(found.map_or(0.0, |found| found.probability));
     let is_there = inference.names(id);
-    if !adding {
-        let word = if is_there { "needed" } else { "superfluous" };
-        return format!("{name} is {word}: it is there with {likely}, and without it {fall}");
-    }
+    let is_excited = found.is_some_and(|found| found.excited);
     if let Some(why_not) = found.and_then(|found| found.why_not) {
         return format!("{name} cannot be judged from this run: {why_not}");
+    }
+    if !adding {
+        let word = match (is_there, is_excited) {
+            (true, _) => "is needed",
+            (false, true) => "is superfluous",
+            (false, false) => "would not show in these runs, which do not ask for it",
+        };
+        return format!("{name} {word}: it is there with {likely}, and without it {fall}");
     }
     // The list behind these words, if there is anything in it.
     let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
@@ -469,7 +474,6 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
         ", ",
         ")",
     );
-    let is_excited = found.is_some_and(|found| found.excited);
     let unseen = if is_excited {
         ""
     } else {
