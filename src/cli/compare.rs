@@ -127,7 +127,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
     }
     let _ = writeln!(text, "residual {}", lights(&comparison.residual));
     if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {
-        if !comparison.balances.is_empty() {
+        if comparison.balances.iter().any(|b| b.nres.is_none()) {
+            text.push_str("where    not known: the errors follow nothing that was asked, and no noise is known\n");
+        } else if !comparison.balances.is_empty() {
             text.push_str("where    nowhere: no equation fails beyond its noise\n");
         }
     } else {
