@@ -218,3 +218,23 @@ fn margins_text(margins: &Margins) -> String {
         margins.radius
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+
+    #[test]
+    fn a_friction_without_a_value_is_none_to_tune_for() {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(0.0));
+        model = model.with_effect("viscous_friction").unwrap();
+        let key = "viscous_friction.viscous_n_m_s_per_rad".to_owned();
+        assert_eq!(
+            viscous_n_m_s_per_rad(&model),
+            Err(ModelError::Unset { key })
+        );
+        model.effects[0].values[0] = Some(2e-4);
+        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(2e-4));
+    }
+}
