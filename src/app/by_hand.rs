@@ -61,7 +61,8 @@ impl Standing {
         };
         if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
             let (effect, error) = (result.effect, rung.holdout_rmse);
-            let change = format!("{sign} {effect}: held-out error {error:.2} times the noise");
+            let times = result.after.noise_floor_from.times();
+            let change = format!("{sign} {effect}: held-out error {error:.2} {times}");
             self.changes.push(change);
             self.since += 1;
         }

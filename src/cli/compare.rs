@@ -83,9 +83,9 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
     }
     for own in figures {
         let found = own.holdout.fit_percent;
-        if found < least {
-            let name = own.signal;
-            let headline = format!("held-out {name} fit {found:.1} % is below {least} %");
+        if found.is_nan() || found < least {
+            let (name, found) = (own.signal, percent(found));
+            let headline = format!("held-out {name} fit {found} is below {least} %");
             return Err(Failure::new(REFUSED, headline));
         }
     }
@@ -127,7 +127,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
     }
     let _ = writeln!(text, "residual {}", lights(&comparison.residual));
     if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {
-        if !comparison.balances.is_empty() {
+        if comparison.balances.iter().any(|b| b.nres.is_none()) {
+            text.push_str("where    not known: the errors follow nothing that was asked, and no noise is known\n");
+        } else if !comparison.balances.is_empty() {
             text.push_str("where    nowhere: no equation fails beyond its noise\n");
         }
     } else {
@@ -154,10 +156,16 @@ fn lights(residual: &ResidualLights) -> String {
         return "too few samples to say whether only noise is left".to_owned();
     }
     let mut line = match (residual.white, residual.independent_of_input) {
-        (true, true) => "white and independent of the input, as noise is".to_owned(),
-        (true, false) => "white, but it goes with the input".to_owned(),
-        (false, true) => "not white, but independent of the input".to_owned(),
-        (false, false) => "not white, and it goes with the input".to_owned(),
+        (true, Some(true)) => "white and independent of the input, as noise is".to_owned(),
+        (true, Some(false)) => "white, but it goes with the input".to_owned(),
+        (false, Some(true)) => "not white, but independent of the input".to_owned(),
+        (false, Some(false)) => "not white, and it goes with the input".to_owned(),
+        (white, None) => {
+            let white = if white { "white" } else { "not white" };
+            format!(
+                "{white}; whether it goes with the input this input, which never changes, does not tell"
+            )
+        }
     };
     line.push_str(" (times the 99 % band:");
     for (name, signal) in residual.named() {

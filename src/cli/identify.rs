@@ -230,7 +230,7 @@ fn json_of(answer: &Answer) -> Value {
     };
     let converted = conventions::of(&answer.parameters());
     let mut value = json!({
-        "scheme": first.map(|run| run.found.scheme),
+        "scheme": schemes(answer),
         "parameters": parameters,
         "rows": of_runs(|run| run.loaded.run.rows()),
         "rows_used": of_runs(|run| run.scenario.samples()),
@@ -246,6 +246,7 @@ fn json_of(answer: &Answer) -> Value {
         let each = answer.runs.iter().map(|run| {
             json!({
                 "run": run.loaded.run.name,
+                "scheme": run.found.scheme,
                 "rows": run.loaded.run.rows(),
                 "parameters": estimates(&run.found.parameters),
             })
@@ -265,8 +266,15 @@ fn json_of(answer: &Answer) -> Value {
     value
 }
 
+/// What the runs were identified by, each scheme once: those of another kind may have another one.
+fn schemes(answer: &Answer) -> String {
+    let mut schemes: Vec<&str> = answer.runs.iter().map(|run| run.found.scheme).collect();
+    schemes.dedup();
+    schemes.join(" and ")
+}
+
 fn text_of(answer: &Answer) -> String {
-    let scheme = answer.runs.first().map_or("", |run| run.found.scheme);
+    let scheme = schemes(answer);
     let mut text = match answer.runs.len() {
         1 => format!("scheme {scheme}; ± is one standard deviation, 1.96 of them hold 95 %\n"),
         runs => {

@@ -10,7 +10,7 @@ use super::output::{self, lines};
 use crate::app::files::read_model;
 use crate::control::tuning::{Request, Rule, Tuning, tune};
 use crate::control::{LinearPlant, LoopShape, LoopTiming, Margins, Schedule, StepPoint};
-use crate::plant::{Model, ModelFile, MotorKey};
+use crate::plant::{Model, ModelError, ModelFile, MotorKey};
 
 /// Standard deviations of the inertia at whose ends the loop is looked at.
 const DOUBT: f64 = 2.0;
@@ -89,7 +89,7 @@ struct TuneResult<'a> {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let file = read_model(&arguments.model)?;
-    let plant = LinearPlant::voltage(&file.model, viscous_n_m_s_per_rad(&file.model))?;
+    let plant = LinearPlant::voltage(&file.model, viscous_n_m_s_per_rad(&file.model)?)?;
     let timing = timing(arguments)?;
     let request = Request {
         rule: arguments.rule.into(),
@@ -128,10 +128,14 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
 }
 
 /// Slope of the friction as the model has it.
-fn viscous_n_m_s_per_rad(model: &Model) -> f64 {
+fn viscous_n_m_s_per_rad(model: &Model) -> Result<f64, ModelError> {
     let mut effects = model.effects.iter();
-    let viscous = effects.find(|active| active.id() == "viscous_friction");
-    viscous.map_or(0.0, |active| active.values_or_guess()[0])
+    let Some(viscous) = effects.find(|active| active.id() == "viscous_friction") else {
+        return Ok(0.0);
+    };
+    viscous.values[0].ok_or_else(|| ModelError::Unset {
+        key: format!("{}.{}", viscous.id(), viscous.effect.parameters()[0].key),
+    })
 }
 
 fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner> {
@@ -213,4 +217,24 @@ fn margins_text(margins: &Margins) -> String {
         margins.bandwidth_rad_s / std::f64::consts::TAU,
         margins.radius
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+
+    #[test]
+    fn a_friction_without_a_value_is_none_to_tune_for() {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(0.0));
+        model = model.with_effect("viscous_friction").unwrap();
+        let key = "viscous_friction.viscous_n_m_s_per_rad".to_owned();
+        assert_eq!(
+            viscous_n_m_s_per_rad(&model),
+            Err(ModelError::Unset { key })
+        );
+        model.effects[0].values[0] = Some(2e-4);
+        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(2e-4));
+    }
 }

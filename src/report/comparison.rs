@@ -50,6 +50,10 @@ impl ComparisonReport<'_> {
         } else if found.is_at_the_floor() && !fails {
             let rest = "the noise floor: the model explains the run.";
             (Tone::Good, "At the noise floor", rest)
+        } else if found.is_at_the_floor() {
+            let rest =
+                "the noise floor, but one of its equations fails: the model misses something.";
+            (Tone::Attention, "An equation fails", rest)
         } else {
             let rest = "the noise floor: the model misses something.";
             (Tone::Attention, "Above the noise floor", rest)
@@ -242,9 +246,7 @@ pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
         };
         let label = capitalised(label);
         if comparison.locations.is_empty() {
-            page.paragraph(format!(
-                "{label}: the error follows no speed, current, angle or time."
-            ));
+            page.paragraph(format!("{label}: {}.", comparison.headline()));
         } else {
             let undecided = comparison.undecided().unwrap_or_default();
             page.paragraph(format!("{label}: {undecided}").trim_end().to_owned());

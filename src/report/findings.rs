@@ -52,11 +52,12 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let is_followed = |map: &&AxisMap| map.is_followed() && map.knots.len() > 1;
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
         diagnosis.axis_map.iter().partition(is_followed);
+    let is_any = !followed.is_empty();
     for map in followed.iter().take(MOST_CURVES) {
         let axis = map.axis_label();
         let chart = AxisChart {
             title: map.title(),
-            axis,
+            axis: &axis,
             knots: &map.knots,
             values: &map.values,
             std: &map.std,
@@ -72,8 +73,11 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let others = followed.into_iter().skip(MOST_CURVES).chain(rest);
     let sentence = |map: &AxisMap| format!("{}.", capitalised(&map.sentence));
     page.list(others.map(sentence).collect());
+    if !is_any {
+        return;
+    }
     page.paragraph(
-        "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
+        "No effect of the catalogue explains these curves. The clearest can be added as it is, with the command drivebench add table, so that the \
          error falls while its cause is looked for.",
     );
 }

@@ -199,7 +199,7 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
         residual: ResidualLights {
             enough_samples: true,
             autocorrelation_outside_99_percent: 0.8,
-            independent_of_input: true,
+            independent_of_input: Some(true),
             ..ResidualLights::default()
         },
         noise_floor_from: FloorSource::Standstill,

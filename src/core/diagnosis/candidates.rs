@@ -9,8 +9,9 @@ use super::joint::answer::{Inference, Inferred, Onset, RunOf};
 use super::ladder::Standing;
 use super::reached::{self, Reached};
 use super::score::{by_key, parameters_of};
-use crate::plant::{Effect, effect};
-use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
+use crate::identification::verdict::judge;
+use crate::plant::{Effect, Slot, effect};
+use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::number::{probability, significant, with_unit};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
@@ -46,7 +47,9 @@ impl Status {
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED_PROBABILITY {
             Self::Supported
-        } else if !excited && probability <= LIKELY_PROBABILITY {
+        } else if probability > LIKELY_PROBABILITY {
+            Self::Possible
+        } else if probability.is_nan() || !excited {
             Self::NotExcited
         } else if probability >= POSSIBLE_PROBABILITY {
             Self::Possible
@@ -197,22 +200,25 @@ pub(super) fn candidates(
 fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
     let id = effect.card().id;
     let [low, high] = onset.interval_95_s;
-    let specs = effect.parameters().iter();
+    let specs = effect.parameters().iter().enumerate();
     specs
-        .map(|spec| {
+        .map(|(parameter, spec)| {
             let (value, std) = if spec.is_coefficient() {
                 (onset.size, onset.size_std)
             } else {
                 (onset.time_s, (high - low) / (2.0 * TWO_SIDED_95))
             };
-            ParameterEstimate {
-                key: format!("{id}.{}", spec.key),
-                value: Some(value),
-                std: Some(std),
-                unit: spec.unit,
-                verdict: Verdict::Settled,
-                reason: Some("it happened in the hold-out only".to_owned()),
-            }
+            let slot = Slot::Effect {
+                index: 0,
+                parameter,
+                spec,
+                id,
+            };
+            let mut found = judge(&slot, value, Some(std), f64::NAN);
+            let reason = found.reason.map(|reason| format!("; {reason}"));
+            let reason = reason.unwrap_or_default();
+            found.reason = Some(format!("it happened in the hold-out only{reason}"));
+            found
         })
         .collect()
 }
@@ -309,6 +315,7 @@ mod tests {
             (0.3, false, Status::NotExcited),
             (0.05, true, Status::RuledOut),
             (0.05, false, Status::NotExcited),
+            (f64::NAN, true, Status::NotExcited),
         ] {
             assert_eq!(Status::of(probability, excited), word, "{probability}");
         }

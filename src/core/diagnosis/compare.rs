@@ -130,7 +130,12 @@ impl Comparison {
     pub fn headline(&self) -> String {
         let first = || Some(self.locations.first()?.sentence.clone());
         let sentence = self.undecided().or_else(first);
-        sentence.unwrap_or_else(|| "the error follows nothing in particular".to_owned())
+        let none = if self.balances.is_empty() {
+            "these runs do not tell where it fails"
+        } else {
+            "the error follows no speed, current, angle or time"
+        };
+        sentence.unwrap_or_else(|| none.to_owned())
     }
 }
 
@@ -227,7 +232,7 @@ fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitErro
         (&ahead.speed_rad_s, &scenario.speed_rad_s),
     ];
     Ok(pairs.map(|(predicted, measured)| {
-        scored(predicted, measured, scenario).map_or(0.0, |signal| signal.rmse)
+        scored(predicted, measured, scenario).map_or(f64::NAN, |signal| signal.rmse)
     }))
 }
 

@@ -136,6 +136,9 @@ pub fn diagnose_with(
         of: inference.named.len(),
     });
     let mut rungs = climb(&bench, &baseline, &inference, progress)?;
+    if !rungs[0].score.nrms.is_finite() {
+        return Err(nothing_judged(&bench.evidence.holdout));
+    }
     let doubtful = |inference: &Inference, rungs: &[Standing]| {
         let without_size = without_size(inference, rungs);
         without_size.or_else(|| by_chance(&bench, inference, rungs))
@@ -164,7 +167,8 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
     }
     let on_both = |rung: &Standing| {
         let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
-        Some(fitted.deviance() + rung.score.deviance())
+        let noise = &evidence.noise;
+        Some(fitted.deviance(noise) + rung.score.deviance(noise))
     };
     let deviances = rungs.iter().map(on_both).collect::<Option<Vec<f64>>>()?;
     let place = takes_nothing(&deviances)?;
@@ -175,6 +179,12 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
 fn takes_nothing(deviances: &[f64]) -> Option<usize> {
     let mut steps = deviances.windows(2);
     steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE_DEVIANCE)
+}
+
+/// Of an error that is not known nothing can be said.
+fn nothing_judged(run: &Scenario) -> FitError {
+    let run = run.name.clone();
+    FitError::NothingMeasured { run }
 }
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
@@ -332,6 +342,9 @@ fn confirmed(
         let unseen = in_noise(unseen.map(Some), &evidence.noise);
         let floor = Floor::new(evidence, unseen.unwrap_or(0.0));
         let [before, after] = [before.score.nrms, after.score.nrms];
+        if !(before.is_finite() && after.is_finite()) {
+            return Err(nothing_judged(run));
+        }
         let share = floor.explained(before, after);
         let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
         let at_the_floor = floor.is_reached(before / in_motion);
@@ -447,27 +460,33 @@ fn sentence(diagnosis: &Diagnosis) -> String {
             format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
         DiagnosisVerdict::Ambiguous => format!(
-            "behaves like {names}, which this run cannot tell from {}{}",
-            rival_names(&diagnosis.confusable).join(", "),
+            "behaves like {names}{}{}",
+            not_told(&diagnosis.confusable),
             unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Effect => format!(
-            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}",
+            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}",
             diagnosis.explained_percent,
+            not_told(&diagnosis.confusable),
             unconfirmed(diagnosis)
         ),
     }
 }
 
-/// What the first of each pair cannot be told from, each once.
-fn rival_names(confusable: &[[&'static str; 2]]) -> Vec<&'static str> {
-    let mut rivals: Vec<&'static str> = Vec::new();
-    for [_, rival] in confusable {
-        if !rivals.contains(rival) {
-            rivals.push(rival);
+/// Said where effects of an answer may as well be others: which, each with all that it may be instead.
+fn not_told(confusable: &[[&'static str; 2]]) -> String {
+    let mut pairs: Vec<(&str, String)> = Vec::new();
+    for [id, rival] in confusable {
+        match pairs.iter_mut().find(|(known, _)| known == id) {
+            Some((_, words)) => *words += &format!(", {rival}"),
+            None => pairs.push((id, format!("{id} from {rival}"))),
         }
     }
-    rivals
+    let words: Vec<String> = pairs.into_iter().map(|pair| pair.1).collect();
+    if words.is_empty() {
+        return String::new();
+    }
+    format!("; this run cannot tell {}", words.join(" nor "))
 }
 
 /// Said where the run that had no part in the answer speaks against it.
@@ -550,13 +569,16 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_of_two_names_is_listed_once() {
+    fn each_name_has_its_own_rivals() {
         let pairs = [
             ["quadratic_load", "load_step"],
-            ["quadratic_load", "constant_load"],
             ["viscous_friction", "load_step"],
+            ["quadratic_load", "constant_load"],
         ];
-        assert_eq!(rival_names(&pairs), ["load_step", "constant_load"]);
+        assert_eq!(
+            not_told(&pairs),
+            "; this run cannot tell quadratic_load from load_step, constant_load nor viscous_friction from load_step"
+        );
     }
 
     fn third(diagnosis: &Diagnosis) -> &Confirmation {

@@ -2,6 +2,7 @@
 
 use super::kit::{candidate, nameplate, truth};
 use super::*;
+use crate::diagnosis::joint::answer::RunOf;
 use crate::plant::{Model, Scenario, effect, testing};
 
 /// Steps of the voltage all along, in both directions: at every moment the shaft turns and its speed changes.

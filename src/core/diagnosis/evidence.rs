@@ -8,7 +8,7 @@ use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Input, Model, Scenario};
 
 /// Share of a run that trains when there is no second run; the rest is held out as one block.
-pub const TRAINING_SHARE: f64 = 0.6;
+const TRAINING_SHARE: f64 = 0.6;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -230,9 +230,14 @@ fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
         behind.scored = end - first..behind.samples();
         behind
     });
+    let from_s = run.sample_time_s[first] - run.sample_time_s[0];
+    let origin = if first > 0 {
+        format!(", and what is said to happen at a time happens {from_s:.2} s later in it")
+    } else {
+        String::new()
+    };
     let searched = format!(
-        "only {:.0} to {:.0} s of the {:.0} s of {role} were searched: {} of {samples} rows",
-        run.sample_time_s[first] - run.sample_time_s[0],
+        "only {from_s:.0} to {:.0} s of the {:.0} s of {role} were searched: {} of {samples} rows{origin}",
         run.sample_time_s[end - 1] - run.sample_time_s[0],
         run.sample_time_s[samples - 1] - run.sample_time_s[0],
         end - first,
@@ -370,6 +375,7 @@ mod tests {
         let (evidence, words) = Evidence::new(long.clone(), None, None).shortened();
         let words = words.unwrap();
         assert!(words.contains("only 20 to 120 s of the 150 s"), "{words}");
+        assert!(words.contains("happens 20.00 s later"), "{words}");
         assert_eq!(evidence.training.samples(), 60_000);
         assert_eq!(evidence.holdout.scored, 60_000..100_000);
         let confirm = evidence.confirm.as_ref().unwrap();

@@ -201,7 +201,7 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
         100.0 * resistance
     );
     let sentence = match kinship {
-        Kinship::Same => format!("the two runs are of one motor: {figures}"),
+        Kinship::Same => format!("no sign that the two runs are of different motors: {figures}"),
         Kinship::Doubtful => format!(
             "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer would do this too"
         ),

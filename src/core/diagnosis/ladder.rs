@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::compare::{Comparison, compare};
+use super::compare::{Comparison, ProcessingError, compare};
 use super::evidence::Evidence;
 use super::joint::answer::{Inference, asked, infer, refined};
 use super::location::ErrorOf;
@@ -397,7 +397,7 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
     let words = before.zip(after).map(|(before, after)| {
         let from = before.holdout_relative_error_percent;
         let to = after.holdout_relative_error_percent;
-        let whole = |side: &super::ProcessingError| side.whole_run_relative_error_percent;
+        let whole = |side: &ProcessingError| side.whole_run_relative_error_percent;
         let whole = whole(before).zip(whole(after));
         let whole = whole.map_or_else(String::new, |(from, to)| {
             format!(", {from:.2} -> {to:.2} % over the whole run")
@@ -417,6 +417,9 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
 fn fall([before, after]: [&Score; 2], times: &str) -> String {
     let (from, to) = (before.nrms, after.nrms);
     let share = 100.0 * (1.0 - to / from);
+    if !share.is_finite() {
+        return "the held-out error is not known".to_owned();
+    }
     let word = if share >= 0.0 { "falls" } else { "rises" };
     let by = share.abs();
     format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
@@ -428,12 +431,17 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
     let found = inference.of(id);
     let likely = probability(found.map_or(0.0, |found| found.probability));
     let is_there = inference.names(id);
-    if !adding {
-        let word = if is_there { "needed" } else { "superfluous" };
-        return format!("{name} is {word}: it is there with {likely}, and without it {fall}");
-    }
+    let is_excited = found.is_some_and(|found| found.excited);
     if let Some(why_not) = found.and_then(|found| found.why_not) {
         return format!("{name} cannot be judged from this run: {why_not}");
+    }
+    if !adding {
+        let word = match (is_there, is_excited) {
+            (true, _) => "is needed",
+            (false, true) => "is superfluous",
+            (false, false) => "would not show in these runs, which do not ask for it",
+        };
+        return format!("{name} {word}: it is there with {likely}, and without it {fall}");
     }
     // The list behind these words, if there is anything in it.
     let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
@@ -466,7 +474,6 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
         ", ",
         ")",
     );
-    let is_excited = found.is_some_and(|found| found.excited);
     let unseen = if is_excited {
         ""
     } else {

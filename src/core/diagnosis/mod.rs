@@ -32,13 +32,11 @@ mod residual;
 mod score;
 
 pub use candidates::{Candidate, Status};
-pub use compare::{
-    Comparison, ProcessingError, SignalComparison, Signals, TorqueComparison, compare,
-};
-pub use diagnose::{Confirmation, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
-pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE, shared_samples};
-pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
-pub use joint::answer::{Onset, RunOf, Unknown};
+pub use compare::{Comparison, SignalComparison, Signals, compare};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
+pub use evidence::{Evidence, HoldoutFrom, shared_samples};
+pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
+pub use joint::answer::Unknown;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, MapDigits, OwnChange,
@@ -49,7 +47,7 @@ pub use next_experiment::{
 };
 pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
-pub use residual::{LAGS, Light, ResidualLights, SignalLights};
+pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
 
 #[cfg(test)]

@@ -93,7 +93,14 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
             continue;
         };
         let mut moved = values.clone();
-        moved[index] = (values[index] + std).clamp(spec.min, spec.max);
+        // At the upper bound it may be smaller only.
+        let upwards = values[index] + std;
+        let beside = if upwards <= spec.max {
+            upwards
+        } else {
+            values[index] - std
+        };
+        moved[index] = beside.max(spec.min);
         let there = along.sizes(&moved).unwrap_or(sizes);
         for k in 0..4 {
             variances[k] += (there[k] - sizes[k]).powi(2);
@@ -302,6 +309,19 @@ mod tests {
             "{change:?}"
         );
         assert!(late.torque_n_m.is_none() && late.voltage_v.is_none());
+    }
+
+    #[test]
+    fn at_its_upper_bound_it_is_not_known_exactly() {
+        let model = truth("speed_delay", &[0.004]);
+        let run = testing::record(&model, held(&[60.0, -50.0], 0.7), 0.001, 2.0, 3);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let mut fit = Fitted::from(output_error::fit(&[model], &run, &noise).unwrap());
+        let most = fit.model.effects[0].effect.parameters()[0].max;
+        fit.model.effects[0].values[0] = Some(most);
+        let delay = effect::find("speed_delay").unwrap();
+        let late = of_fit(&fit, delay, &run).unwrap().speed_rad_s.unwrap();
+        assert!(late.std.unwrap() > 0.0, "{late:?}");
     }
 
     #[test]

@@ -7,10 +7,11 @@
 
 use serde::Serialize;
 
+use super::score::varies;
 use crate::numerics::statistics::{self, BAND_99, COLOURED_BY_CHANCE, OUTSIDE_BY_CHANCE};
 
 /// Lags that are looked at.
-pub const LAGS: usize = statistics::WHITENESS_LAGS;
+const LAGS: usize = statistics::WHITENESS_LAGS;
 /// Samples below which a correlation says nothing.
 const FEWEST_SAMPLES: usize = 4 * LAGS;
 /// Multiple of the band above which a light is red whatever the number of lags; chance alone exceeds it once in 10,000
@@ -72,8 +73,8 @@ pub struct ResidualLights {
     /// Share of the lags 1..25 whose autocorrelation lies outside the 99 % band, the worse of the signals.
     pub autocorrelation_outside_99_percent: f64,
     /// Whether no residual goes with the input, linearly or in squares. Where the noise is known to be coloured this is
-    /// the only alarm that counts.
-    pub independent_of_input: bool,
+    /// the only alarm that counts. Null where there are too few samples to say, or the input never changes.
+    pub independent_of_input: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_rad_s: Option<SignalLights>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -116,6 +117,9 @@ impl ResidualLights {
         let enough_samples = measured().next().is_some()
             && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
         let each = || [current_a, speed_rad_s, torque_n_m].into_iter().flatten();
+        let changes =
+            |pairs: &[(f64, f64)]| varies(&pairs.iter().map(|pair| pair.1).collect::<Vec<_>>());
+        let is_asked = enough_samples && measured().any(changes);
         let worst = each()
             .map(|l| l.rho_ee.outside_99_percent)
             .fold(0.0, f64::max);
@@ -123,8 +127,8 @@ impl ResidualLights {
             white: enough_samples && each().all(|lights| lights.is_white()),
             enough_samples,
             autocorrelation_outside_99_percent: worst,
-            independent_of_input: enough_samples
-                && each().all(|l| l.rho_ue.passes && l.rho_u2e.passes && l.rho_u2e2.passes),
+            independent_of_input: is_asked
+                .then(|| each().all(|l| l.rho_ue.passes && l.rho_u2e.passes && l.rho_u2e2.passes)),
             speed_rad_s,
             current_a,
             torque_n_m,
@@ -233,7 +237,10 @@ mod tests {
     fn noise_is_white_and_a_slow_wave_is_not() {
         let (e, u) = (noise(4, 5000), noise(5, 5000));
         let good = lights(&e, &u);
-        assert!(good.white && good.independent_of_input, "{good:?}");
+        assert!(
+            good.white && good.independent_of_input == Some(true),
+            "{good:?}"
+        );
         let one = good.current_a.unwrap();
         assert!(one.ljung_box < one.ljung_box_limit && good.speed_rad_s.is_none());
         let wave = spoilt(&e, |k| 0.6 * (k as f64 / 50.0).sin());
@@ -251,9 +258,17 @@ mod tests {
             (found, found.current_a.unwrap())
         };
         let (all, linear) = with(&|k| if k > 3 { 0.3 * u[k - 3] } else { 0.0 });
-        assert!(!linear.rho_ue.passes && linear.rho_u2e.passes && !all.independent_of_input);
+        assert!(
+            !linear.rho_ue.passes
+                && linear.rho_u2e.passes
+                && all.independent_of_input == Some(false)
+        );
         let (all, square) = with(&|k| 0.3 * u[k] * u[k]);
-        assert!(!square.rho_u2e.passes && square.rho_ue.passes && !all.independent_of_input);
+        assert!(
+            !square.rho_u2e.passes
+                && square.rho_ue.passes
+                && all.independent_of_input == Some(false)
+        );
         // Noise that grows with the input is white and goes with no input itself.
         let (all, size) = with(&|k| e[k] * u[k].abs());
         assert!(
@@ -277,7 +292,7 @@ mod tests {
         let levels = noise(8, 20);
         let steps: Vec<f64> = (0..4000).map(|k| levels[k / 200]).collect();
         let white = |found: &ResidualLights| found.white;
-        let independent = |found: &ResidualLights| found.independent_of_input;
+        let independent = |found: &ResidualLights| found.independent_of_input == Some(true);
         let count =
             |seeds: u64, alarm: &dyn Fn(u64) -> bool| (0..seeds).filter(|k| alarm(*k)).count();
         let alarms = count(100, &|k| {
@@ -304,7 +319,10 @@ mod tests {
         let echoed = spoilt(&e, |k| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 });
         let found = lights(&echoed, &u);
         assert!(found.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
-        assert!(!found.white && found.independent_of_input, "{found:?}");
+        assert!(
+            !found.white && found.independent_of_input == Some(true),
+            "{found:?}"
+        );
         let one = found.current_a.unwrap();
         assert!(!one.rho_ee.passes && one.ljung_box > one.ljung_box_limit);
     }
@@ -318,5 +336,7 @@ mod tests {
             still.white && still.current_a.is_none(),
             "an exact model leaves nothing"
         );
+        let steady = lights(&noise(23, 400), &[1.0; 400]);
+        assert!(steady.white && steady.independent_of_input.is_none());
     }
 }

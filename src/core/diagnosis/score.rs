@@ -93,11 +93,15 @@ impl Score {
         }
     }
 
-    /// Sum of the squares of all errors in units of the noise.
-    pub(super) fn deviance(&self) -> f64 {
-        let signals = [self.current, self.speed, self.torque];
-        let samples: usize = signals.iter().flatten().map(|own| own.samples).sum();
-        samples as f64 * self.nrms * self.nrms
+    /// Sum of the squares of a free run's errors in units of the noise, of the signals whose noise is known.
+    pub(super) fn deviance(&self, noise: &NoiseFloor) -> f64 {
+        let current = self.current.map(|own| (own, noise.current_a));
+        let speed = self.speed.map(|own| (own, noise.speed_rad_s));
+        let judged = [current, speed].into_iter().flatten();
+        judged
+            .filter(|(_, level)| level.is_finite())
+            .map(|(own, level)| own.samples as f64 * (own.rmse / level).powi(2))
+            .sum()
     }
 }
 
@@ -240,6 +244,15 @@ mod tests {
         );
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
         assert!((weighing_samples / score - 1.0).abs() > 0.05);
+        // Of a signal that is not judged nothing counts.
+        let unjudged = NoiseFloor {
+            current_a: f64::INFINITY,
+            ..noise
+        };
+        let score = Score::of(&fit.model, &run, &unjudged).unwrap();
+        let speed = score.speed.unwrap();
+        let alone = speed.samples as f64 * score.nrms.powi(2);
+        assert!((score.deviance(&unjudged) / alone - 1.0).abs() < 1e-9);
     }
 
     #[test]

@@ -11,6 +11,8 @@ pub enum ModelError {
     UnknownEffect { id: String },
     #[error("effect {id:?} is in the model already")]
     Duplicate { id: String },
+    #[error("elastic_coupling and backlash are both in the model: there is one second inertia")]
+    SecondCoupling,
     #[error("effect {id:?} is not in the model")]
     Absent { id: String },
     #[error("{key} = {value} is not allowed (expected {allowed})")]
@@ -32,13 +34,17 @@ impl ModelError {
             Self::Value { key, .. } | Self::UnknownParameter { key } | Self::Unset { key } => {
                 key.rsplit('.').next().unwrap_or(key)
             }
-            Self::UnknownEffect { .. } | Self::Duplicate { .. } | Self::Absent { .. } => "",
+            Self::UnknownEffect { .. }
+            | Self::Duplicate { .. }
+            | Self::Absent { .. }
+            | Self::SecondCoupling => "",
         }
     }
 
     pub const fn help(&self) -> &'static str {
         match self {
             Self::UnknownEffect { .. } => "`drivebench effects` lists the catalogue",
+            Self::SecondCoupling => "take one out: backlash has the elasticity of the shaft in it",
             Self::Duplicate { .. } | Self::Absent { .. } => {
                 "see the [[effect]] tables of the model file"
             }

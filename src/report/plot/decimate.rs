@@ -1,5 +1,7 @@
 //! Decimation of a line to the columns of a picture: the smallest and the largest of each are kept, and so are gaps.
 
+use crate::numerics::statistics::median_step;
+
 /// A step in time longer than this multiple of the median is a gap: one lost sample makes a step of two.
 const GAP: f64 = 1.8;
 
@@ -15,14 +17,8 @@ pub(super) fn pieces(points: impl IntoIterator<Item = (f64, f64)>) -> Pieces {
         .into_iter()
         .filter(|(time_s, value)| time_s.is_finite() && value.is_finite())
         .collect();
-    let mut steps: Vec<f64> = present
-        .windows(2)
-        .map(|pair| pair[1].0 - pair[0].0)
-        .collect();
-    steps.sort_by(f64::total_cmp);
-    let longest = steps
-        .get(steps.len() / 2)
-        .map_or(f64::INFINITY, |median| GAP * median);
+    let times: Vec<f64> = present.iter().map(|point| point.0).collect();
+    let longest = GAP * median_step(&times);
     let mut pieces = Pieces::new();
     for point in present {
         match pieces.last_mut() {

@@ -328,17 +328,20 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
         return Line::styled(text, theme::DIM);
     }
     let mut line = Line::raw(" residual: ");
-    let independent = residual.independent_of_input;
     for (passes, good, bad) in [
-        (residual.white, "✓ white  ", "✗ not white  "),
+        (Some(residual.white), "✓ white  ", "✗ not white  "),
         (
-            independent,
+            residual.independent_of_input,
             "✓ independent of the input  ",
             "✗ goes with the input  ",
         ),
     ] {
-        let style = if passes { theme::GOOD } else { theme::BAD };
-        line.push_span(Span::styled(if passes { good } else { bad }, style));
+        let (word, style) = match passes {
+            Some(true) => (good, theme::GOOD),
+            Some(false) => (bad, theme::BAD),
+            None => ("? the input never changes  ", theme::DIM),
+        };
+        line.push_span(Span::styled(word, style));
     }
     let outside = per_cent(residual.autocorrelation_outside_99_percent);
     let lags = format!("({outside} of lags outside)");

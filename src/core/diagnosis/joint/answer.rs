@@ -324,7 +324,11 @@ pub(in crate::diagnosis) fn infer(
         !own.given && (alone || together(own.id()) > TOGETHER_PROBABILITY)
     };
     let named: Vec<&'static str> = effects.iter().filter(is_named).map(Inferred::id).collect();
-    let is_gone = |id: &&'static str| !found.hypothesis.has(id);
+    // What these runs do not show they need, or do not need, to no avail.
+    let is_gone = |id: &&'static str| {
+        let mut own = effects.iter().filter(|own| own.id() == *id);
+        own.any(|own| own.excited) && !found.hypothesis.has(id)
+    };
     let superfluous = given.into_iter().filter(is_gone).collect();
     confusable.retain(|pair| named.contains(&pair[0]));
     let candidates = &found.reduced.linear.candidates;
@@ -481,7 +485,8 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         if candidate.id != id {
             continue;
         }
-        absent *= (1.0 - found.posterior.probability[k]).max(0.0);
+        // What is not a number stays none.
+        absent *= 1.0 - found.posterior.probability[k];
         out.log_odds = out.log_odds.max(found.posterior.log_factor[k]);
         let form = found.posterior.forms[k];
         let variant = &candidate.variants[form];

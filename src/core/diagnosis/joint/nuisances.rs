@@ -1,12 +1,15 @@
 //! Nuisance columns beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
 //! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
 
+use std::mem::{self, Discriminant};
+
 use nalgebra::DVector;
 
 use super::acting::constants;
 use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
-use super::tangent::{Axis, Tangent, Wave, are_tangents};
+use super::tangent::{Tangent, Wave, are_tangents, wave_of_current};
 use crate::numerics::statistics::largest;
+use crate::plant::effect::Axis;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
     effect, typical_size,
@@ -138,9 +141,19 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     })
 }
 
+/// What a column is of: the error of one stamp, or of one form of an effect.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) struct ErrorOf {
+    /// The number of the effect; none of a stamp.
+    pub(super) effect: Option<usize>,
+    kind: Option<Discriminant<Tangent>>,
+    /// Among those of the kind.
+    number: usize,
+}
+
 /// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
-/// and the forms of its effects; each with the number of its effect.
-pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
+/// and the forms of its effects. Which forms there are is a matter of the run.
+pub(super) fn of_equations(run: &Around<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
     let of_effects = run.model.effects.iter().enumerate();
     let forms = of_effects.flat_map(|(number, active)| {
         let values = active.values_or_guess();
@@ -148,11 +161,25 @@ pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
         forms.into_iter().map(move |form| (Some(number), form))
     });
     let stamps = stamps(&run.model, run.scenario).map(|stamp| (None, stamp));
-    let (numbers, sources): (Vec<Option<usize>>, Vec<Source>) = stamps.chain(forms).unzip();
+    let mut errors: Vec<ErrorOf> = Vec::new();
+    let mut sources = Vec::new();
+    for (effect, source) in stamps.chain(forms) {
+        let kind = effect.and(source.tangent(0)).map(mem::discriminant);
+        let same = errors
+            .iter()
+            .filter(|own| (own.effect, own.kind) == (effect, kind));
+        let number = same.count();
+        errors.push(ErrorOf {
+            effect,
+            kind,
+            number,
+        });
+        sources.push(source);
+    }
     let sources: Vec<&Source> = sources.iter().collect();
     let columns = columns_of(&sources, std::slice::from_ref(run));
     let columns = columns.into_iter().flat_map(|whitened| whitened.columns);
-    numbers.into_iter().zip(columns).collect()
+    errors.into_iter().zip(columns).collect()
 }
 
 /// Voltages of terms at a small part of the run's largest current and at that current, and that part of it, A.
@@ -224,17 +251,15 @@ pub(super) fn bends(
         let amplitude = sizes.map(|(_, value)| value * value).sum::<f64>().sqrt();
         let order = pairs().find(|(spec, _)| spec.key == "order");
         let order = order.map_or(1.0, |(_, order)| *order);
-        let gain = match effect.card().id {
-            "torque_ripple" => model.motor.torque_constant().unwrap_or(1.0) * 2.0,
-            _ => 1.0,
-        };
+        // What goes with the current does so in any form.
+        let of_current = wave_of_current(effect) == Some(true);
         for harmonic in [2.0, 3.0] {
             for sine in [true, false] {
                 let wave = Wave {
                     order: harmonic * order,
                     sine,
-                    size: FORM_SHARE * amplitude * gain,
-                    of_current: false,
+                    size: FORM_SHARE * amplitude,
+                    of_current,
                 };
                 bends.push(Source::Tangent(Tangent::Wave(wave)));
             }

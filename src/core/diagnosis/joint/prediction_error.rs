@@ -8,7 +8,7 @@ use super::columns::{Around, LEAST_BOUNDARY_A, SLAB, Source, columns_of};
 use super::events::{Event, Hypothesis};
 use super::follow::follow;
 use super::free_run::excess;
-use super::nuisances::{MotorPrior, left_beyond_ohm, motor_prior, of_equations};
+use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
 use crate::numerics::least_squares::inverse_of_normal;
@@ -162,27 +162,33 @@ impl Vague {
     /// Of runs that were followed with the model itself, and with events behind its effects.
     fn of(model: &Model, runs: &[Around<'_>]) -> Self {
         let mut columns: Vec<Vec<f32>> = Vec::new();
-        let mut effects = Vec::new();
+        let mut errors: Vec<ErrorOf> = Vec::new();
+        let mut rows = 0;
         let equations = runs.par_iter().with_max_len(1).map(of_equations);
-        for own in equations.collect::<Vec<_>>() {
-            let is_shared = |(number, _): &(Option<usize>, Vec<f32>)| {
-                number.is_none_or(|number| number < model.effects.len())
+        for (run, own) in runs.iter().zip(equations.collect::<Vec<_>>()) {
+            let is_shared = |error: &ErrorOf| {
+                let effect = error.effect;
+                effect.is_none_or(|number| number < model.effects.len())
             };
-            let shared = own.into_iter().filter(is_shared);
-            let (numbers, own): (Vec<_>, Vec<_>) = shared.unzip();
-            effects = numbers;
-            columns.resize(own.len(), Vec::new());
-            for (column, own) in columns.iter_mut().zip(own) {
-                column.extend(own);
+            for (error, own) in own.into_iter().filter(|(error, _)| is_shared(error)) {
+                let known = errors.iter().position(|known| *known == error);
+                let at = known.unwrap_or(errors.len());
+                if known.is_none() {
+                    errors.push(error);
+                    columns.push(Vec::new());
+                }
+                // Nothing in the runs before that have no such form.
+                columns[at].resize(rows, 0.0);
+                columns[at].extend(own);
             }
+            rows += run.rows();
         }
-        let rows = columns.first().map_or(0, Vec::len);
         let k = columns.len();
         let whitened = Whitened::new(columns, rows);
         let gram = whitened.gram(&vec![[0.0; 2]; rows / 2]);
         Self {
             columns: whitened.columns,
-            effects,
+            effects: errors.into_iter().map(|error| error.effect).collect(),
             gram: gram.view((0, 0), (k, k)).into_owned(),
             sizes: sizes(model),
         }
@@ -627,6 +633,29 @@ mod tests {
         assert!((drop_v / 1.2 - 1.0).abs() < 0.1, "{drop_v}");
         let mean = found.squares / around[0].follower.rows as f64;
         assert!(mean < 1.5, "{mean}");
+    }
+
+    #[test]
+    fn forms_that_one_run_alone_has_are_not_taken_for_those_of_another() {
+        let model = truth("voltage_drop", &[1.0]);
+        let large = record(&model, 0, 7);
+        let mut small = large.clone();
+        // Where no current reaches the level of the drop.
+        small.current_a.iter_mut().for_each(|a| *a *= 1e-3);
+        let around = [&large, &small].map(|run| {
+            let noise = noise(&large, 1e-4);
+            Around::new(&model, run, State::default(), noise).unwrap()
+        });
+        // Three stamps; either how slowly the level is reached, or powers.
+        let each = [&around[..1], &around[1..], &around].map(|runs| Vague::of(&model, runs));
+        assert_eq!(each.each_ref().map(|of| of.effects.len()), [6, 5, 8]);
+        let [_, _, both] = each;
+        assert!(
+            both.gram.view((3, 6), (3, 2)).amax() <= 0.0,
+            "{}",
+            both.gram
+        );
+        assert!((3..8).all(|form| both.gram[(form, form)] > 0.0));
     }
 
     #[test]

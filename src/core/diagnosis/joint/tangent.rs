@@ -5,6 +5,7 @@ use super::columns::Around;
 use super::follow::{Dynamics, Passage, Update};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
+use crate::plant::effect::Axis;
 use crate::plant::{
     Effect, Input, Instant, Model, MotorKey, ParameterSpec, Path, Scenario, Sums, Terms,
 };
@@ -183,7 +184,7 @@ pub(super) enum Tangent {
         time_constant_s: f64,
     },
     Wave(Wave),
-    /// Falls to zero on both sides of the centre.
+    /// Falls to zero on both sides of the centre: a torque, or over the current a voltage.
     Hat {
         axis: Axis,
         centre: f64,
@@ -228,14 +229,6 @@ pub(super) struct Wave {
     pub sine: bool,
     pub size: f64,
     pub of_current: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Axis {
-    /// Torque, N.m.
-    Speed,
-    /// Voltage, V.
-    Current,
 }
 
 /// A tangent on its way along a run.
@@ -545,8 +538,8 @@ fn force(
             let hat = |x: f64| size * (1.0 - ((x - centre) / width).abs()).max(0.0);
             for (k, at) in instants.iter().enumerate() {
                 let forcing = match axis {
-                    Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
                     Axis::Current => [-hat(at.current_a) * inductance, 0.0],
+                    _ => [0.0, -hat(at.speed_rad_s) * inertia],
                 };
                 put(k, forcing);
             }
@@ -701,7 +694,7 @@ pub(super) fn of_effect(
 }
 
 /// Whether the effect is a wave over the angle, and then whether in proportion to the current.
-fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
+pub(super) fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
     match effect.card().id {
         "cogging" => Some(false),
         "torque_ripple" => Some(true),

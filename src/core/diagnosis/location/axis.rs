@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use super::FailureLocation;
 use super::windows::{Window, Windows, own_keys};
 use crate::numerics::count::whole;
+use crate::plant::effect::{Axis, table_weights};
 use crate::plant::{Balance, Model, MotorKey};
 use crate::text::number::{share, shortest};
 
@@ -344,7 +345,7 @@ impl Search<'_> {
             let part = by / model.motor.get(key).unwrap_or(f64::NAN);
             let what = format!(
                 "follows the {}, as {} {} too {} in the model would make it ({} {})",
-                name_of_variable(variable),
+                name_and_unit(variable).0,
                 name_of(key),
                 share(part.abs()),
                 if by > 0.0 { "low" } else { "high" },
@@ -576,16 +577,8 @@ impl Search<'_> {
 
 /// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
 pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
-    let last = knots.len() - 1;
-    let after = knots.partition_point(|knot| *knot <= value);
-    if after == 0 {
-        row[0] += weight;
-    } else if after > last {
-        row[last] += weight;
-    } else {
-        let share = (value - knots[after - 1]) / (knots[after] - knots[after - 1]);
-        row[after - 1] += weight * (1.0 - share);
-        row[after] += weight * share;
+    for (knot, share) in table_weights(Axis::Speed, knots, value) {
+        row[knot] += weight * share;
     }
 }
 
@@ -594,10 +587,11 @@ pub(super) fn figure(value: f64) -> String {
     shortest(value, 3)
 }
 
-const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
+pub(super) const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
     match variable.as_bytes() {
         b"speed_rad_s" => ("speed", "rad/s"),
         b"current_a" => ("current", "A"),
+        b"voltage_v" => ("voltage", "V"),
         b"time_s" => ("time", "s"),
         b"acceleration_rad_s2" => ("acceleration", "rad/s2"),
         b"current_rate_a_s" => ("rate of the current", "A/s"),
@@ -605,12 +599,13 @@ const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
         b"angle_rad" => ("angle", "rad"),
         b"voltage_edge_s" => ("timing of the voltage", "s"),
         b"frequency_hz" => ("phase of a line in frequency", ""),
-        _ => ("variable", ""),
+        // What is the same everywhere follows none.
+        _ => ("", ""),
     }
 }
 
-pub(super) const fn name_of_variable(variable: &str) -> &'static str {
-    name_and_unit(variable).0
+pub(super) fn name_of_variable(variable: &str) -> Option<&'static str> {
+    Some(name_and_unit(variable).0).filter(|name| !name.is_empty())
 }
 
 pub(super) const fn name_of(key: MotorKey) -> &'static str {

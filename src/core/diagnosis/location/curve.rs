@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-use super::axis::{Search, hat};
+use super::axis::{Search, hat, name_and_unit};
 use super::windows::{FEWEST_HALF, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{BLOCK_S, FitError};
@@ -84,15 +84,9 @@ impl AxisMap {
     }
 
     /// Its axis with the unit.
-    pub fn axis_label(&self) -> &'static str {
-        match self.axis {
-            "speed_rad_s" => "speed, rad/s",
-            "current_a" => "current, A",
-            "voltage_v" => "voltage, V",
-            "angle_rad" => "angle, rad",
-            "time_s" => "time, s",
-            _ => "frequency, Hz",
-        }
+    pub fn axis_label(&self) -> String {
+        let (name, unit) = name_and_unit(self.axis);
+        format!("{name}, {unit}")
     }
 
     /// The knot with the largest value that stands out from its uncertainty.
@@ -104,13 +98,9 @@ impl AxisMap {
     }
 
     fn sentence_over(&self, axis: Axis, equation: Balance, scenario: &Scenario) -> String {
-        let along = match axis {
-            Axis::Speed => "speed",
-            Axis::Current => "current",
-            Axis::Voltage => "voltage",
-            Axis::Angle if scenario.angle.is_empty() => "angle, integrated from the speed",
-            Axis::Angle => "angle",
-            Axis::Time => "time",
+        let along = match name_and_unit(self.axis).0 {
+            "angle" if scenario.angle.is_empty() => "angle, integrated from the speed",
+            name => name,
         };
         let what = self.equation;
         if !self.is_followed() {

@@ -27,6 +27,7 @@ use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
 use crate::numerics::count::whole;
+use crate::numerics::statistics::extent;
 use crate::plant::{Balance, Input, Model, MotorKey, Scenario};
 
 /// A region that holds much of the error of one equation.
@@ -354,12 +355,16 @@ pub(super) fn undecided(
         2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
     };
     let both = doubt(first.follows).hypot(doubt(second.follows));
+    let what = |location: &FailureLocation| match name_of_variable(location.variable) {
+        Some(name) => format!("follows the {name}"),
+        None => "is the same everywhere".to_owned(),
+    };
     ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then(|| {
         format!(
-            "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
+            "the {} error {} and {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
             worst.equation,
-            name_of_variable(first.variable),
-            name_of_variable(second.variable),
+            what(first),
+            what(second),
             100.0 * first.follows,
             100.0 * second.follows
         )
@@ -446,15 +451,8 @@ impl ErrorMap {
     /// `None` where speed or current did not vary, or was not measured.
     fn of(windows: &Windows<'_>) -> Option<Self> {
         let edges = |value: fn(&Window) -> f64| {
-            let values = windows
-                .each
-                .iter()
-                .map(value)
-                .filter(|value| value.is_finite());
-            let (from, to) = values
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), value| {
-                    (from.min(value), to.max(value))
-                });
+            let values = windows.each.iter().map(value);
+            let (from, to) = extent(values.filter(|value| value.is_finite()));
             let edge = |k: usize| from + (to - from) * k as f64 / CELLS as f64;
             (to > from).then(|| (0..=CELLS).map(edge).collect::<Vec<f64>>())
         };

@@ -248,7 +248,7 @@ fn neither_of_two_that_are_alike_is_said_to_be_the_one() {
     let one: &[_] = &[("speed_rad_s", 0.92), ("time_s", 0.4)];
     // Sizes of 3.0 and 2.9 from 200 windows that overlap are one size, whichever comes first in the next run.
     let equations = "the torque and the voltage equation fail alike: which of them lacks something these runs do not tell";
-    let axes = "the torque error follows the speed and the angle alike (92 and 90 %): which of them these runs do not tell";
+    let axes = "the torque error follows the speed and follows the angle alike (92 and 90 %): which of them these runs do not tell";
     for (torque, less, expected) in [
         (speed, 2.9, Some(equations)),
         (speed, 1.5, None),

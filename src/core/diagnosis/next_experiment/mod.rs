@@ -20,7 +20,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use crate::numerics::statistics::{largest, median};
+use crate::numerics::statistics::{largest, median_step};
 use crate::plant::Scenario;
 
 pub use plan::{Peaks, Recipe};
@@ -111,7 +111,8 @@ pub struct ExperimentLimits {
     pub voltage_v: f64,
     pub current_a: f64,
     pub speed_rad_s: f64,
-    /// Root mean square of the current over the run: the heat in the winding.
+    /// Root mean square of the current over the run: the heat in the winding. Without a limit of
+    /// this or of the current no run is planned.
     pub rms_current_a: f64,
     /// Distance from the angle at the start; none: the shaft turns freely.
     pub travel_rad: Option<f64>,
@@ -126,7 +127,7 @@ pub struct ExperimentLimits {
 const LONGEST_RUN_S: f64 = 60.0;
 
 impl ExperimentLimits {
-    /// Nothing beyond what the runs in hand have reached, with the heat of all of them in the time of one.
+    /// Nothing beyond what one of the runs in hand has reached.
     pub fn seen_in(evidence: &Evidence) -> Self {
         let mut limits = Self {
             voltage_v: 0.0,
@@ -146,7 +147,6 @@ impl ExperimentLimits {
             runs[0] = &evidence.holdout;
         }
         runs.extend(&evidence.confirm);
-        let (mut heat, mut longest_s) = (0.0, 0.0_f64);
         for run in runs {
             let voltages = run.events.iter().map(|event| event.1);
             limits.voltage_v = limits.voltage_v.max(largest(voltages));
@@ -155,11 +155,8 @@ impl ExperimentLimits {
             limits.speed_rad_s = limits
                 .speed_rad_s
                 .max(largest(run.speed_rad_s.iter().copied()));
-            let duration_s = duration_s(run);
-            heat += mean_square(&run.current_a) * duration_s;
-            longest_s = longest_s.max(duration_s);
+            limits.rms_current_a = limits.rms_current_a.max(mean_square(&run.current_a).sqrt());
         }
-        limits.rms_current_a = (heat / longest_s.max(f64::MIN_POSITIVE)).sqrt();
         // A signal that was not recorded limits nothing that can be checked.
         for limit in [
             &mut limits.current_a,
@@ -177,10 +174,8 @@ impl ExperimentLimits {
 
 /// Time between two samples, s.
 fn period_s(run: &Scenario) -> f64 {
-    let pairs = run.sample_time_s.windows(2);
-    let steps: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();
     // A stamp carries rounding; nobody asks for more than microseconds.
-    (median(&steps) * 1e6).round() * 1e-6
+    (median_step(&run.sample_time_s) * 1e6).round() * 1e-6
 }
 
 /// Largest change of the voltage from one event to the next, which is made within a sample.
@@ -193,10 +188,6 @@ fn slew_v_per_s(run: &Scenario) -> f64 {
 fn mean_square(values: &[f64]) -> f64 {
     let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     present.iter().map(|v| v * v).sum::<f64>() / present.len().max(1) as f64
-}
-
-fn duration_s(run: &Scenario) -> f64 {
-    run.sample_time_s[run.samples() - 1] - run.sample_time_s[0]
 }
 
 /// What no run tells apart, because it is one equation: stated, never computed.

@@ -481,8 +481,11 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
     })
 }
 
-/// Voltages for this motor; `None` for a model without an electrical half.
+/// Voltages for this motor; `None` for a model without an electrical half, and where nobody knows what the winding stands.
 fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reach> {
+    if !(limits.current_a.is_finite() && limits.rms_current_a.is_finite()) {
+        return None;
+    }
     let motor = |key| model.motor.get(key);
     let (resistance, back_emf, inertia) = (
         motor(MotorKey::Resistance)?,

@@ -291,6 +291,14 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
     let rival = with("current_offset", &[0.3]);
     let evidence = evidence_of(&truth);
     let seen = ExperimentLimits::seen_in(&evidence);
+    let runs = [&evidence.training, &evidence.holdout];
+    let hottest_a = runs.map(|run| mean_square(&run.current_a).sqrt());
+    assert!(seen.rms_current_a <= hottest_a[0].max(hottest_a[1]));
+    let unknown = ExperimentLimits {
+        current_a: f64::INFINITY,
+        ..LIMITS
+    };
+    assert!(!menu_within(&truth, &LIMITS).is_empty() && menu_within(&truth, &unknown).is_empty());
     let next = next_experiment([&truth, &rival], &evidence, &seen);
     let peaks = next.unwrap().unwrap().peaks.unwrap();
     assert!(

@@ -101,6 +101,8 @@ pub(super) struct Equations {
     /// The motor's constants, in every instant that effects are asked about.
     motor: Instant,
     pub(super) inverse_inertia: f64,
+    /// Whether effects make the inertia another one.
+    changes_inertia: bool,
     coulomb: f64,
     /// Friction of the load behind an elastic shaft.
     pub(super) coulomb_behind: f64,
@@ -135,7 +137,11 @@ impl Equations {
         let effects: Vec<(Enters, Box<dyn Terms>)> = effects.collect();
         let paths = effects.iter().map(|(_, terms)| terms.path());
         let path = paths.fold(Path::default(), Path::plus);
-        let coupling = effects.iter().find_map(|(_, terms)| terms.coupling());
+        let mut couplings = effects.iter().filter_map(|(_, terms)| terms.coupling());
+        let coupling = couplings.next();
+        if couplings.next().is_some() {
+            return Err(ModelError::SecondCoupling);
+        }
         // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
         let (behind, friction_behind) = coupling.map_or((0.0, 0.0), |coupling| {
             (coupling.inertia_ratio, coupling.friction_split)
@@ -160,6 +166,12 @@ impl Equations {
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
         motor.torque_n_m_per_a = torque_constant;
+        let at_last = Instant {
+            time_s: f64::MAX,
+            ..motor
+        };
+        let changes = |(_, terms): &(Enters, Box<dyn Terms>)| terms.inertia_gain(&at_last) != 0.0;
+        let changes_inertia = effects.iter().any(changes);
         let terms: Vec<Entry> = effects
             .into_iter()
             .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
@@ -174,6 +186,7 @@ impl Equations {
             coupling,
             needs_angle: (model.effects.iter()).any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
+            changes_inertia,
             coulomb: coulomb * (1.0 - friction_behind),
             coulomb_behind: coulomb * friction_behind,
             input,
@@ -250,6 +263,15 @@ impl Equations {
             voltage_v += sums.current_rate_gain * inductive_v;
         }
         [voltage_v * self.per_volt, acceleration]
+    }
+
+    /// What effects take from any acceleration because the inertia is another one: its share.
+    pub(super) fn slowed(&self, state: &State, at: &Instant) -> f64 {
+        if !self.changes_inertia {
+            return 0.0;
+        }
+        let gain = self.sums(state, at).inertia_gain;
+        gain / (1.0 + gain)
     }
 
     /// What the full supply would drive through the resistance alone, A.

@@ -451,7 +451,7 @@ impl TwoMass {
                 time_s: from.at.time_s + 0.5 * h,
                 ..from.at
             };
-            forcing = self.forcing(equations, &middle.0, &from.load, &centred);
+            forcing = self.forcing(equations, &middle.0, &middle.1, &centred);
             equations.advance_own(&middle.0, &centred, h, &mut next.0.own);
         }
         place(&mut next, flow.whole(x, forcing, h));
@@ -466,10 +466,22 @@ impl TwoMass {
         if state.mode != Mode::Stuck {
             motor += offset * self.inverse_motor;
         }
-        let behind = match load.mode {
+        let mut behind = match load.mode {
             Mode::Stuck | Mode::Undecided => 0.0,
             moving => -(offset + moving.sign() * self.coulomb_n_m) * self.inverse_load,
         };
+        let slowed = equations.slowed(state, at);
+        if slowed != 0.0 {
+            // Both inertias are others than those that the shaft's torque stands over so far.
+            let shaft = self.shaft_torque(state, load);
+            if state.mode != Mode::Stuck {
+                motor += slowed * shaft * self.inverse_motor;
+            }
+            if load.mode != Mode::Stuck {
+                let over = shaft - load.mode.sign() * self.coulomb_n_m;
+                behind -= slowed * over * self.inverse_load;
+            }
+        }
         [current, motor, behind]
     }
 }

@@ -309,13 +309,13 @@ const LOST_ROWS: (&str, &str) = (
     "The very runs of the first table and of the machines with nothing hidden, of which one row in ten was lost at random, command and sample, and all rows of 0.4 s at a random instant after the standstill.",
 );
 
-const REAL: &str = "Records that others have published, each diagnosed from one run, whose last part is held out, and from the model of its publishers. Nobody knows the whole truth of these machines: what is said of them stands here as it was printed. Errors are in units of the floor of each record.";
+const REAL: &str = "Records that others have published, each diagnosed from one run, whose last part is held out, and from the model of its publishers. Nobody knows the whole truth of these machines: what is said of them stands here as it was printed. Errors are in units of the noise floor of each record, or where it has none of what its refitted baseline leaves.";
 
 fn what_is_claimed() -> Section {
     Section::new("What is claimed, and what is not")
         .say("Claimed: on machines like these, excited like these, with sensors like these, the diagnosis gives the answers counted below. A count of no wrong names does not mean that there are none: the bound beside it says how many the count still allows.")
         .say("A name is an equation, not a cause. \"Behaves like viscous friction\" covers grease, iron loss and eddy currents alike; direction-dependent Coulomb friction and a constant load torque are the same equation below breakaway and count as one. The card of each effect (`drivebench effects ID`) lists the causes and how to tell them apart on the machine.")
-        .say("Not claimed: that a real bench gives the first table. All data here are simulated. The emulator's effects have other mathematical forms than the catalogue's (a bristle for the Stribeck curve, a shear-thinning fluid for the drag, two thermal bodies for the winding, ...), and its integrator, its friction logic and its sensors are other code than the model's, but both were written by people who read the same books. There is no commutation, no PWM ripple, no temperature of the magnets, one class of motor, and white sensor noise. On a real machine several small effects are always there: look at the table of backgrounds, and record a repeated run and a confirming run.")
+        .say("Not claimed: that a real bench gives the first table. All data behind the counts are simulated. The emulator's effects have other mathematical forms than the catalogue's (a bristle for the Stribeck curve, a shear-thinning fluid for the drag, two thermal bodies for the winding, ...), and its integrator, its friction logic and its sensors are other code than the model's, but both were written by people who read the same books. There is no commutation, no PWM ripple, no temperature of the magnets, one class of motor, and white sensor noise. On a real machine several small effects are always there: look at the table of backgrounds, and record a repeated run and a confirming run.")
 }
 
 fn how_it_is_done() -> Section {

@@ -5,7 +5,6 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::Size;
-use super::record::Excitation;
 use crate::emulator::truth::effect::HiddenEffect;
 use crate::plant::{ParameterSpec, effect};
 
@@ -20,6 +19,56 @@ const SMALL_PER_SET: u64 = 24;
 const HARD: [Excitation; 3] = [Excitation::Rich, Excitation::Steps, Excitation::Rich100Hz];
 /// Length of each run, s.
 const SECONDS: f64 = 12.0;
+
+/// How the machine is moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Excitation {
+    Rich,
+    Steps,
+    Unipolar,
+    Prbs,
+    Ramp,
+    /// The rich sequence over a serial link.
+    Rich100Hz,
+}
+
+impl Excitation {
+    pub const ALL: [Self; 6] = [
+        Self::Rich,
+        Self::Steps,
+        Self::Unipolar,
+        Self::Prbs,
+        Self::Ramp,
+        Self::Rich100Hz,
+    ];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rich => "rich",
+            Self::Steps => "steps",
+            Self::Unipolar => "unipolar",
+            Self::Prbs => "prbs",
+            Self::Ramp => "ramp",
+            Self::Rich100Hz => "rich 100 Hz",
+        }
+    }
+
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Rich => {
+                "the default sequence: steps with dither, ramp, five levels at random, slow sine; 1 kHz"
+            }
+            Self::Steps => "random levels of both signs up to 105 V, held for 0.45 s; 1 kHz",
+            Self::Unipolar => "the same with positive levels only, the shaft never reverses; 1 kHz",
+            Self::Prbs => "nine levels up to 85 V at random, changing every 80 ms; 1 kHz",
+            Self::Ramp => "slow ramps through the full range, nothing quick; 1 kHz",
+            Self::Rich100Hz => {
+                "the default sequence at 100 Hz, every poll up to 3 ms late and stamped"
+            }
+        }
+    }
+}
 
 /// What a set asks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

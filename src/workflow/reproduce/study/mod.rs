@@ -27,10 +27,9 @@ pub use calibration::{
     Bin, Bounded, Calibration, Coverage, Matrix, ParameterFinding, Sizes, Tally, coverage,
     coverage_of, distinct, matrix, median_errors, sizes,
 };
-pub use cases::{Case, Group};
+pub use cases::{Case, Excitation, Group};
 pub use judge::{Answer, Finding, Outcome};
 pub use mysteries::{MysteryAnswer, RecordAnswer, files, records};
-pub use record::Excitation;
 
 use super::lines::LineStudy;
 use crate::bench::BenchFile;

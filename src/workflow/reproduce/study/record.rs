@@ -9,11 +9,10 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 use thiserror::Error;
 
 use super::cases::{drawn, right_names};
-use super::{Case, Group};
+use super::{Case, Excitation, Group};
 use crate::drive::{DriveLink, LinkError};
 use crate::emulator::truth::MotorTruth;
 use crate::emulator::truth::effect::{HiddenEffect, Moment, Site};
@@ -49,55 +48,7 @@ const STANDSTILL_S: f64 = 0.5;
 /// A slow link samples for longer, and its polls lie up to this much late: the stamps say when.
 const LATE_S: f64 = 0.003;
 
-/// How the machine is moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Excitation {
-    Rich,
-    Steps,
-    Unipolar,
-    Prbs,
-    Ramp,
-    /// The rich sequence over a serial link.
-    Rich100Hz,
-}
-
 impl Excitation {
-    pub const ALL: [Self; 6] = [
-        Self::Rich,
-        Self::Steps,
-        Self::Unipolar,
-        Self::Prbs,
-        Self::Ramp,
-        Self::Rich100Hz,
-    ];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Rich => "rich",
-            Self::Steps => "steps",
-            Self::Unipolar => "unipolar",
-            Self::Prbs => "prbs",
-            Self::Ramp => "ramp",
-            Self::Rich100Hz => "rich 100 Hz",
-        }
-    }
-
-    pub const fn description(self) -> &'static str {
-        match self {
-            Self::Rich => {
-                "the default sequence: steps with dither, ramp, five levels at random, slow sine; 1 kHz"
-            }
-            Self::Steps => "random levels of both signs up to 105 V, held for 0.45 s; 1 kHz",
-            Self::Unipolar => "the same with positive levels only, the shaft never reverses; 1 kHz",
-            Self::Prbs => "nine levels up to 85 V at random, changing every 80 ms; 1 kHz",
-            Self::Ramp => "slow ramps through the full range, nothing quick; 1 kHz",
-            Self::Rich100Hz => {
-                "the default sequence at 100 Hz, every poll up to 3 ms late and stamped"
-            }
-        }
-    }
-
     const fn period_s(self) -> f64 {
         match self {
             Self::Rich100Hz => 0.01,

@@ -1,7 +1,7 @@
 use super::super::tests::{self, model, reversals, scenario};
 use super::super::{Plant, Trajectory};
 use crate::numerics::count::whole;
-use crate::plant::{Input, MotorKey, Scenario, State};
+use crate::plant::{Input, ModelError, MotorKey, Scenario, State};
 use crate::signal;
 
 /// For 1.1 s, sampled every millisecond.
@@ -123,6 +123,33 @@ fn backlash_without_a_gap_is_an_elastic_coupling() {
     assert!(difference(&without, &elastic) < 1e-9);
     let hair = run(&[("backlash", &[1e-6, 30.0, 0.5, 0.03, 0.4])]);
     assert_near(&hair, &elastic, 1e-2);
+}
+
+#[test]
+fn an_inertia_that_is_another_one_is_so_on_both_sides_of_the_shaft() {
+    let (f, r, zeta, split, gap) = (20.0, 0.5, 0.05, 0.4, 0.02);
+    for ratio in [0.6_f64, -0.3] {
+        // Long ago, and with the same stiffness and damping.
+        let root = (1.0 + ratio).sqrt();
+        let values = [gap, f, r, zeta, split];
+        let changed = run(&[("backlash", &values), ("inertia_change", &[ratio, -1.0])]);
+        let mut heavy = model(&[("backlash", &[gap, f / root, r, zeta / root, split])]);
+        let inertia = heavy.motor.get(MotorKey::Inertia).unwrap();
+        heavy.motor.set(MotorKey::Inertia, (1.0 + ratio) * inertia);
+        let mut plant = Plant::new(&heavy, Input::Voltage).unwrap();
+        let heavy = plant.simulate(&scenario(reversals(), 0.001, 1101), State::default());
+        assert_near(&changed, &heavy, 0.02);
+    }
+}
+
+#[test]
+fn there_is_one_second_inertia() {
+    let both: &[(&str, &[f64])] = &[
+        ("elastic_coupling", &[24.0, 0.5, 0.02, 0.5]),
+        ("backlash", &[0.05, 24.0, 0.5, 0.02, 0.5]),
+    ];
+    let refused = Plant::new(&model(both), Input::Voltage).err();
+    assert_eq!(refused, Some(ModelError::SecondCoupling));
 }
 
 /// A motor without friction under a torque pulse, behind it the load.
