@@ -22,7 +22,7 @@ use crate::identification::nameplate::Comparison;
 use crate::identification::online::OnlineConfig;
 use crate::identification::repeat::Repeated;
 use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::{claims, lost_rows, temperature, voltage_departure};
+use crate::identification::{claims, lost_rows, sanity, temperature, voltage_departure};
 use crate::plant::{Model, ModelFile, Motor, MotorKey, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
 use crate::sample::{Channel, ParameterEstimate, Verdict};
@@ -110,7 +110,7 @@ pub(crate) fn identify(
         departure.limit(&mut found.parameters);
         found.notes.push(departure.sentence());
     }
-    claims::doubt(&mut found.parameters, &findings);
+    sanity::doubt(&mut found.parameters, &findings);
     let limits = claims::limit(&mut found.parameters, run, &scenario);
     found.notes.extend(limits);
     found.notes.extend(lost_rows::sentence(run, &scenario));

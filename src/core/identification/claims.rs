@@ -4,7 +4,6 @@
 //! drive computes from its own settings only repeats them. A value keeps its figure; its verdict and reason say how far
 //! it may be believed.
 
-use super::sanity::Finding;
 use super::stamps;
 use crate::numerics::statistics::{largest, median};
 use crate::plant::{Input, MotorKey, Scenario};
@@ -68,17 +67,6 @@ fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     }
 }
 
-/// A parameter that a caution touches is not settled while the caution stands.
-pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
-    for parameter in parameters {
-        let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
-        let finding = findings.iter().find(doubts);
-        if let Some(finding) = finding {
-            lower(parameter, Verdict::Searching, &finding.sentence);
-        }
-    }
-}
-
 /// How far a claim goes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Weight {
@@ -119,7 +107,7 @@ impl Claim {
 }
 
 /// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
-fn lower(parameter: &mut ParameterEstimate, to: Verdict, reason: &str) {
+pub(super) fn lower(parameter: &mut ParameterEstimate, to: Verdict, reason: &str) {
     let lowers = match parameter.verdict {
         Verdict::Settled => true,
         Verdict::Searching => to == Verdict::Invalid,

@@ -23,8 +23,9 @@ pub use scale::of_header;
 use serde::Serialize;
 
 use self::table::Table;
+use super::claims::lower;
 use crate::plant::{Model, MotorKey, Scenario};
-use crate::sample::Run;
+use crate::sample::{ParameterEstimate, Run, Verdict};
 
 /// What sort of trouble a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -93,6 +94,17 @@ impl Finding {
             sentence: sentence.into(),
             help: help.into(),
             doubts: doubts.to_vec(),
+        }
+    }
+}
+
+/// A parameter that a caution touches is not settled while the caution stands.
+pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
+    for parameter in parameters {
+        let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
+        let finding = findings.iter().find(doubts);
+        if let Some(finding) = finding {
+            lower(parameter, Verdict::Searching, &finding.sentence);
         }
     }
 }
