@@ -18,6 +18,7 @@ mod current_filter;
 mod current_offset;
 mod custom;
 mod defined;
+mod definition;
 mod discontinuous_conduction;
 mod eccentric_load;
 mod elastic_coupling;
@@ -47,7 +48,8 @@ mod voltage_offset;
 mod winding_heating;
 
 pub use angle::ShaftAngle;
-pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
+pub use defined::{FAMILIES, define, family};
+pub use definition::{DefinitionError, Layout};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::defined::{
+use super::definition::{
     DefinitionError, Layout, balance_of, interned, leaked, number_of, text_of, unknown_key,
 };
 use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Terms};

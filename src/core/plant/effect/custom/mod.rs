@@ -18,7 +18,9 @@ mod parameters;
 use expression::{ANGLE, DIRECTION, Expression, MOST_NAMES, PARAMETERS, VARIABLES, sign};
 use parameters::Declared;
 
-use super::defined::{DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key};
+use super::definition::{
+    DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key,
+};
 use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Sums, Terms};
 
 /// The family's card: what `effects custom` shows.

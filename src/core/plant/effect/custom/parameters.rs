@@ -5,7 +5,7 @@
 
 use super::expression::VARIABLES;
 use super::grammar::{FUNCTIONS, PI};
-use crate::plant::effect::defined::{DefinitionError, leaked, number_of, unknown_key};
+use crate::plant::effect::definition::{DefinitionError, leaked, number_of, unknown_key};
 use crate::plant::effect::{ParameterRole, ParameterSpec};
 
 /// Unit of a parameter that is declared without one.
