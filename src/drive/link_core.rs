@@ -29,6 +29,8 @@ pub(super) struct LinkCore {
     /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
     pub(super) capture_period_s: f64,
     pub(super) gone: bool,
+    /// The last command has not left.
+    pub(super) is_unsent: bool,
     pub(super) epoch: Instant,
     last_seq: u64,
 }
@@ -51,6 +53,7 @@ impl LinkCore {
             bound: Bound::default(),
             capture_period_s: 0.0,
             gone: false,
+            is_unsent: false,
             epoch,
             last_seq: 0,
         }
@@ -106,7 +109,7 @@ impl LinkCore {
 }
 
 /// Asks for a stop until the drive says in reply to that very command that it does not run.
-pub(super) fn stop_confirmed(
+pub(crate) fn stop_confirmed(
     name: &str,
     mut ask: impl FnMut() -> Result<Sample, LinkError>,
 ) -> Result<(), LinkError> {

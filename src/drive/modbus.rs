@@ -39,8 +39,7 @@ use super::register_bus::{
     WRITTEN_BYTES, exception_name, registers,
 };
 use super::reply::{Echo, FrameKind};
-use super::timeline::{ClockMap, signed_difference};
-use super::timeline::{identity, identity_error};
+use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, out_of_step, restless};
 use crate::sample::{Command, Sample};
@@ -461,6 +460,7 @@ impl ModbusLink {
         }
         let (asked, answered) = {
             let reception = &mut self.guard.inner().reception;
+            self.core.is_unsent = reception.asked.is_none();
             if end == End::Missing {
                 reception.retire();
             }
@@ -556,6 +556,7 @@ impl DriveLink for ModbusLink {
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.core.is_unsent = true;
         self.listen()?;
         let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
@@ -578,6 +579,10 @@ impl DriveLink for ModbusLink {
             self.listen()?;
             self.command(stop)
         })
+    }
+
+    fn has_sent_command(&self) -> bool {
+        !self.core.is_unsent
     }
 
     fn close(&mut self) {
@@ -612,10 +617,6 @@ impl DriveLink for ModbusLink {
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
-    }
-
-    fn clock_map(&self) -> Option<&ClockMap> {
-        Some(&self.core.timeline.map)
     }
 }
 
