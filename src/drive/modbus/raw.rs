@@ -219,14 +219,15 @@ impl RawClient {
     /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
     pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
-        let block = match self.read(read) {
-            Ok(block) => block,
-            Err(LinkError::Exception { .. }) => return Ok(None),
-            Err(error) => return Err(error),
-        };
-        if !self.vouch()? {
-            return Ok(None);
+        let mut block = self.read(read);
+        if block.is_ok() && !self.vouch()? {
+            self.withdraw();
+            block = careful(self, read);
         }
+        let block = match block {
+            Err(LinkError::Exception { .. }) => return Ok(None),
+            block => block?,
+        };
         let block = block.as_slice().try_into().ok();
         let block = block.and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
         Ok(block.map(|block| identity(&block)))
