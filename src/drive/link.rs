@@ -8,7 +8,6 @@ use thiserror::Error;
 
 use super::burst::Burst;
 use super::command_times::CommandTimes;
-use super::timeline::ClockMap;
 use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Command, Demand, Sample};
 
@@ -415,11 +414,6 @@ pub trait DriveLink: Send {
     /// The demand with which this drive runs at zero: the quantity that it can be told.
     fn zero(&self) -> Demand {
         Demand::Voltage(0.0)
-    }
-
-    /// Where the drive's clock stands against the host's, for information.
-    fn clock_map(&self) -> Option<&ClockMap> {
-        None
     }
 }
 

@@ -59,6 +59,7 @@ pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use command_times::CommandTimes;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+pub(crate) use link_core::stop_confirmed;
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
     read_batch,
@@ -78,6 +79,6 @@ pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
 pub use stream::StreamLink;
 pub use tap::TapFile;
-pub use timeline::{ClockMap, DriveClock, signed_difference};
+pub use timeline::signed_difference;
 pub use timing::standard_gap_s;
 pub use transaction::{CutIn, LineCounts};

@@ -368,10 +368,56 @@ impl Signal {
         (self.keys.quantity == Quantity::Clock).then_some(self.numbers.scale * unit_s)
     }
 
+    /// What bits that lie so say; `factor`: the product of the signals that they are scaled with, where it is known.
+    pub(in crate::drive) fn read(
+        &self,
+        layout: Layout,
+        pattern: u32,
+        factor: Option<f64>,
+    ) -> Reading {
+        if self.keys.invalid.contains(&pattern) {
+            return Reading::NotAvailable;
+        }
+        let Some(factor) = factor else {
+            return Reading::Unread;
+        };
+        let value = self.numbers.value(layout.number(pattern), factor);
+        match self.keys.valid {
+            _ if !value.is_finite() => Reading::NotANumber,
+            Some([low, high]) if !(low..=high).contains(&value) => Reading::Outside(value),
+            _ => Reading::Value(value),
+        }
+    }
+
     /// Whether its number tells which way.
     pub fn is_signed(&self) -> bool {
         let of_type = self.location.layout.kind.is_signed();
         self.keys.signed.unwrap_or(of_type)
+    }
+}
+
+/// What a reading is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reading {
+    /// In the profile's unit.
+    Value(f64),
+    /// The profile's code for "not available".
+    NotAvailable,
+    /// Outside of the profile's `valid`.
+    Outside(f64),
+    /// A float register that holds no number.
+    NotANumber,
+    /// No registers, or a factor is missing.
+    Unread,
+}
+
+impl Reading {
+    /// In the profile's unit; what cannot be is none.
+    pub const fn value(self) -> Option<f64> {
+        match self {
+            Self::Value(value) => Some(value),
+            _ => None,
+        }
     }
 }
 

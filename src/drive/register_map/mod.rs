@@ -18,12 +18,12 @@ mod resolve;
 mod schema;
 mod value;
 
-pub use candidates::{Candidate, Hypothesis, Picture, Reading, Window};
+pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(in crate::drive) use candidates::{confirms, expected_at_rest};
 pub use facts::{
     Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
-    Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
-    Step, StoppedOnly, Supervision, SupervisionKind, Unit, Write,
+    Location, Numbers, PollRate, Quantity, Rates, Reading, RegisterMap, Resync, SetPoint, Sign,
+    Signal, Step, StoppedOnly, Supervision, SupervisionKind, Unit, Write,
 };
 pub use plan::{ReadBlock, plan_reads};
 pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};
