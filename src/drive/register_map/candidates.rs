@@ -10,7 +10,8 @@
 
 use serde::Serialize;
 
-use super::facts::{Quantity, Reading, RegisterMap, Signal, Unit, written};
+use super::facts::{Reading, RegisterMap, Signal};
+use super::terms::{Quantity, Unit, written};
 use super::value::{Kind, Layout, Order};
 
 /// Current of a machine at rest, as a share of the rated one: offset and noise of a sensor.

@@ -14,10 +14,11 @@ use toml::Spanned;
 
 use super::address::{Base, Numbering};
 use super::facts::{
-    Commands, DeviceKind, Location, Numbers, PerTurn, PollRate, Quantity, RegisterMap, Resync,
-    SetPoint, Signal, Supervision, Unit, channel_of, demand_si,
+    Commands, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision, channel_of,
+    demand_si,
 };
 use super::schema::{LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
+use super::terms::{DeviceKind, PollRate, Quantity, Resync, Unit};
 use super::value::{Kind, Layout};
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::drive::register_bus::RegisterTable;
