@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use firmware_protocol::{DriveCommand, Telemetry};
 
-use super::guard::now;
 use super::link::LinkError;
 use super::link::Tally;
 use super::register_bus::Span;
+use super::reply_filter::now;
 use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
 use super::transaction::Bound;

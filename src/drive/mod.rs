@@ -6,7 +6,7 @@
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
 //!                  |            |             burst.rs: what the drive records by itself
-//!              guard.rs      port.rs        bytes, silence, hang-up
+//!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
 //!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps)
@@ -27,9 +27,9 @@ mod command_times;
 mod fake;
 #[cfg(test)]
 mod fault_tests;
-mod guard;
 mod link;
 mod link_core;
+mod link_error;
 #[cfg(test)]
 mod link_tests;
 mod modbus;
@@ -45,6 +45,7 @@ mod register_bus;
 pub mod register_map;
 mod reopen;
 mod reply;
+mod reply_filter;
 pub mod serial_ports;
 mod settings;
 mod stream;

@@ -12,11 +12,11 @@ use firmware_protocol::stream::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
-use super::guard::now;
 use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
 use super::port::{Closed, TimedPort};
+use super::reply_filter::now;
 use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
 use super::transaction::{Leftover, LineCounts};

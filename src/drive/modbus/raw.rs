@@ -18,12 +18,12 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
 use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
-use crate::drive::guard::now;
 use crate::drive::link::{Identity, LinkError, LinkStatistics};
 use crate::drive::open::{Target, open_line};
 use crate::drive::proof::{Policy, Proof};
 use crate::drive::register_bus::{ReadRequest, registers};
 use crate::drive::reply::FrameKind;
+use crate::drive::reply_filter::now;
 use crate::drive::settings::{Framing, LinkSettings, Protocol};
 use crate::drive::tap::TapFile;
 use crate::drive::timeline::identity;
@@ -142,7 +142,7 @@ impl RawClient {
             requests: self.link.core.tally.statistics,
             probes: self.link.probes,
             resynchronisations: self.link.resynchronisations,
-            line: self.link.guard.inner().reception.line,
+            line: self.link.filter.inner().reception.line,
         }
     }
 
