@@ -108,6 +108,14 @@ impl LinkCore {
     }
 }
 
+/// Asks what has no effect on the drive until an answer comes, or what is no accident of the line.
+pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+    let again = (1..READ_ATTEMPTS)
+        .map(|_| ask())
+        .find(|result| !matches!(result, Err(error) if error.is_transient()));
+    again.unwrap_or_else(ask)
+}
+
 /// Asks for a stop until the drive says in reply to that very command that it does not run.
 pub(crate) fn stop_confirmed(
     name: &str,

@@ -14,7 +14,7 @@ use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 use super::burst::{Burst, Capture};
 use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::link_core::{Answer, LinkCore, answered, stop_confirmed};
 use super::port::{Closed, TimedPort};
 use super::reply_filter::now;
 use super::timeline::{identity, signed_difference};
@@ -97,13 +97,7 @@ impl StreamLink {
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<Timed<T>>, LinkError> {
-        let mut attempt = 1;
-        loop {
-            match self.ask_numbered(message, what, &check) {
-                Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
-                result => return result,
-            }
-        }
+        answered(|| self.ask_numbered(message, what, &check))
     }
 
     fn ask_numbered<T>(
