@@ -53,6 +53,10 @@ enum Wanted<'a> {
 }
 
 /// A drive behind a register map.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent facts, each set and cleared by its own event"
+)]
 pub struct ProfiledLink<B> {
     map: Arc<RegisterMap>,
     bus: B,
@@ -174,7 +178,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 let (points, readings) = (&mut self.points, &self.readings);
                 let put = points.put(&mut self.bus, readings, name, *value);
                 self.is_unsent = !was_sent(&put);
-                put_s = put.is_ok().then(|| (self.bus.now_s(), points.carried));
+                let is_taken = put.is_ok() && points.mismatches() == 0;
+                put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
                 held_back(&mut refused, put)?;
             }
             let refreshed = self.points.refresh(&mut self.bus, period_s);
@@ -679,6 +684,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        self.points.begin();
         self.points.compare(&mut self.bus, &self.readings)
     }
 
@@ -754,6 +760,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
     fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.points.begin();
         self.points.is_urgent = true;
         let zeroed = self.points.zero(&mut self.bus, &self.readings);
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {

@@ -112,7 +112,8 @@ impl Points {
     /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
     pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
         let (at, point) = find(map, &map.demand(quantity)?.name)?;
-        let sent = self.sent.get(at).filter(|sent| !sent.in_doubt)?;
+        let is_held = |sent: &&Sent| !sent.in_doubt && sent.mismatches == 0;
+        let sent = self.sent.get(at).filter(is_held)?;
         Some(sent.value? * point.si?)
     }
 

@@ -351,6 +351,8 @@ fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
     let mut table = Table::identified("abb-dcs-gateway", &[]);
     table.enable(speed_ref(100.0));
     table.far().ignore(Some("speed_ref"));
+    let sample = table.run(speed_ref(101.0)).unwrap();
+    assert_eq!(sample.applied, None, "it holds another");
     let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
     assert_says(&error, "3 times in a row");
     table.ask(Demand::Disable, 5);
