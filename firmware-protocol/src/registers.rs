@@ -244,7 +244,8 @@ const fn block_words(first: Register, last: Register) -> usize {
 
 impl Register {
     /// The raw number for a value in the register's unit: rounded to the nearest step, saturated to the
-    /// allowed range; NaN becomes [`Register::not_available`]. The angle wraps instead of saturating.
+    /// allowed range; NaN becomes [`Register::not_available`]. The angle, which is always
+    /// there, wraps instead of saturating.
     pub fn encode(&self, value: f64) -> i64 {
         let raw = rounded(value * self.steps_per_unit());
         if self.wraps() {

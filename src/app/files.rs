@@ -17,6 +17,7 @@ use crate::recording::{
     ColumnMap, Kept, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
     run_from_memory, write_run,
 };
+use crate::report::{EarlyEnd, Tone};
 use crate::sample::ParameterEstimate;
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
@@ -257,32 +258,52 @@ impl Recorded {
             kept = format!("{}; {kept}", reopened.text);
         }
         let summary = &self.summary;
-        let (status, headline) = early_end(&summary.outcome, summary.stop_error.as_deref())?;
+        let (status, headline, _) = early_end(&summary.outcome, summary.stop_error.as_deref())?;
         Some(Failure::with_help(status, headline, kept))
     }
 }
 
-/// Exit status and headline of a run that did not go to its end, or whose drive did not confirm its stop.
-fn early_end(outcome: &Outcome, stop_error: Option<&str>) -> Option<(u8, String)> {
+/// How a run ended that did not go to its end, or whose drive did not confirm its stop: exit status and headline, and the
+/// same as its page has it.
+pub(crate) fn early_end(
+    outcome: &Outcome,
+    stop_error: Option<&str>,
+) -> Option<(u8, String, EarlyEnd)> {
     let unstopped =
         stop_error.map(|error| format!("the last stop did not reach the drive: {error}"));
-    Some(match (outcome, unstopped) {
-        (Outcome::Done, None) => return None,
+    let by_hand = "it was ended by hand";
+    let (status, tone, title, reason) = match outcome {
+        Outcome::Done if unstopped.is_none() => return None,
+        Outcome::Done => (
+            LINK,
+            Tone::Bad,
+            "Stop not confirmed",
+            "the sequence went to its end",
+        ),
+        Outcome::Stopped => (INTERRUPTED, Tone::Attention, "Stopped", by_hand),
+        Outcome::Interrupted => (INTERRUPTED, Tone::Attention, "Interrupted", by_hand),
+        Outcome::Tripped(trip) => (TRIP, Tone::Bad, "Safety trip", trip.reason.as_str()),
+        Outcome::LinkLost { reason } => (LINK, Tone::Bad, "Link lost", reason.as_str()),
+        Outcome::NotStarted { reason } => (LINK, Tone::Attention, "Not started", reason.as_str()),
+    };
+    let itself = || format!("{}: {reason}", title.to_lowercase());
+    let (status, headline) = match (outcome, &unstopped) {
         // Whoever ended it by hand must not take it for stopped.
         (Outcome::Done | Outcome::Stopped | Outcome::Interrupted, Some(unstopped)) => {
-            (LINK, unstopped)
+            (LINK, unstopped.clone())
         }
-        (Outcome::Stopped | Outcome::Interrupted, None) => (
-            INTERRUPTED,
-            "stopped before the end of the sequence".to_owned(),
-        ),
-        (Outcome::Tripped(trip), None) => (TRIP, format!("safety trip: {}", trip.reason)),
-        (Outcome::Tripped(trip), Some(unstopped)) => {
-            (TRIP, format!("safety trip: {}; {unstopped}", trip.reason))
+        (Outcome::Stopped | Outcome::Interrupted, None) => {
+            (status, "stopped before the end of the sequence".to_owned())
         }
-        (Outcome::NotStarted { reason }, _) => (LINK, format!("not started: {reason}")),
-        (Outcome::LinkLost { reason }, _) => (LINK, format!("link lost: {reason}")),
-    })
+        (Outcome::Tripped(_), Some(unstopped)) => (status, format!("{}; {unstopped}", itself())),
+        _ => (status, itself()),
+    };
+    let page = EarlyEnd {
+        tone: if unstopped.is_some() { Tone::Bad } else { tone },
+        title,
+        reason: unstopped.map_or_else(|| reason.to_owned(), |why| format!("{reason}; {why}")),
+    };
+    Some((status, headline, page))
 }
 
 #[cfg(test)]
@@ -302,7 +323,7 @@ mod tests {
         ] {
             let confirmed = early_end(&outcome, None);
             assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
-            let (status, headline) = early_end(&outcome, Some("no reply")).unwrap();
+            let (status, headline, _) = early_end(&outcome, Some("no reply")).unwrap();
             assert_eq!(status, unsure, "{outcome:?}");
             let is_said = headline.contains("did not reach") || headline.contains("lost");
             assert!(is_said, "{outcome:?}: {headline}");

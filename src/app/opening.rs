@@ -1,20 +1,17 @@
 //! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours; the
-//! capture of what goes over the wire; the same link once more after a run that has lost its drive.
+//! capture of what goes over the wire; how the same link is opened once more.
+//!
+//! This file owns the wall clock (the stamps of run folders and captures).
 
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::controls::Controls;
 use super::failure::Failure;
 use super::files::read_text;
 use super::output;
-use super::rig::{Rig, now};
-use crate::bench::{
-    BenchFile, DriveFacts, Port, Protocol, ReopenBench, ReopenOptions, Reopened, RunSummary,
-    check_signals, reopen,
-};
+use crate::bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
 use crate::drive::{
     self, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target, offer,
     open_tapped,
@@ -23,7 +20,6 @@ use crate::emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
     SoftDrive, VirtualClock, spawn_as,
 };
-use crate::recording::Recorder;
 
 /// A drive profile by its built-in name, else from a file; with its text.
 pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
@@ -237,17 +233,14 @@ impl Drop for Tap {
     }
 }
 
-/// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
-const PATIENCE_S: f64 = 10.0;
-
 /// How a link is opened once more.
 type Open = dyn Fn(&DriveProfile, Option<&TapFile>) -> Result<Box<dyn DriveLink>, LinkError> + Send;
 
 /// What it takes to open a link again.
 pub struct Reopener {
-    link: String,
-    limit_s: Option<f64>,
-    open: Box<Open>,
+    pub(super) link: String,
+    pub(super) limit_s: Option<f64>,
+    pub(super) open: Box<Open>,
 }
 
 impl Reopener {
@@ -280,76 +273,10 @@ impl Reopener {
     }
 }
 
-impl Rig {
-    /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
-    pub(crate) fn get_back(
-        &mut self,
-        summary: &mut RunSummary,
-        recorder: &mut Recorder,
-        controls: &Controls,
-    ) {
-        let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
-            return;
-        };
-        // Beside a screen somebody sits who ends it.
-        let default_s = self
-            .asked
-            .headless
-            .then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
-        let limit_s = reopener.limit_s.or(default_s);
-        if limit_s == Some(0.0) {
-            return;
-        }
-        self.way.link.close();
-        let link = reopener.link.as_str();
-        if self.asked.headless {
-            let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
-            output::message(&format!(
-                "link lost: looking for {link} again{time}; Ctrl-C ends that"
-            ));
-        }
-        let options = ReopenOptions {
-            link,
-            before: &check.identity,
-            end: summary.end,
-            seq: self.last_seq,
-            limit_s,
-            seed: std::process::id().into(),
-        };
-        let (profile, tap) = (&self.profile, self.way.tap.file());
-        let (reopened, link) = reopen(
-            ReopenBench {
-                clock: self.way.clock.as_mut(),
-                recorder,
-                stopped: &|| controls.is_stopped(),
-                intents: controls.intents(),
-                snapshots: &controls.snapshots,
-            },
-            &options,
-            &mut || (reopener.open)(profile, tap),
-        );
-        if let Some(link) = link {
-            self.way.link = link;
-            self.last_seq += 1;
-        }
-        if self.asked.headless {
-            output::message(&self.told(&reopened));
-        }
-        if reopened.is_safe() {
-            self.rests();
-        }
-        summary.reopened = Some(reopened);
-    }
-
-    /// What was found, with what the profile says of a drive that has just been switched on.
-    fn told(&self, reopened: &Reopened) -> String {
-        let registers = self.profile.registers.as_ref();
-        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
-        let blind = if blind_s > 0.0 && reopened.identity.is_some() {
-            format!("; if it was switched off, its watchdog is blind for {blind_s} s")
-        } else {
-            String::new()
-        };
-        format!("{}{blind}", reopened.text)
-    }
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the stamp of a run folder is wall-clock time"
+)]
+pub(crate) fn now() -> jiff::Timestamp {
+    jiff::Timestamp::now()
 }

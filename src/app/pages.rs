@@ -6,18 +6,17 @@ use serde_json::Value;
 
 use super::evidence::{About, Prepared};
 use super::failure::Failure;
-use super::files::Recorded;
+use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
-use crate::bench::{Outcome, Plan, RunSummary};
+use crate::bench::Plan;
 use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, compare};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
 use crate::recording::{LoadedRun, Manifest, RunFile};
 use crate::report::{
-    CommissionReport, ComparisonReport, ConfirmRun, Context, EarlyEnd, Facts, RunReport, SpeedLoop,
-    Target, Tone,
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
 use crate::workflow::CommissionResult;
 
@@ -60,6 +59,8 @@ fn run(
         fact("lateness, median and 99 %", lateness),
     ];
     let model = Model::baseline(nameplate.clone());
+    let summary = &recorded.summary;
+    let ended = early_end(&summary.outcome, summary.stop_error.as_deref());
     let report = RunReport {
         title: &manifest.name,
         context: &context,
@@ -67,40 +68,10 @@ fn run(
         nameplate: Some(&model),
         parameters: &recorded.summary.estimates,
         timing: &facts,
-        early_end: early_end(&recorded.summary),
+        early_end: ended.map(|(.., page)| page),
         speed_loop,
     };
     Ok(report.html())
-}
-
-/// Why a run did not go to its end, and that its drive may still turn where it did not confirm its stop.
-fn early_end(summary: &RunSummary) -> Option<EarlyEnd> {
-    let by_hand = "it was ended by hand".to_owned();
-    let (tone, title, reason) = match &summary.outcome {
-        Outcome::Done => (
-            Tone::Bad,
-            "Stop not confirmed",
-            "the sequence went to its end".to_owned(),
-        ),
-        Outcome::Stopped => (Tone::Attention, "Stopped", by_hand),
-        Outcome::Interrupted => (Tone::Attention, "Interrupted", by_hand),
-        Outcome::Tripped(trip) => (Tone::Bad, "Safety trip", trip.reason.clone()),
-        Outcome::LinkLost { reason } => (Tone::Bad, "Link lost", reason.clone()),
-        Outcome::NotStarted { reason } => (Tone::Attention, "Not started", reason.clone()),
-    };
-    match &summary.stop_error {
-        Some(error) => Some(EarlyEnd {
-            tone: Tone::Bad,
-            title,
-            reason: format!("{reason}; the last stop did not reach the drive: {error}"),
-        }),
-        None if summary.outcome == Outcome::Done => None,
-        None => Some(EarlyEnd {
-            tone,
-            title,
-            reason,
-        }),
-    }
 }
 
 /// The free runs of the models before and after, where the run that shows them has a voltage.

@@ -3,8 +3,6 @@
 //! ```text
 //! bench file + what was asked -> Rig (link, clock, emulator if it is ours) -> check -> record -> run folder
 //! ```
-//!
-//! This file owns the wall clock (the stamp of run folders).
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -15,14 +13,15 @@ use super::failure::{Failure, LINK, USAGE};
 use super::files::Recorded;
 use super::files::{seal, sealed_name};
 use super::opening::{
-    self, Reopener, Tap, emulator_config, in_memory, serve, suited, tap, target, wired_profile,
+    self, Reopener, Tap, emulator_config, in_memory, now, serve, suited, tap, target, wired_profile,
 };
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
     Guard, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
-    RowEstimator, RunOptions, Session, SpeedPilot, Target, Waivers, check, layout,
-    layout_with_reference, manifest, measure_delay, plan, run, stage_session,
+    ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary, Session,
+    SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest, measure_delay,
+    plan, reopen, run, stage_session,
 };
 use crate::drive::offer::{self, Purpose};
 use crate::drive::{CutIn, DriveLink, DriveProfile, open_tapped};
@@ -39,6 +38,8 @@ pub(crate) const MYSTERY: &str = "mystery";
 
 /// What checks, a burst or the last words over a link may take beside the times of the drive itself, s.
 const EXCHANGES_S: f64 = 5.0;
+/// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
+const PATIENCE_S: f64 = 10.0;
 /// The shaft's way to rest after the output has reached zero, as session and checks allow it, s.
 const TO_REST_S: f64 = 8.0;
 
@@ -505,6 +506,78 @@ impl Rig {
         }
         manifest
     }
+
+    /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
+    pub(crate) fn get_back(
+        &mut self,
+        summary: &mut RunSummary,
+        recorder: &mut Recorder,
+        controls: &Controls,
+    ) {
+        let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
+            return;
+        };
+        // Beside a screen somebody sits who ends it.
+        let default_s = self
+            .asked
+            .headless
+            .then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
+        let limit_s = reopener.limit_s.or(default_s);
+        if limit_s == Some(0.0) {
+            return;
+        }
+        self.way.link.close();
+        let link = reopener.link.as_str();
+        if self.asked.headless {
+            let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
+            output::message(&format!(
+                "link lost: looking for {link} again{time}; Ctrl-C ends that"
+            ));
+        }
+        let options = ReopenOptions {
+            link,
+            before: &check.identity,
+            end: summary.end,
+            seq: self.last_seq,
+            limit_s,
+            seed: std::process::id().into(),
+        };
+        let (profile, tap) = (&self.profile, self.way.tap.file());
+        let (reopened, link) = reopen(
+            ReopenBench {
+                clock: self.way.clock.as_mut(),
+                recorder,
+                stopped: &|| controls.is_stopped(),
+                intents: controls.intents(),
+                snapshots: &controls.snapshots,
+            },
+            &options,
+            &mut || (reopener.open)(profile, tap),
+        );
+        if let Some(link) = link {
+            self.way.link = link;
+            self.last_seq += 1;
+        }
+        if self.asked.headless {
+            output::message(&self.told(&reopened));
+        }
+        if reopened.is_safe() {
+            self.rests();
+        }
+        summary.reopened = Some(reopened);
+    }
+
+    /// What was found, with what the profile says of a drive that has just been switched on.
+    fn told(&self, reopened: &Reopened) -> String {
+        let registers = self.profile.registers.as_ref();
+        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
+        let blind = if blind_s > 0.0 && reopened.identity.is_some() {
+            format!("; if it was switched off, its watchdog is blind for {blind_s} s")
+        } else {
+            String::new()
+        };
+        format!("{}{blind}", reopened.text)
+    }
 }
 
 impl Opened {
@@ -605,14 +678,6 @@ impl Drop for Rig {
             Err(_) => Err("the link has panicked as well".to_owned()),
         }));
     }
-}
-
-#[expect(
-    clippy::disallowed_methods,
-    reason = "the stamp of a run folder is wall-clock time"
-)]
-pub(crate) fn now() -> jiff::Timestamp {
-    jiff::Timestamp::now()
 }
 
 /// The whole nameplate of a bench file.

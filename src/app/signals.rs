@@ -11,9 +11,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
 
+use nix::sys::signal::{SigSet, Signal};
 use signal_hook::consts::{
-    SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPIPE, SIGPROF, SIGQUIT, SIGTERM, SIGTSTP, SIGUSR1, SIGUSR2,
-    SIGVTALRM, SIGXCPU, SIGXFSZ,
+    SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPIPE, SIGPROF, SIGQUIT, SIGTERM, SIGTSTP, SIGTTIN, SIGTTOU,
+    SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
 };
 use signal_hook::iterator::Signals;
 
@@ -30,6 +31,11 @@ static WATCH: Once = Once::new();
 const ENDINGS: [i32; 7] = [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM];
 /// What would end or halt the program in the middle of a run without a word, and a pipe that nobody reads any more.
 const LIVE: [i32; 6] = [SIGPIPE, SIGTSTP, SIGVTALRM, SIGPROF, SIGXCPU, SIGIO];
+/// The same where there is more of it: a supply that fails, and a fault of the stack that nothing raises any more.
+#[cfg(target_os = "linux")]
+const OF_SYSTEM: [i32; 2] = [nix::libc::SIGPWR, nix::libc::SIGSTKFLT];
+#[cfg(not(target_os = "linux"))]
+const OF_SYSTEM: [i32; 0] = [];
 
 /// Longest time that a write may take before it is left.
 const LOOKS: u32 = 200;
@@ -80,13 +86,24 @@ pub(crate) fn flag() -> Result<Arc<AtomicBool>, Failure> {
 
 /// Tells a run on a live drive of every signal that would otherwise end, or halt, the program with its motor on.
 pub(crate) fn pull(ends: Ends) -> Result<(), Failure> {
-    // A file that may not grow any more is an error of the write, and no reason to die.
-    register(SIGXFSZ, Arc::default())?;
-    let all: Vec<i32> = ENDINGS.iter().chain(&LIVE).copied().collect();
+    // A file that may not grow any more is an error of the write and no reason to die, a terminal that somebody else has is
+    // none to halt.
+    for signal in [SIGXFSZ, SIGTTIN, SIGTTOU] {
+        register(signal, Arc::default())?;
+    }
+    speak_from_background()?;
+    let all = [&ENDINGS[..], &LIVE, &OF_SYSTEM].concat();
     spawn(&all, move |signal| match signal {
         SIGHUP | SIGPIPE => ends.hang_up(),
         _ => ends.interrupt(),
     })
+}
+
+/// From here on this thread, and each that it begins, may write to a terminal that another program has. The kernel lets
+/// only those who block its signals: a write under a mere handler would begin again for ever.
+fn speak_from_background() -> Result<(), Failure> {
+    let halting = SigSet::from_iter([Signal::SIGTTIN, Signal::SIGTTOU]);
+    halting.thread_block().map_err(cannot_watch)
 }
 
 /// A thread that is told of these signals for as long as the program runs.
@@ -115,7 +132,11 @@ fn end() -> ! {
         std::thread::sleep(LOOK);
         whole = WRITING.try_lock();
     }
-    let help = "start the command again; nothing was left half done";
+    let help = if whole.is_ok() {
+        "start the command again; nothing was left half done"
+    } else {
+        "start the command again; a file was still being written: see whether it is whole"
+    };
     Failure::with_help(INTERRUPTED, "interrupted: there is no answer", help).print();
     // Nobody draws the line again: its lock is held to the end.
     progress::above(|| std::process::exit(i32::from(INTERRUPTED)))

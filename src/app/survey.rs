@@ -137,7 +137,10 @@ pub(crate) fn told(
         let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then says that the drive's limits were not read back";
         Failure::with_help(failure.status, failure.headline(), help)
     })?;
-    if report.verdict == ProbeVerdict::Plausible {
+    if matches!(
+        report.verdict,
+        ProbeVerdict::Plausible | ProbeVerdict::Unjudged
+    ) {
         return Ok(of_report(&report));
     }
     Err(Failure::link(
@@ -405,10 +408,11 @@ fn fit(report: &ProbeReport) -> (Fit, String) {
             };
             (Fit::No, reason.to_owned())
         }
-        ProbeVerdict::Plausible if !report.checks.is_empty() => {
+        ProbeVerdict::Plausible | ProbeVerdict::Unjudged if !report.checks.is_empty() => {
             let checks: Vec<&str> = report.checks.iter().map(|c| c.what.as_str()).collect();
             (Fit::Matches, checks.join("; "))
         }
+        ProbeVerdict::Unjudged => (Fit::CannotBeTold, report.sentence.clone()),
         ProbeVerdict::Plausible => {
             let confirmed = report.signals.iter().filter(|s| s.confirms).count();
             let reason = format!(

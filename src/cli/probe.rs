@@ -109,6 +109,10 @@ fn verdict(report: &ProbeReport) -> Result<(), Failure> {
             REFUSED,
             "let the shaft stand still, compare with the drive's own display, and see the other ways of reading on stdout; docs/adding-a-drive.md tells how the profile is mended",
         ),
+        ProbeVerdict::Unjudged => (
+            REFUSED,
+            "give the profile a signal that can be judged at rest (current, speed, voltage, a temperature) or an [[identity]]; docs/adding-a-drive.md tells how",
+        ),
         ProbeVerdict::WrongDrive => (
             LINK,
             "is it the drive of this profile? `drivebench probe --port PORT` without --drive tries every built-in one",

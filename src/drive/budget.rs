@@ -115,11 +115,6 @@ impl LineBudget {
         Some(Self::of_frames(&profile.link, &frames))
     }
 
-    /// The budget of any exchange: bytes of whole frames.
-    pub fn of_exchange(settings: &LinkSettings, request_bytes: usize, reply_bytes: usize) -> Self {
-        Self::of_frames(settings, &[(request_bytes, reply_bytes)])
-    }
-
     /// The budget of several exchanges, one after the other.
     fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
         let with_gaps = settings.protocol != Protocol::Stream;
@@ -302,7 +297,7 @@ mod tests {
             (115_200, [131.0, 113.0, 42.0]),
             (921_600, [224.0, 177.0, 49.0]),
         ] {
-            let budget = LineBudget::of_exchange(&settings(baud, 0.5), 13 + 4, 5 + 20);
+            let budget = LineBudget::of_frames(&settings(baud, 0.5), &[(13 + 4, 5 + 20)]);
             for (rate, expected_hz) in budget.rates.iter().zip(expected_hz) {
                 assert!((rate.rate_hz - expected_hz).abs() < 0.8, "{baud}: {rate:?}");
             }
@@ -330,7 +325,8 @@ mod tests {
         let reads = plan_reads(&map, PollRate::Fast).len();
         let budget = LineBudget::of(&profile).unwrap();
         assert_eq!(budget.exchanges, reads + 1);
-        let one = LineBudget::of_exchange(&profile.link, budget.request_bytes, budget.reply_bytes);
+        let one =
+            LineBudget::of_frames(&profile.link, &[(budget.request_bytes, budget.reply_bytes)]);
         // The same bytes in more requests take more silences and more replies.
         assert!((budget.wire_ms - one.wire_ms).abs() < 1e-9);
         assert!(budget.rate_hz() < one.rate_hz());

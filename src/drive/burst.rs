@@ -3,7 +3,7 @@
 use firmware_protocol::CaptureSample;
 use firmware_protocol::registers::WINDOW_INDEX;
 
-use super::link::LinkError;
+use super::link_error::LinkError;
 use crate::sample::{Channel, Origin, Run, RunError};
 
 /// A drive that can record bursts.

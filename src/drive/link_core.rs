@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use firmware_protocol::{DriveCommand, Telemetry};
 
-use super::guard::now;
 use super::link::LinkError;
 use super::link::Tally;
 use super::register_bus::Span;
+use super::reply_filter::now;
 use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
 use super::transaction::Bound;
@@ -29,6 +29,8 @@ pub(super) struct LinkCore {
     /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
     pub(super) capture_period_s: f64,
     pub(super) gone: bool,
+    /// The last command has not left.
+    pub(super) is_unsent: bool,
     pub(super) epoch: Instant,
     last_seq: u64,
 }
@@ -51,6 +53,7 @@ impl LinkCore {
             bound: Bound::default(),
             capture_period_s: 0.0,
             gone: false,
+            is_unsent: false,
             epoch,
             last_seq: 0,
         }
@@ -105,8 +108,16 @@ impl LinkCore {
     }
 }
 
+/// Asks what has no effect on the drive until an answer comes, or what is no accident of the line.
+pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+    let again = (1..READ_ATTEMPTS)
+        .map(|_| ask())
+        .find(|result| !matches!(result, Err(error) if error.is_transient()));
+    again.unwrap_or_else(ask)
+}
+
 /// Asks for a stop until the drive says in reply to that very command that it does not run.
-pub(super) fn stop_confirmed(
+pub(crate) fn stop_confirmed(
     name: &str,
     mut ask: impl FnMut() -> Result<Sample, LinkError>,
 ) -> Result<(), LinkError> {

@@ -6,8 +6,8 @@ use firmware_protocol::stream::{ErrorCode, Message, Refusal};
 use firmware_protocol::{DriveCommand, Telemetry};
 
 use super::fake::{Asked, Fake, Language, Say, identity_block, rtu_frame, stream_frame};
-use super::guard::now;
 use super::register_bus::RegisterTable;
+use super::reply_filter::now;
 use super::{DriveLink, DriveProfile, LinkError, ModbusLink, open_modbus, open_stream, stream};
 use crate::sample::{Channel, Command, Demand, Sample};
 
@@ -453,6 +453,11 @@ fn silence_ends_at_the_deadline() {
         assert!(is_told(&error), "{error}");
         assert!(took >= Duration::from_millis(least_ms), "{took:?}");
         assert!(took < Duration::from_secs(3), "{took:?}");
+        // One that is bounded tells the time that it had.
+        link.bound(0.08);
+        let error = link.exchange(volts(4)).unwrap_err();
+        let is_told = matches!(error, LinkError::Timeout { deadline_ms, .. } if deadline_ms < 100);
+        assert!(is_told, "{error}");
     }
 }
 
@@ -498,6 +503,7 @@ fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
         for seq in 3..6 {
             let error = link.exchange(volts(seq)).unwrap_err();
             assert!(matches!(error, LinkError::Gone { .. }), "{way}: {error}");
+            assert_eq!(link.has_sent_command(), seq == 3, "{way}");
         }
         assert!(matches!(link.stop(), Err(LinkError::Gone { .. })));
         assert!(start.elapsed() < Duration::from_secs(10));

@@ -6,7 +6,7 @@
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
 //!                  |            |             burst.rs: what the drive records by itself
-//!              guard.rs      port.rs        bytes, silence, hang-up
+//!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
 //!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps)
@@ -27,9 +27,9 @@ mod command_times;
 mod fake;
 #[cfg(test)]
 mod fault_tests;
-mod guard;
 mod link;
 mod link_core;
+mod link_error;
 #[cfg(test)]
 mod link_tests;
 mod modbus;
@@ -45,6 +45,7 @@ mod register_bus;
 pub mod register_map;
 mod reopen;
 mod reply;
+mod reply_filter;
 pub mod serial_ports;
 mod settings;
 mod stream;
@@ -59,6 +60,7 @@ pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use command_times::CommandTimes;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+pub(crate) use link_core::stop_confirmed;
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
     read_batch,
@@ -78,6 +80,6 @@ pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
 pub use stream::StreamLink;
 pub use tap::TapFile;
-pub use timeline::{ClockMap, DriveClock, signed_difference};
+pub use timeline::signed_difference;
 pub use timing::standard_gap_s;
 pub use transaction::{CutIn, LineCounts};

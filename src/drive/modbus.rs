@@ -29,7 +29,6 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
-use super::guard::{Guard, Port, now};
 use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
@@ -39,8 +38,8 @@ use super::register_bus::{
     WRITTEN_BYTES, exception_name, registers,
 };
 use super::reply::{Echo, FrameKind};
-use super::timeline::{ClockMap, signed_difference};
-use super::timeline::{identity, identity_error};
+use super::reply_filter::{Port, ReplyFilter, now};
+use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, out_of_step, restless};
 use crate::sample::{Command, Sample};
@@ -72,7 +71,7 @@ pub struct ModbusLink {
     core: LinkCore,
     // The order matters: what uses the runtime goes before it.
     context: Context,
-    guard: Guard,
+    filter: ReplyFilter,
     runtime: Runtime,
     kind: FrameKind,
     unit: u8,
@@ -142,7 +141,7 @@ impl ModbusLink {
         timing: LineTiming,
         epoch: Instant,
     ) -> Self {
-        let guard = Guard::new(port, kind);
+        let filter = ReplyFilter::new(port, kind);
         let policy = match kind {
             FrameKind::Rtu => Policy::Fixed(Method::Nonce),
             FrameKind::Tcp => Policy::Numbered,
@@ -150,8 +149,8 @@ impl ModbusLink {
         Self {
             proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
             core: LinkCore::new(name, timing, epoch),
-            context: attach(&guard, kind, unit),
-            guard,
+            context: attach(&filter, kind, unit),
+            filter,
             runtime,
             kind,
             unit,
@@ -205,7 +204,7 @@ impl ModbusLink {
     /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
         let travels = self.core.command(command);
-        self.guard.expect(Echo {
+        self.filter.expect(Echo {
             at: ECHO_AT,
             bytes: travels.seq.to_be_bytes(),
         });
@@ -253,7 +252,7 @@ impl ModbusLink {
         let question = Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed);
         self.with_retries(|link| {
             link.listen()?;
-            link.guard.expect(Echo {
+            link.filter.expect(Echo {
                 at: INDEX_AT,
                 bytes: index.to_be_bytes(),
             });
@@ -307,9 +306,9 @@ impl ModbusLink {
     /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
     fn listen(&mut self) -> Result<(), LinkError> {
         self.core.live()?;
-        let last = self.guard.inner().reception.last_activity;
+        let last = self.filter.inner().reception.last_activity;
         wait_until(last + self.core.timing.gap());
-        let strays = self.runtime.block_on(self.guard.begin());
+        let strays = self.runtime.block_on(self.filter.begin());
         self.judge(strays).map(drop)
     }
 
@@ -317,7 +316,7 @@ impl ModbusLink {
     fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize, LinkError> {
         let count = strays.map_err(|error| self.lost(&error))?;
         if count > 0 {
-            let heard = self.guard.inner().reception.take_heard();
+            let heard = self.filter.inner().reception.take_heard();
             self.proof.disturbed(&heard, now());
         }
         Ok(count)
@@ -334,7 +333,7 @@ impl ModbusLink {
                 return Err(self.unproven());
             }
             let look = self.core.bound.next_look(now, until);
-            let came = self.runtime.block_on(self.guard.listen_until(look));
+            let came = self.runtime.block_on(self.filter.listen_until(look));
             if self.judge(came)? > 0 {
                 return Ok(false);
             }
@@ -379,7 +378,7 @@ impl ModbusLink {
         }
     }
 
-    /// One probe. The guard compares all its bytes.
+    /// One probe. The filter compares all its bytes.
     fn probe(&mut self, pdu: [u8; 5]) -> Result<(), LinkError> {
         let [function, data @ ..] = pdu;
         let [a, b, c, d] = data;
@@ -411,7 +410,7 @@ impl ModbusLink {
             return Err(self.unproven());
         }
         // What came before the request has been judged.
-        self.guard.inner().reception.take_anomaly();
+        self.filter.inner().reception.take_anomaly();
         self.proof.asked(&question.pdu, question.is_probe, sent);
         let Question {
             request,
@@ -449,7 +448,7 @@ impl ModbusLink {
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
             // No reply in time: what came instead tells the class.
             Err(_) => {
-                let left = self.guard.inner().reception.leftover();
+                let left = self.filter.inner().reception.leftover();
                 let of = |at| format!("{what} of unit {}{at}", self.unit);
                 let what = self.at.as_ref().map_or_else(|| what.to_owned(), of);
                 Err(left.error(&self.core.name, what, waited.min(deadline - sent)))
@@ -460,7 +459,8 @@ impl ModbusLink {
             self.last_round_trip = waited;
         }
         let (asked, answered) = {
-            let reception = &mut self.guard.inner().reception;
+            let reception = &mut self.filter.inner().reception;
+            self.core.is_unsent = reception.asked.is_none();
             if end == End::Missing {
                 reception.retire();
             }
@@ -470,7 +470,7 @@ impl ModbusLink {
         };
         if result.is_err() && self.kind == FrameKind::Rtu {
             // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
-            // transaction number, and the guard drops replies to older ones.
+            // transaction number, and the filter drops replies to older ones.
             self.attach();
         }
         let core = &mut self.core;
@@ -483,7 +483,7 @@ impl ModbusLink {
     }
 
     fn attach(&mut self) {
-        self.context = attach(&self.guard, self.kind, self.unit);
+        self.context = attach(&self.filter, self.kind, self.unit);
     }
 
     fn lost(&mut self, error: &std::io::Error) -> LinkError {
@@ -516,7 +516,7 @@ impl ModbusLink {
         LineCounts {
             retries: self.retries,
             resync_ms: u64::try_from(self.resync.as_millis()).unwrap_or(u64::MAX),
-            ..self.guard.inner().reception.line
+            ..self.filter.inner().reception.line
         }
     }
 }
@@ -556,6 +556,7 @@ impl DriveLink for ModbusLink {
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.core.is_unsent = true;
         self.listen()?;
         let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
@@ -580,9 +581,13 @@ impl DriveLink for ModbusLink {
         })
     }
 
+    fn has_sent_command(&self) -> bool {
+        !self.core.is_unsent
+    }
+
     fn close(&mut self) {
         self.core.gone = true;
-        self.guard.close();
+        self.filter.close();
     }
 
     fn statistics(&self) -> LinkStatistics {
@@ -612,10 +617,6 @@ impl DriveLink for ModbusLink {
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
-    }
-
-    fn clock_map(&self) -> Option<&ClockMap> {
-        Some(&self.core.timeline.map)
     }
 }
 
@@ -649,10 +650,10 @@ impl Burst for ModbusLink {
     }
 }
 
-fn attach(guard: &Guard, kind: FrameKind, unit: u8) -> Context {
+fn attach(filter: &ReplyFilter, kind: FrameKind, unit: u8) -> Context {
     match kind {
-        FrameKind::Rtu => rtu::attach_slave(guard.clone(), Slave(unit)),
-        FrameKind::Tcp => tcp::attach_slave(guard.clone(), Slave(unit)),
+        FrameKind::Rtu => rtu::attach_slave(filter.clone(), Slave(unit)),
+        FrameKind::Tcp => tcp::attach_slave(filter.clone(), Slave(unit)),
     }
 }
 
@@ -671,7 +672,7 @@ fn telemetry(response: Response) -> Result<Telemetry, String> {
     Ok(Telemetry::from_registers(&block))
 }
 
-/// The registers that were asked for; that the function is that of the request the guard has seen to.
+/// The registers that were asked for; that the function is that of the request the filter has seen to.
 fn words(count: usize) -> impl Fn(Response) -> Result<Vec<u16>, String> {
     move |response| match response {
         Response::ReadHoldingRegisters(values)

@@ -9,13 +9,13 @@ use std::time::Instant;
 use thiserror::Error;
 use tokio::runtime::Builder;
 
-use super::guard::Port;
 use super::link::{DriveLink, LinkError};
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
+use super::reply_filter::Port;
 use super::settings::{LinkSettings, Protocol};
 use super::stream::StreamLink;
 use super::tap::{TapFile, TappedPort};
@@ -264,7 +264,7 @@ mod tests {
         drop(listener);
         let target = format!("tcp:127.0.0.1:{port}").parse().unwrap();
         let profile = DriveProfile::named("own").unwrap();
-        let error = open(&target, &profile, super::super::guard::now())
+        let error = open(&target, &profile, super::super::reply_filter::now())
             .map(drop)
             .unwrap_err();
         assert!(matches!(error, LinkError::Open { .. }));

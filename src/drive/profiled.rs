@@ -25,7 +25,6 @@ use super::patience::Patience;
 use super::register_bus::{RegisterBus, Span};
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
-use super::timeline::ClockMap;
 use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
@@ -54,6 +53,10 @@ enum Wanted<'a> {
 }
 
 /// A drive behind a register map.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent facts, each set and cleared by its own event"
+)]
 pub struct ProfiledLink<B> {
     map: Arc<RegisterMap>,
     bus: B,
@@ -70,8 +73,8 @@ pub struct ProfiledLink<B> {
     last_exchange_s: Option<f64>,
     /// When something went out that the drive's watchdog counts, s.
     kicked_s: f64,
-    /// Number of the last command, if its set-point was not sent.
-    unsent: Option<u64>,
+    /// The set-point of the last command was not sent.
+    is_unsent: bool,
     patience: Patience,
     /// The drive's own, where the profile maps it.
     clock: Option<Clock>,
@@ -96,7 +99,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             unseen_since_s: None,
             last_exchange_s: None,
             kicked_s: f64::NEG_INFINITY,
-            unsent: None,
+            is_unsent: false,
             patience: Patience::default(),
         }
     }
@@ -141,8 +144,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// A drive that is busy keeps what it was told last, and is asked again after a pause; a stop does not wait.
     fn cycle(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
-        let holds = self.mode == Mode::On && matches!(wanted, Wanted::Run(Some(_)));
-        self.unsent = holds.then_some(seq);
+        // A drive that does not run yet, or any more, holds zero and nothing else.
+        self.is_unsent = matches!(wanted, Wanted::Run(Some((_, value))) if self.mode == Mode::On || *value != 0.0);
         if matches!(wanted, Wanted::Run(_)) {
             self.patience.check(self.bus.now_s())?;
         }
@@ -174,9 +177,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
             if let Wanted::Run(Some((name, value))) = wanted {
                 let (points, readings) = (&mut self.points, &self.readings);
                 let put = points.put(&mut self.bus, readings, name, *value);
-                self.unsent = (!was_sent(&put)).then_some(seq);
+                self.is_unsent = !was_sent(&put);
+                let is_taken = put.is_ok() && points.mismatches() == 0;
+                put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
                 held_back(&mut refused, put)?;
-                put_s = Some((self.bus.now_s(), self.points.carried));
             }
             let refreshed = self.points.refresh(&mut self.bus, period_s);
             held_back(&mut refused, refreshed)?;
@@ -186,18 +190,16 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
         let reading_s = self.bus.now_s();
         let joined = self.points.take_joined();
-        if joined.is_some() {
-            self.unsent = Some(seq);
-        }
+        self.is_unsent |= joined.is_some();
         let (span, both) = match self.readings.read_fast(&mut self.bus, joined.as_ref()) {
             Err(error @ LinkError::Exception { .. }) if joined.is_some() => {
-                self.unsent = None;
+                (self.is_unsent, put_s) = (false, None);
                 held_back(&mut refused, Err(error))?;
                 self.readings.read_fast(&mut self.bus, None)?
             }
             read => {
                 if joined.is_some() && was_sent(&read) {
-                    self.unsent = None;
+                    self.is_unsent = false;
                 }
                 read?
             }
@@ -268,15 +270,15 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Ends a run: the drive gets its stop, and zero has to be asked for before the next.
-    fn give_up(&mut self, now_s: f64) -> Result<(), LinkError> {
+    fn give_up(&mut self) -> Result<(), LinkError> {
         self.latched = true;
-        self.begin_stop(now_s);
+        self.begin_stop();
         self.advance()
     }
 
     /// The same where the reason counts more than how the stop goes.
     fn ended(&mut self, reason: String) -> LinkError {
-        let _ = self.give_up(self.bus.now_s());
+        let _ = self.give_up();
         self.broken_off("run", (1, 1), reason)
     }
 
@@ -306,7 +308,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if self.mode != Mode::On {
             return Ok(());
         }
-        self.give_up(now_s)?;
+        self.give_up()?;
         let reason = format!(
             "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
         );
@@ -327,12 +329,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 self.mode = Mode::Enabling(enable.preceded(self.all_to_zero()));
             }
             (Wanted::Run(_), _) | (_, Mode::Stopping(_) | Mode::Resetting(_)) => {}
-            (_, Mode::On | Mode::Enabling(_)) => self.begin_stop(now_s),
+            (_, Mode::On | Mode::Enabling(_)) => self.begin_stop(),
             (_, Mode::Off) => {
                 self.latched = false;
                 let runs = self.told("running") == Some(true);
                 if runs {
-                    self.begin_stop(now_s);
+                    self.begin_stop();
                 } else if first_reset || (is_reset && self.state() == DriveState::Fault) {
                     self.field_lost = false;
                     self.mode =
@@ -356,9 +358,26 @@ impl<B: RegisterBus> ProfiledLink<B> {
             .collect()
     }
 
-    fn begin_stop(&mut self, now_s: f64) {
+    fn begin_stop(&mut self) {
         self.points.release();
-        self.mode = Mode::Stopping(Sequence::new("stop", &self.map.commands.stop, now_s));
+        self.mode = self.stopping("stop");
+    }
+
+    /// The command that is to stop the drive, from its beginning.
+    fn stopping(&self, command: &'static str) -> Mode {
+        Mode::Stopping(Sequence::new(
+            command,
+            self.way_down(command),
+            self.bus.now_s(),
+        ))
+    }
+
+    /// The steps of that command.
+    fn way_down(&self, command: &str) -> &[Step] {
+        match command {
+            "coast" => &self.map.commands.coast,
+            _ => &self.map.commands.stop,
+        }
     }
 
     /// Carries the command under way as far as it goes now.
@@ -375,6 +394,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                     Mode::Enabling(_) => {
                         self.unseen_since_s = Some(self.bus.now_s());
                         Mode::On
+                    }
+                    // Nothing tells that it stopped but the words that it did not take.
+                    Mode::Stopping(_)
+                        if sequence.is_denied && !self.confirms_stop() && !self.is_in_fault() =>
+                    {
+                        self.stopping("stop")
                     }
                     _ => Mode::Off,
                 };
@@ -445,16 +470,16 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let reason = reason + &self.in_fault_text(now_s);
         let error = self.broken_off(sequence.command, (step, sequence.steps()), reason);
         self.latched = true;
-        self.mode = match &self.mode {
-            Mode::Enabling(_) => {
-                self.points.release();
-                Mode::Stopping(Sequence::new("stop", &self.map.commands.stop, now_s))
+        let can_coast = !self.map.commands.coast.is_empty();
+        match &self.mode {
+            Mode::Enabling(_) => self.begin_stop(),
+            Mode::Stopping(stop) if stop.command == "stop" && can_coast => {
+                self.mode = self.stopping("coast");
             }
-            Mode::Stopping(sequence) if sequence.command == "stop" => {
-                Mode::Stopping(Sequence::new("coast", &self.map.commands.coast, now_s))
-            }
-            _ => Mode::Off,
-        };
+            // What has not stopped is told to stop until it has.
+            Mode::Stopping(_) if self.told("running") != Some(false) => self.begin_stop(),
+            _ => self.mode = Mode::Off,
+        }
         // What it reports matters less than why.
         let _ = self.advance();
         error
@@ -480,12 +505,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 .is_none_or(|amperes| amperes < least_a);
             if weak && self.mode == Mode::On {
                 self.field_lost = true;
-                return gone(self.give_up(now_s));
+                return gone(self.give_up());
             }
         }
         // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
-            return gone(self.give_up(now_s));
+            return gone(self.give_up());
         }
         if self.mode != Mode::On {
             return Ok(());
@@ -494,7 +519,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let reason = self.points.mismatch_text();
             return Err(self.ended(reason));
         }
-        let runs = self.runs_since_enabled();
+        let enabled_s = self.unseen_since_s.unwrap_or(f64::NEG_INFINITY);
+        let runs = self.told_since("running", enabled_s);
         if runs == Some(true) {
             self.unseen_since_s = None;
         }
@@ -502,7 +528,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
         if self.unseen_since_s.is_some() && !in_fault && runs == Some(false) {
             let error = self.never_ran();
-            let _ = self.give_up(now_s);
+            let _ = self.give_up();
             return Err(error);
         }
         // It stopped by itself: a fault, its watchdog, somebody at its keypad. It must not be found with a reference and the
@@ -512,7 +538,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.points.release();
             self.points.is_urgent = true;
             gone(self.points.zero(&mut self.bus, &self.readings))?;
-            return gone(self.give_up(now_s));
+            return gone(self.give_up());
         }
         Ok(())
     }
@@ -583,7 +609,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
 /// Whether a request that ended so has left.
 const fn was_sent<T>(result: &Result<T, LinkError>) -> bool {
-    !matches!(result, Err(LinkError::Unproven { .. }))
+    !matches!(
+        result,
+        Err(LinkError::Unproven { .. } | LinkError::Refused { .. })
+    )
 }
 
 /// Keeps the first refusal until it is known what the drive says of itself.
@@ -655,6 +684,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        self.points.begin();
         self.points.compare(&mut self.bus, &self.readings)
     }
 
@@ -666,6 +696,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
             Demand::Current(amperes) => (Quantity::Current, amperes),
             Demand::Speed(speed) => (Quantity::Speed, speed),
         };
+        self.is_unsent = true;
         let map = Arc::clone(&self.map);
         let Some((point, si)) = map.demand(quantity).and_then(|p| Some((p, p.si?))) else {
             let what = match quantity {
@@ -687,9 +718,9 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     /// Stops, and looks whether the drive says so; where it does not, coasts.
     fn stop(&mut self) -> Result<(), LinkError> {
         self.bus.bound(f64::INFINITY);
-        self.points.release();
-        self.mode = Mode::Off;
-        self.latched = false;
+        // Where this fails the next exchange goes on with the stop, whatever it asks for.
+        self.latched = true;
+        self.begin_stop();
         let (mut first, mut runs) = (None, false);
         for command in ["stop", "stop", "coast"] {
             if command == "coast" && self.map.commands.coast.is_empty() {
@@ -703,7 +734,11 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
                 carried => self.rests().map(|rests| (rests, carried.err())),
             };
             match result {
-                Ok((true, _)) => return Ok(()),
+                Ok((true, _)) => {
+                    self.mode = Mode::Off;
+                    self.latched = false;
+                    return Ok(());
+                }
                 Ok((false, error)) => {
                     runs = true;
                     first = first.or(error);
@@ -725,6 +760,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
     fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.points.begin();
         self.points.is_urgent = true;
         let zeroed = self.points.zero(&mut self.bus, &self.readings);
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {
@@ -735,7 +771,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     fn has_sent_command(&self) -> bool {
-        self.unsent.is_none()
+        !self.is_unsent
     }
 
     fn confirms_stop(&self) -> bool {
@@ -772,10 +808,6 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         frames
             .map(|(request, reply)| self.bus.wire_s(request, reply))
             .sum()
-    }
-
-    fn clock_map(&self) -> Option<&ClockMap> {
-        self.clock.as_ref().map(Clock::map)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {

@@ -574,7 +574,7 @@ fn head(pdu: &[u8]) -> [u8; 5] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::guard::now;
+    use crate::drive::reply_filter::now;
 
     const QUIET: Duration = Duration::from_millis(20);
 

@@ -12,15 +12,14 @@ use firmware_protocol::stream::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
-use super::guard::now;
 use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::link_core::{Answer, LinkCore, answered, stop_confirmed};
 use super::port::{Closed, TimedPort};
-use super::timeline::identity;
-use super::timeline::{ClockMap, signed_difference};
+use super::reply_filter::now;
+use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
-use super::transaction::LineCounts;
+use super::transaction::{Leftover, LineCounts};
 use crate::sample::{Command, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.
@@ -49,9 +48,20 @@ type Timed<T> = (T, u32);
 #[derive(Default)]
 struct Wreckage {
     bytes: usize,
-    damaged: usize,
     stale: usize,
     foreign: usize,
+}
+
+impl Wreckage {
+    /// The class that it makes of a missing answer.
+    const fn leftover(&self) -> Leftover {
+        match *self {
+            Self { foreign: 1.., .. } => Leftover::Foreign,
+            Self { stale: 1.., .. } => Leftover::Stale,
+            Self { bytes: 0, .. } => Leftover::Nothing,
+            Self { bytes, .. } => Leftover::Damaged(bytes),
+        }
+    }
 }
 
 impl StreamLink {
@@ -87,13 +97,7 @@ impl StreamLink {
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<Timed<T>>, LinkError> {
-        let mut attempt = 1;
-        loop {
-            match self.ask_numbered(message, what, &check) {
-                Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
-                result => return result,
-            }
-        }
+        answered(|| self.ask_numbered(message, what, &check))
     }
 
     fn ask_numbered<T>(
@@ -123,13 +127,13 @@ impl StreamLink {
         let result = self
             .send(question, deadline)
             .map_err(|error| self.lost(&error))
-            .and_then(|()| self.receive(question.seq, what, deadline, &mut wreckage, check));
+            .and_then(|()| self.receive(question.seq, what, deadline, &mut wreckage, check))
+            .and_then(|found| {
+                let waited = deadline.saturating_duration_since(sent);
+                found.ok_or_else(|| wreckage.leftover().error(&self.core.name, what, waited))
+            });
         let received = now();
         self.suspect = matches!(&result, Err(error) if error.is_transient());
-        let result = result.map_err(|error| match error {
-            LinkError::Timeout { .. } => self.missing(&wreckage, what, allowed),
-            other => other,
-        });
         let core = &mut self.core;
         let took_s = received.duration_since(sent).as_secs_f64();
         core.tally.settle(&result, took_s);
@@ -186,9 +190,11 @@ impl StreamLink {
             self.line.bytes_sent += count as u64;
             at += count;
         }
+        self.core.is_unsent = at < bytes.len();
         Ok(())
     }
 
+    /// The answer, and when its first byte came; `None`: not in time.
     fn receive<T>(
         &mut self,
         seq: u16,
@@ -196,16 +202,12 @@ impl StreamLink {
         deadline: Instant,
         wreckage: &mut Wreckage,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<(Timed<T>, Instant), LinkError> {
+    ) -> Result<Option<(Timed<T>, Instant)>, LinkError> {
         let mut bytes = [0; 512];
         loop {
             let left = deadline.saturating_duration_since(now());
             if left.is_zero() {
-                return Err(LinkError::Timeout {
-                    link: self.core.name.clone(),
-                    deadline_ms: 0,
-                    request: what.to_owned(),
-                });
+                return Ok(None);
             }
             let count = self
                 .port
@@ -243,41 +245,15 @@ impl StreamLink {
                             expected: firmware_protocol::PROTOCOL_VERSION,
                         }));
                     }
-                    Err(_) => wreckage.damaged += 1,
+                    Err(_) => {}
                 }
                 if self.line.bytes_accepted == before {
                     self.line.bytes_dropped += length;
                 }
             }
             if let Some(answer) = answer {
-                return answer;
+                return answer.map(Some);
             }
-        }
-    }
-
-    /// No answer in time: what came instead tells the class.
-    fn missing(&self, wreckage: &Wreckage, what: &str, allowed: Duration) -> LinkError {
-        let link = self.core.name.clone();
-        match *wreckage {
-            Wreckage { foreign: 1.., .. } => LinkError::Mismatch(
-                link,
-                format!("only answers of another kind came after {what}"),
-            ),
-            Wreckage { stale: 1.., .. } => LinkError::Stale(
-                link,
-                format!("only answers to other questions came after {what}"),
-            ),
-            Wreckage { bytes: 0, .. } => LinkError::Timeout {
-                link,
-                deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
-                request: what.to_owned(),
-            },
-            Wreckage { bytes, damaged, .. } => LinkError::Corrupt(
-                link,
-                format!(
-                    "{bytes} bytes with {damaged} damaged frames and no valid one came in reply to {what}"
-                ),
-            ),
         }
     }
 
@@ -334,6 +310,7 @@ impl DriveLink for StreamLink {
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.core.is_unsent = true;
         let question = Frame::command(self.core.command(command));
         let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
         let answer = self.ask(&question, "the command", allowed, telemetry)?;
@@ -348,6 +325,10 @@ impl DriveLink for StreamLink {
     fn stop(&mut self) -> Result<(), LinkError> {
         let (stop, name) = (self.core.stop_command(), self.core.name.clone());
         stop_confirmed(&name, || self.exchange(stop))
+    }
+
+    fn has_sent_command(&self) -> bool {
+        !self.core.is_unsent
     }
 
     fn close(&mut self) {
@@ -378,10 +359,6 @@ impl DriveLink for StreamLink {
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
-    }
-
-    fn clock_map(&self) -> Option<&ClockMap> {
-        Some(&self.core.timeline.map)
     }
 }
 

@@ -23,9 +23,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use firmware_protocol::modbus::{request_len, response_len};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::guard::{Port, now};
 use super::port::TimedPort;
 use super::reply::rtu_frame_len;
+use super::reply_filter::{Port, now};
 
 /// Frames that wait for the disk; at 1 kHz some seconds.
 const QUEUE: usize = 8192;

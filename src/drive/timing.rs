@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::guard::now;
+use super::reply_filter::now;
 use super::settings::{Framing, LinkSettings};
 
 /// What adapter, kernel and host may add to an exchange.

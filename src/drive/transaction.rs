@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::link::LinkError;
+use super::link_error::LinkError;
 use super::reply::{Code, Expected, FrameKind, Search, search};
 
 /// A wait under way looks so often whether somebody wants a stop.
@@ -371,7 +371,7 @@ pub(super) fn out_of_step(link: &str) -> LinkError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::guard::now;
+    use crate::drive::reply_filter::now;
 
     #[test]
     fn a_flag_cuts_in_until_it_was_heard_and_again_when_it_is_raised_again() {

@@ -12,13 +12,13 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::time::Sleep;
 
-use super::guard::now;
 use super::link::DriveLink;
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::TimedPort;
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
+use super::reply_filter::now;
 use super::settings::LinkSettings;
 use super::timing::LineTiming;
 

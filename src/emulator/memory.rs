@@ -17,12 +17,9 @@ use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_s
 use crate::drive::timeline::{self, Timeline};
 use crate::drive::{
     DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, exception_name,
-    signed_difference,
+    signed_difference, stop_confirmed,
 };
-use crate::sample::{Command, Demand, DriveState, Sample};
-
-/// Times that a stop is asked for before it counts as failed.
-const STOP_ATTEMPTS: usize = 3;
+use crate::sample::{Command, Demand, Sample};
 
 /// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
 #[derive(Clone, Debug, Default)]
@@ -202,19 +199,11 @@ impl DriveLink for MemoryLink {
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
-        for _ in 0..STOP_ATTEMPTS {
-            let stop = Command {
-                seq: self.last_seq.wrapping_add(1),
-                demand: Demand::Stop,
-            };
-            if self.exchange(stop)?.state != Some(DriveState::Running) {
-                return Ok(());
-            }
-        }
-        Err(LinkError::Corrupt(
-            self.name().0,
-            "the drive still runs after it was told to stop".to_owned(),
-        ))
+        let stop = Command {
+            seq: self.last_seq.wrapping_add(1),
+            demand: Demand::Stop,
+        };
+        stop_confirmed(&self.name().0, || self.exchange(stop))
     }
 
     fn statistics(&self) -> LinkStatistics {
@@ -269,7 +258,7 @@ mod tests {
 
     use super::*;
     use crate::emulator::EmulatorConfig;
-    use crate::sample::Channel;
+    use crate::sample::{Channel, DriveState};
 
     fn link(seed: u64) -> (MemoryLink, VirtualClock) {
         let clock = VirtualClock::new();

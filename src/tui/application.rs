@@ -20,7 +20,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use ratatui::backend::CrosstermBackend;
 use ratatui::{Frame, Terminal};
 
-use super::keys::{Press, press};
+use super::keys::{Held, Press, press};
 use crate::bench::Intent;
 use crate::workflow::Order;
 
@@ -73,6 +73,7 @@ pub trait Screen {
 pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
     let mut owned = Owned::take()?;
     let mut changed = true;
+    let mut held = Held::default();
     loop {
         let (is_told, exit) = screen.look();
         if let Some(exit) = exit {
@@ -88,14 +89,21 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
         if is_gone(FRAME)? {
             return Err(io::Error::other("the terminal is gone"));
         }
+        let mut presses = Vec::new();
+        let mut is_idle = true;
         while event::poll(Duration::ZERO)? {
-            changed = true;
+            (changed, is_idle) = (true, false);
             // Everything else, as a change of size, only needs a new frame.
-            if let TerminalEvent::Key(key) = event::read()?
-                && let Some(exit) = press(key).and_then(|press| screen.press(press))
-            {
-                return Ok(exit);
+            if let TerminalEvent::Key(key) = event::read()? {
+                presses.extend(press(key).and_then(|press| held.key(press)));
             }
+        }
+        if is_idle {
+            presses.extend(held.frame());
+        }
+        changed |= !presses.is_empty();
+        if let Some(exit) = presses.into_iter().find_map(|press| screen.press(press)) {
+            return Ok(exit);
         }
     }
 }

@@ -161,9 +161,66 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
     })
 }
 
+/// Frames without a key between two of one that is held down, at the most; and before it begins to come again.
+const REPEAT_FRAMES: u32 = 2;
+const DELAY_FRAMES: u32 = 20;
+
+/// The stop keys of a hand that holds one down. A terminal gives that as one press after the other, so that it would ask for
+/// more than the hand does: the second of them counts when no third has come for longer than a held key takes.
+#[derive(Debug, Default)]
+pub(super) struct Held {
+    last: Option<Press>,
+    /// Since that.
+    frames: u32,
+    /// It came a second time, and nothing shows yet whether it is held.
+    is_open: bool,
+}
+
+impl Held {
+    /// A press, unless a held key gives it or may do so.
+    pub(super) fn key(&mut self, press: Press) -> Option<Press> {
+        let is_same = self.last.replace(press) == Some(press);
+        let frames = std::mem::take(&mut self.frames);
+        let stops = matches!(press, Press::Stop | Press::Interrupt);
+        let may_be_held = stops && is_same && frames <= DELAY_FRAMES;
+        self.is_open = may_be_held && frames > REPEAT_FRAMES;
+        (!may_be_held).then_some(press)
+    }
+
+    /// A frame without a key; the press that was held back and is one.
+    pub(super) fn frame(&mut self) -> Option<Press> {
+        self.frames = self.frames.saturating_add(1);
+        let is_pressed = self.is_open && self.frames > REPEAT_FRAMES;
+        self.is_open &= !is_pressed;
+        self.last.filter(|_| is_pressed)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stop_key_that_is_held_down_is_pressed_once_and_one_that_is_pressed_again_twice() {
+        // Frames before each Space, and how often a stop is asked for.
+        let held = [[0, 12].to_vec(), [1, 2, 0, 1].repeat(5)].concat();
+        for (before, presses) in [(&held[..], 1), (&[0, 4], 2), (&[0, 3, 3], 3), (&[0, 30], 2)] {
+            for press in [Press::Stop, Press::Interrupt] {
+                let mut keys = Held::default();
+                let mut told = 0;
+                let last = [DELAY_FRAMES];
+                for frames in before.iter().chain(&last) {
+                    told += (0..*frames).filter_map(|_| keys.frame()).count();
+                    told += keys.key(press).iter().count();
+                }
+                // The last one, long after the others, is not one of them.
+                assert_eq!(told, presses, "{before:?}");
+            }
+        }
+        let mut keys = Held::default();
+        let moves = (0..9).filter_map(|_| keys.key(Press::Move(1)));
+        assert_eq!(moves.count(), 9, "a held arrow moves on");
+    }
 
     #[test]
     fn the_help_names_every_key_that_does_something() {

@@ -135,8 +135,13 @@ fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
         Signal::SIGALRM,
         Signal::SIGPIPE,
         Signal::SIGTSTP,
+        #[cfg(target_os = "linux")]
+        Signal::SIGPWR,
     ] {
         let run = lab.headless();
+        // As the terminal of a background job asks it to halt.
+        run.signal(Signal::SIGTTOU);
+        run.signal(Signal::SIGTTIN);
         run.signal(signal);
         run.end().fails(130, &["stopped before"]);
         lab.expect_stopped(signal.as_str());

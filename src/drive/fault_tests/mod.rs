@@ -23,10 +23,10 @@ use std::time::Duration;
 use stranger::{Fault, Language, Stranger, Times, current_a};
 
 use super::fake::{Fake, raw_pty};
-use super::guard::now;
 use super::link::{DriveLink, LinkError, LinkStatistics};
 use super::modbus::ModbusLink;
 use super::register_bus::{ReadRequest, RegisterTable};
+use super::reply_filter::now;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
 use super::transaction::LineCounts;

@@ -11,7 +11,7 @@ use rand_chacha::rand_core::{RngCore, SeedableRng};
 
 use super::codec;
 use crate::drive::fake::stream_frame;
-use crate::drive::guard::now;
+use crate::drive::reply_filter::now;
 use crate::drive::virtual_line::Device;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

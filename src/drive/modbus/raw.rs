@@ -18,12 +18,12 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
 use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
-use crate::drive::guard::now;
 use crate::drive::link::{Identity, LinkError, LinkStatistics};
 use crate::drive::open::{Target, open_line};
 use crate::drive::proof::{Policy, Proof};
 use crate::drive::register_bus::{ReadRequest, registers};
 use crate::drive::reply::FrameKind;
+use crate::drive::reply_filter::now;
 use crate::drive::settings::{Framing, LinkSettings, Protocol};
 use crate::drive::tap::TapFile;
 use crate::drive::timeline::identity;
@@ -142,7 +142,7 @@ impl RawClient {
             requests: self.link.core.tally.statistics,
             probes: self.link.probes,
             resynchronisations: self.link.resynchronisations,
-            line: self.link.guard.inner().reception.line,
+            line: self.link.filter.inner().reception.line,
         }
     }
 
@@ -219,14 +219,15 @@ impl RawClient {
     /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
     pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
-        let block = match self.read(read) {
-            Ok(block) => block,
-            Err(LinkError::Exception { .. }) => return Ok(None),
-            Err(error) => return Err(error),
-        };
-        if !self.vouch()? {
-            return Ok(None);
+        let mut block = self.read(read);
+        if block.is_ok() && !self.vouch()? {
+            self.withdraw();
+            block = careful(self, read);
         }
+        let block = match block {
+            Err(LinkError::Exception { .. }) => return Ok(None),
+            block => block?,
+        };
         let block = block.as_slice().try_into().ok();
         let block = block.and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
         Ok(block.map(|block| identity(&block)))

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::drive::link::LinkError;
+use crate::drive::link_core::answered;
 use crate::drive::modbus::{RawClient, read_batch};
 use crate::drive::profile::DriveProfile;
 use crate::drive::register_bus::{ReadRequest, RegisterTable};
@@ -15,8 +16,6 @@ use crate::drive::register_map::{
 };
 use crate::text::number;
 
-/// Times that the first question is asked of a unit that has never answered.
-const FIRST_ATTEMPTS: usize = 3;
 /// Exception of a register that the unit does not have.
 const UNKNOWN_REGISTER: u8 = 0x02;
 /// The state in which the output is on.
@@ -217,13 +216,9 @@ impl Reader<'_> {
         let Some(block) = self.blocks().into_iter().next() else {
             return Ok(());
         };
-        let mut attempt = 1;
-        loop {
-            match self.client.read(block.read) {
-                Ok(_) | Err(LinkError::Exception { .. }) => return Ok(()),
-                Err(error) if error.is_transient() && attempt < FIRST_ATTEMPTS => attempt += 1,
-                Err(error) => return Err(error),
-            }
+        match answered(|| self.client.read(block.read)) {
+            Ok(_) | Err(LinkError::Exception { .. }) => Ok(()),
+            Err(error) => Err(error),
         }
     }
 

@@ -7,27 +7,19 @@ use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::drive::link::{DriveLink, LinkError};
+use crate::drive::link_core::answered;
 use crate::drive::modbus::{RawClient, read_batch};
 use crate::drive::profile::DriveProfile;
 use crate::drive::register_bus::{MOST_READ, ReadRequest};
 use crate::drive::register_map::{Quantity, Unit, confirms, expected_at_rest};
 use crate::drive::stream::StreamLink;
 
-/// Times that the first question is asked of a unit that has never answered.
-const FIRST_ATTEMPTS: usize = 3;
-
 pub(super) fn probe(
     client: &mut RawClient,
     profile: &DriveProfile,
 ) -> Result<ProbeReport, LinkError> {
     let mut report = ProbeReport::of(profile);
-    let mut attempt = 1;
-    let identity = loop {
-        match client.identify() {
-            Err(error) if error.is_transient() && attempt < FIRST_ATTEMPTS => attempt += 1,
-            result => break result?,
-        }
-    };
+    let identity = answered(|| client.identify())?;
     report.checks.push(ProbedCheck {
         what: "the identity block of drivebench's register map has to stand at register 64"
             .to_owned(),

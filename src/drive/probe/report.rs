@@ -15,6 +15,8 @@ pub enum ProbeVerdict {
     Plausible,
     /// At least one is not, or is refused.
     Implausible,
+    /// None can be judged: nothing speaks for the profile.
+    Unjudged,
     /// The drive is another one than the profile's: a check of its identity failed.
     WrongDrive,
 }
@@ -152,6 +154,9 @@ impl ProbeReport {
         } else if holds("running") {
             let sentence = "the drive reports that it runs, so its readings cannot be judged at rest; or its status word is read wrongly";
             (ProbeVerdict::Implausible, sentence.to_owned())
+        } else if judged == 0 {
+            let sentence = "no reading can be judged, so nothing shows that the profile fits";
+            (ProbeVerdict::Unjudged, sentence.to_owned())
         } else if wrong.is_empty() {
             let sentence = format!(
                 "{judged} of {judged} readings that can be judged are those of a drive at rest"
@@ -166,7 +171,7 @@ impl ProbeReport {
             (ProbeVerdict::Implausible, sentence)
         };
         (self.verdict, self.sentence) = (verdict, sentence);
-        if verdict == ProbeVerdict::Plausible && confirmed == 0 && judged > 0 {
+        if verdict == ProbeVerdict::Plausible && confirmed == 0 {
             self.remarks.push(
                 "every one of them is about zero, and so is a register that means something else: nothing confirms addresses and word order until the shaft turns"
                     .to_owned(),
@@ -226,6 +231,8 @@ mod tests {
         );
         let bus = judged(vec![signal("bus", Some(true), true)], None);
         assert!(bus.remarks.is_empty(), "{:?}", bus.remarks);
+        let nothing = judged(vec![signal("speed", None, false)], Some(false));
+        assert_eq!(nothing.verdict, ProbeVerdict::Unjudged);
     }
 
     #[test]

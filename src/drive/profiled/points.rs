@@ -112,7 +112,8 @@ impl Points {
     /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
     pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
         let (at, point) = find(map, &map.demand(quantity)?.name)?;
-        let sent = self.sent.get(at).filter(|sent| !sent.in_doubt)?;
+        let is_held = |sent: &&Sent| !sent.in_doubt && sent.mismatches == 0;
+        let sent = self.sent.get(at).filter(is_held)?;
         Some(sent.value? * point.si?)
     }
 
@@ -243,7 +244,7 @@ impl Points {
                 self.send(bus, at, point, &zero)?;
                 self.sent[at].value = Some(0.0);
             }
-            self.write_sign(bus, &sign.set_point, sign.mask, value < 0.0)?;
+            self.write_sign(bus, &sign.set_point, sign.mask, value)?;
         }
         if let (Some(mask), [word]) = (mask, registers.as_mut_slice()) {
             let before = self.sent[at].registers.first().copied().unwrap_or(0);
@@ -293,7 +294,7 @@ impl Points {
         bus: &mut dyn RegisterBus,
         name: &str,
         mask: u16,
-        negative: bool,
+        value: f64,
     ) -> Result<(), LinkError> {
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
@@ -301,9 +302,17 @@ impl Points {
         };
         let sent = &self.sent[at];
         let Some(before) = sent.registers.first().copied() else {
-            return Ok(());
+            // Its other bits are not known, so neither is the way in which this would turn.
+            let text = format!(
+                "the sign of {value} is a bit of setpoint {name}, which no command has written yet"
+            );
+            return if value == 0.0 {
+                Ok(())
+            } else {
+                Err(refused(bus, text))
+            };
         };
-        let word = (before & !mask) | if negative { mask } else { 0 };
+        let word = (before & !mask) | if value < 0.0 { mask } else { 0 };
         if word == before && !sent.in_doubt {
             return Ok(());
         }

@@ -215,16 +215,8 @@ impl Readings {
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {
         let signal = &self.map.signals[index];
-        if signal.keys.invalid.contains(&pattern) {
-            return None;
-        }
-        let factor = self.factor(&signal.numbers.scale_by)?;
-        let value = signal
-            .numbers
-            .value(signal.location.layout.number(pattern), factor);
-        let range = signal.keys.valid;
-        let valid = |value: &f64| range.is_none_or(|[low, high]| (low..=high).contains(value));
-        Some(value).filter(|value| value.is_finite()).filter(valid)
+        let factor = self.factor(&signal.numbers.scale_by);
+        signal.read(signal.location.layout, pattern, factor).value()
     }
 
     /// A position over the place where its counter begins again: the nearest to where the speed that was read last has taken
@@ -354,9 +346,5 @@ impl Clock {
         self.map
             .offset_s(host_s)
             .map_or(0.0, |offset_s| host_s + offset_s)
-    }
-
-    pub(super) const fn map(&self) -> &ClockMap {
-        &self.map
     }
 }

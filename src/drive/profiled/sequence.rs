@@ -8,7 +8,7 @@
 //! ```
 
 use super::ProfiledLink;
-use crate::drive::link::LinkError;
+use crate::drive::link::{DriveLink as _, LinkError};
 use crate::drive::patience::is_busy;
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{Step, Write};
@@ -46,6 +46,8 @@ pub(super) struct Sequence {
     unheard: Option<usize>,
     /// What the drive refused first, in words, and since when, s.
     refused: Option<(String, f64)>,
+    /// A write was refused for good.
+    pub(super) is_denied: bool,
 }
 
 impl Sequence {
@@ -58,6 +60,7 @@ impl Sequence {
             since_s: now_s,
             unheard: None,
             refused: None,
+            is_denied: false,
         }
     }
 
@@ -227,17 +230,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let later = error.is_transient()
             || matches!(&error, LinkError::Exception { code, .. } if is_busy(*code));
         sequence.refused(now_s, error.to_string());
+        sequence.is_denied |= !later;
         first.get_or_insert(error);
         Ok(if later { Left::Unheard } else { Left::Settled })
     }
 
     /// One pass of a command to its end, with the time that its steps take.
     pub(super) fn carry_out(&mut self, command: &'static str) -> Result<(), LinkError> {
-        let steps = match command {
-            "coast" => &self.map.commands.coast,
-            _ => &self.map.commands.stop,
-        };
-        let mut sequence = Sequence::new(command, steps, self.bus.now_s());
+        let mut sequence = Sequence::new(command, self.way_down(command), self.bus.now_s());
         let mut first = None;
         loop {
             self.points.begin();
@@ -248,33 +248,37 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 Next::Failed { step, reason } => {
                     return Err(self.broken_off(command, (step, sequence.steps()), reason));
                 }
-                Next::Wait | Next::Write(_) => self.look()?,
+                Next::Wait | Next::Write(_) => drop(self.look()?),
             }
         }
     }
 
-    /// Reads the status after a moment; a lost reply is not the end of a stop.
-    pub(super) fn look(&mut self) -> Result<(), LinkError> {
+    /// Reads the status after a moment; a lost reply is not the end of a stop, and is handed back.
+    fn look(&mut self) -> Result<Option<LinkError>, LinkError> {
         let now_s = self.bus.now_s();
         self.bus.pause_until_s(now_s + LOOK_S);
         match self.readings.read_fast(&mut self.bus, None) {
-            Err(error) if !error.is_transient() => Err(error),
-            _ => Ok(()),
+            Err(error) if error.is_transient() => Ok(Some(error)),
+            read => read.map(|_| None),
         }
     }
 
-    /// Whether the drive reports within a while that it does not run; without a status the acknowledged writes are all
-    /// there is.
+    /// Whether the drive reports within a while that it does not run; what it said before its stop went out is no such
+    /// report. Without a status the acknowledged writes are all there is.
     pub(super) fn rests(&mut self) -> Result<bool, LinkError> {
-        let until_s = self.bus.now_s() + STOP_TIME_S;
-        self.look()?;
-        while self.told("running") == Some(true) {
-            if self.bus.now_s() > until_s {
-                return Ok(false);
-            }
-            self.look()?;
+        let stopped_s = self.bus.now_s();
+        if !self.confirms_stop() {
+            return self.look().map(|_| true);
         }
-        Ok(true)
+        loop {
+            let lost = self.look()?;
+            match (self.told_since("running", stopped_s), lost) {
+                (Some(false), _) => return Ok(true),
+                _ if self.bus.now_s() <= stopped_s + STOP_TIME_S => {}
+                (None, Some(lost)) => return Err(lost),
+                _ => return Ok(false),
+            }
+        }
     }
 }
 

@@ -24,13 +24,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Some(condition.holds(pattern))
     }
 
-    /// Whether it reports that it runs; `None` where that is not told, or was not read since it was enabled.
-    pub(super) fn runs_since_enabled(&self) -> Option<bool> {
-        let reading = self.readings.get(&self.map.state("running")?.signal)?;
-        self.told("running").filter(|_| {
-            self.unseen_since_s
-                .is_none_or(|s| reading.span.asked_s >= s)
-        })
+    /// The same where it was read since then, s.
+    pub(super) fn told_since(&self, state: &str, since_s: f64) -> Option<bool> {
+        let reading = self.readings.get(&self.map.state(state)?.signal)?;
+        self.told(state).filter(|_| reading.span.asked_s >= since_s)
     }
 
     /// Whether its fault condition holds, or that of its own watchdog.
@@ -132,9 +129,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     pub(super) fn state(&self) -> DriveState {
+        // Where no register tells, a stop that is not through yet has stopped nothing.
+        let may_run = matches!(self.mode, Mode::On | Mode::Stopping(_));
         if self.field_lost || self.is_in_fault() {
             DriveState::Fault
-        } else if self.told("running").unwrap_or(self.mode == Mode::On) {
+        } else if self.told("running").unwrap_or(may_run) {
             // While it is being enabled no set-point is in force yet.
             if matches!(self.mode, Mode::Enabling(_)) {
                 DriveState::Ready

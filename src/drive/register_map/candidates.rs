@@ -10,7 +10,8 @@
 
 use serde::Serialize;
 
-use super::facts::{Quantity, RegisterMap, Signal, Unit, written};
+use super::facts::{Reading, RegisterMap, Signal};
+use super::terms::{Quantity, Unit, written};
 use super::value::{Kind, Layout, Order};
 
 /// Current of a machine at rest, as a share of the rated one: offset and noise of a sensor.
@@ -184,31 +185,6 @@ impl Window {
             0 => self.here.as_deref(),
             ..0 => self.below.as_deref(),
             _ => self.above.as_deref(),
-        }
-    }
-}
-
-/// What a reading is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Reading {
-    /// In the profile's unit.
-    Value(f64),
-    /// The profile's code for "not available".
-    NotAvailable,
-    /// Outside of the profile's `valid`.
-    Outside(f64),
-    /// A float register that holds no number.
-    NotANumber,
-    /// No registers, or a factor is missing.
-    Unread,
-}
-
-impl Reading {
-    /// In the profile's unit; what cannot be is none.
-    pub const fn value(self) -> Option<f64> {
-        match self {
-            Self::Value(value) => Some(value),
-            _ => None,
         }
     }
 }
@@ -447,20 +423,7 @@ impl Picture<'_> {
         let Some(pattern) = layout.pattern(registers) else {
             return Reading::Unread;
         };
-        if signal.keys.invalid.contains(&pattern) {
-            return Reading::NotAvailable;
-        }
-        let Some(factor) = self.factor(signal, of_factors, depth) else {
-            return Reading::Unread;
-        };
-        let value = signal.numbers.value(layout.number(pattern), factor);
-        if !value.is_finite() {
-            return Reading::NotANumber;
-        }
-        match signal.keys.valid {
-            Some([low, high]) if !(low..=high).contains(&value) => Reading::Outside(value),
-            _ => Reading::Value(value),
-        }
+        signal.read(layout, pattern, self.factor(signal, of_factors, depth))
     }
 
     fn factor(&self, signal: &Signal, change: Change, depth: usize) -> Option<f64> {

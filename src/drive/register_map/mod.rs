@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! TOML --schema.rs--> keys as written --resolve.rs--> RegisterMap (facts.rs) --> profiled.rs, emulator/foreign
+//!                                        terms.rs     the words that keys and facts share
 //!                                        address.rs   40026, "01.07", [0x2100, 1] -> address on the wire
 //!                                        value.rs     registers <-> number
 //!                                        plan.rs      which registers are read together
@@ -16,17 +17,21 @@ mod facts;
 mod plan;
 mod resolve;
 mod schema;
+mod terms;
 mod value;
 
-pub use candidates::{Candidate, Hypothesis, Picture, Reading, Window};
+pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(in crate::drive) use candidates::{confirms, expected_at_rest};
 pub use facts::{
-    Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
-    Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
-    Step, StoppedOnly, Supervision, SupervisionKind, Unit, Write,
+    Commands, Condition, IdentityCheck, IdentityTest, Location, Numbers, Reading, RegisterMap,
+    SetPoint, Signal, Step, Supervision, Write,
 };
 pub use plan::{ReadBlock, plan_reads};
 pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};
+pub use terms::{
+    Converter, Device, DeviceKind, Expiry, PollRate, Quantity, Rates, Resync, Sign, StoppedOnly,
+    SupervisionKind, Unit,
+};
 pub use value::{Byte, Kind, Layout, Order};
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Plan of the reads: as few requests as the drive's limits allow.
 
-use super::facts::{PollRate, RegisterMap};
+use super::facts::RegisterMap;
+use super::terms::PollRate;
 use crate::drive::register_bus::{ReadRequest, RegisterTable};
 
 /// One read request and the signals (by position in the map) that it serves.

@@ -14,10 +14,11 @@ use toml::Spanned;
 
 use super::address::{Base, Numbering};
 use super::facts::{
-    Commands, DeviceKind, Location, Numbers, PerTurn, PollRate, Quantity, RegisterMap, Resync,
-    SetPoint, Signal, Supervision, Unit, channel_of, demand_si,
+    Commands, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision, channel_of,
+    demand_si,
 };
 use super::schema::{LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
+use super::terms::{DeviceKind, PollRate, Quantity, Resync, Unit};
 use super::value::{Kind, Layout};
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::drive::register_bus::RegisterTable;
@@ -578,14 +579,28 @@ impl Reader<'_> {
             let message = "a drive of kind \"thyristor_dc\", and no other, needs [converter] with dead_time_ms and quadrants";
             return Err(self.whole("[device]", message.to_owned()));
         }
+        let has_field = map.of_quantity(Quantity::FieldCurrent).is_some();
         if let Some(spanned) = &file.converter {
             let (part, quadrants) = (self.part(spanned.span(), ""), spanned.get_ref().quadrants);
             let holds = [1, 2, 4].contains(&quadrants);
             let message = format_args!("quadrants {quadrants} is not allowed (expected 1, 2 or 4)");
             part.require(holds, "quadrants", message)?;
-            let holds = map.of_quantity(Quantity::FieldCurrent).is_some();
             let message = "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip";
-            part.require(holds, "", message)?;
+            part.require(has_field, "", message)?;
+            let dead_time_ms = spanned.get_ref().dead_time_ms;
+            let holds = dead_time_ms.is_finite() && dead_time_ms >= 0.0;
+            let message =
+                format_args!("dead_time_ms {dead_time_ms} is not allowed (expected 0 or more)");
+            part.require(holds, "dead_time_ms", message)?;
+        }
+        if let Some(least_a) = map.field_min_a {
+            let part = self.part(self.from("[limits"), "");
+            let holds = least_a.is_finite() && least_a > 0.0;
+            let message =
+                format_args!("field_min_a {least_a} is not allowed (expected more than 0)");
+            part.require(holds, "field_min_a", message)?;
+            let message = "field_min_a needs a signal of quantity \"field_current\": without one a lost field is not seen";
+            part.require(has_field, "field_min_a", message)?;
         }
         let rates = map.rates;
         self.part(file.rates.span(), "").require(

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
 use super::address::{BaseText, Formula};
-use super::facts::{
+use super::terms::{
     Converter, Device, Expiry, PollRate, Quantity, Rates, Resync, Sign, StoppedOnly,
     SupervisionKind, Unit,
 };
@@ -28,7 +28,7 @@ pub enum Basis {
 
 impl Basis {
     pub fn name(self) -> String {
-        super::facts::written(&self)
+        super::terms::written(&self)
     }
 }
 

@@ -189,7 +189,7 @@ fn defects_are_named_with_their_place_and_the_nearest_key() {
     let text = include_str!("defects.toml");
     let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
     let defects = defects.remove("defect").unwrap();
-    assert_eq!(defects.len(), 32);
+    assert_eq!(defects.len(), 34);
     let mut surprises = Vec::new();
     for defect in defects {
         let (told, at) = wrong(&defect.profile, &defect.from, &defect.to);

@@ -122,7 +122,8 @@ impl OutputStage {
         let supplied = wanted_v.clamp(-self.bus_v, self.bus_v);
         let lowest = plant.voltage_for_current(-self.current_limit_a, TICK_S);
         let highest = plant.voltage_for_current(self.current_limit_a, TICK_S);
-        let chopped = supplied.clamp(lowest, highest);
+        // Not `clamp`, which panics where a plant that has run away gives no numbers any more.
+        let chopped = supplied.max(lowest).min(highest);
         let volts = chopped.clamp(-self.bus_v, self.bus_v);
         Output {
             terminals: Terminals::Voltage(volts),

@@ -1,5 +1,7 @@
 //! The drive in memory as a bus of registers, in virtual time.
 
+use std::ops::Range;
+
 use super::{ForeignDrive, Guise};
 use crate::drive::{
     LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
@@ -23,8 +25,8 @@ pub struct ForeignBus {
     /// Runs ahead of the clock by what the requests of one exchange take, s.
     now_s: f64,
     statistics: LinkStatistics,
-    /// So many requests from now on get no reply.
-    deaf: u32,
+    /// Numbers of the requests that are lost on the way, and how many from now on are heard and get no reply.
+    lost: Range<u64>,
     mute: u32,
     /// Silence that is kept before each read, as on a line where old replies may come, s.
     silence_s: f64,
@@ -41,7 +43,7 @@ impl ForeignBus {
             clock,
             now_s: 0.0,
             statistics: LinkStatistics::default(),
-            deaf: 0,
+            lost: 0..0,
             mute: 0,
             silence_s: 0.0,
             in_doubt: false,
@@ -67,8 +69,14 @@ impl ForeignBus {
     }
 
     /// The next requests are lost on the way.
-    pub const fn lose(&mut self, requests: u32) {
-        self.deaf = requests;
+    pub fn lose(&mut self, requests: u32) {
+        self.lose_behind(0, requests);
+    }
+
+    /// So many are still heard, and those behind them are lost.
+    pub fn lose_behind(&mut self, heard: u32, requests: u32) {
+        let first = self.statistics.sent + 1 + u64::from(heard);
+        self.lost = first..first + u64::from(requests);
     }
 
     /// The answer, and between when it was asked for and when its first byte came. `patience_s`: how long a reply is waited
@@ -87,10 +95,9 @@ impl ForeignBus {
             arrived_s = self.pace.arrival_s(self.now_s);
         }
         self.drive.advance_to(arrived_s);
-        let is_lost = self.deaf > 0;
+        let is_lost = self.lost.contains(&self.statistics.sent);
         let answer = (!is_lost).then(|| self.drive.answer(request));
         let is_mute = !is_lost && self.mute > 0;
-        self.deaf -= u32::from(is_lost);
         self.mute -= u32::from(is_mute);
         self.in_doubt = is_lost || is_mute;
         let Some(answer) = answer.filter(|_| !is_mute) else {

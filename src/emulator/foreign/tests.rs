@@ -351,6 +351,8 @@ fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
     let mut table = Table::identified("abb-dcs-gateway", &[]);
     table.enable(speed_ref(100.0));
     table.far().ignore(Some("speed_ref"));
+    let sample = table.run(speed_ref(101.0)).unwrap();
+    assert_eq!(sample.applied, None, "it holds another");
     let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
     assert_says(&error, "3 times in a row");
     table.ask(Demand::Disable, 5);
@@ -384,6 +386,21 @@ fn a_sign_in_the_control_word_turns_the_other_way() {
     table.hold(speed_ref(-20.0), 4.0);
     let speed = table.speed_rad_s();
     assert!(speed < -40.0, "{speed}");
+    // In a word that no command writes nobody knows which way it would be.
+    let word = "[setpoints.control_word]";
+    let direction = format!(
+        "[setpoints.direction]\naddress = 40101\ntype = \"u16\"\nquantity = \"word\"\n\n{word}"
+    );
+    let sign = (
+        "sign = { setpoint = \"control_word\"",
+        "sign = { setpoint = \"direction\"",
+    );
+    let mut table = Table::identified("siemens-v20", &[(word, &direction), sign]);
+    assert_says(
+        &table.first_error(speed_ref(-20.0)),
+        "which no command has written yet",
+    );
+    near("not turned", table.speed_rad_s(), 0.0, 1.0);
 }
 
 #[test]

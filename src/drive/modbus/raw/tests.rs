@@ -8,7 +8,7 @@ use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::drive::fake::{raw_pty, rtu_frame as frame};
+use crate::drive::fake::{Fake, Language, Say, identity_block, raw_pty, rtu_frame as frame};
 use crate::drive::register_bus::RegisterTable;
 use crate::drive::virtual_line::{Device, modbus_link, paused};
 
@@ -396,4 +396,21 @@ fn names_are_taken_as_far_as_they_fit() {
             assert_eq!(client.names().unwrap(), taken);
         });
     }
+}
+
+/// Such a drive was called "something else" before.
+#[test]
+fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
+    let mut is_first = true;
+    let fake = Fake::over_pty(Language::Rtu, identity_block(), move |asked| {
+        let mut say = vec![Say::Bytes(asked.honest.clone())];
+        if std::mem::take(&mut is_first) {
+            say.extend([Say::WaitMs(30), Say::Bytes(asked.honest)]);
+        }
+        say
+    });
+    let settings = settings(Duration::from_millis(300));
+    let mut client = RawClient::open(&fake.target, &settings, None).unwrap();
+    let identity = client.identify().unwrap();
+    assert_eq!(identity.unwrap().serial_number, "4711");
 }

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use toml::Spanned;
 
 use super::super::facts::{
-    Condition, IdentityCheck, IdentityTest, PollRate, RegisterMap, SetPoint, Step, Write,
+    Condition, IdentityCheck, IdentityTest, RegisterMap, SetPoint, Step, Write,
 };
 use super::super::schema::{ConditionKeys, IdentityKeys, StepKeys};
+use super::super::terms::PollRate;
 use super::{Part, Reader};
 use crate::config_text::ConfigError;
 

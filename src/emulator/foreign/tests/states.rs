@@ -222,9 +222,10 @@ fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
     table.enable(reference);
     table.far().trip();
     table.far().refuse_writes(Some(4));
-    let sample = table.run(reference).unwrap();
+    let sample = table.run(speed_ref(800.0)).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
     assert_eq!(sample.fault, Some(5), "with the first sight of the fault");
+    assert_eq!(sample.applied, None, "it took no other set-point");
 }
 
 #[test]
@@ -294,6 +295,43 @@ fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over
     // The first of both was lost, the second has come.
     table.demand(Demand::Stop).unwrap();
     table.assert_told_to_stop();
+}
+
+/// The motor controller, which does not tell whether it runs.
+#[test]
+fn a_stop_that_was_refused_goes_out_again_where_nothing_else_tells_of_it() {
+    let mut table = Table::running("roboteq-dc", &[], Some(("power_ref", 30.0)), 0.5);
+    table.far().refuse_writes(Some(2));
+    assert!(table.demand(Demand::Stop).is_err());
+    table.far().refuse_writes(None);
+    let sample = table.demand(Demand::Stop).unwrap();
+    assert_ne!(sample.state, Some(DriveState::Running));
+    assert_eq!(table.told("power_ref"), Some(0));
+}
+
+#[test]
+fn a_status_from_before_a_stop_does_not_confirm_it_and_what_has_not_stopped_is_not_started() {
+    let wait = "{ wait = \"enabled\", mask = 1, equals = 0,";
+    let no_wait = [(
+        wait,
+        "{ delay_ms = 1 },\n]\nquickstop = [\n  { wait = \"enabled\", mask = 1, equals = 0,",
+    )];
+    let mut table = Table::identified("epulse50-dc", &no_wait);
+    table.rest();
+    // Both words of the stop are acknowledged, and then the line is dead.
+    table.link.bus_mut().lose_behind(2, u32::MAX);
+    assert!(table.link.stop().unwrap_err().is_transient());
+    table.link.bus_mut().lose(0);
+    table.link.stop().unwrap();
+    table.drive(REFERENCE, 0.5);
+    table.link.bus_mut().lose(u32::MAX);
+    assert!(table.link.stop().is_err());
+    table.link.bus_mut().lose(0);
+    for _ in 0..20 {
+        let _ = table.run(REFERENCE);
+        table.assert_told_to_stop();
+        assert!(!table.link.has_sent_command());
+    }
 }
 
 #[test]

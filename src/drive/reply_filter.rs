@@ -1,7 +1,7 @@
 //! Between the Modbus client and the port: hands on the reply to the one outstanding request and nothing else.
 //!
 //! ```text
-//! tokio-modbus <--only the reply-- [ Guard ] <--everything-- port
+//! tokio-modbus <--only the reply-- [ ReplyFilter ] <--everything-- port
 //!                                     | strays, foreign frames, echo, silence, hang-up
 //! ```
 //!
@@ -24,9 +24,9 @@ use super::transaction::Reception;
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Port for T {}
 
-/// The guard; clones share it.
+/// The filter; clones share it.
 #[derive(Clone)]
-pub(super) struct Guard(Arc<Mutex<Inner>>);
+pub(super) struct ReplyFilter(Arc<Mutex<Inner>>);
 
 pub(super) struct Inner {
     port: Box<dyn Port>,
@@ -35,7 +35,7 @@ pub(super) struct Inner {
     taken: usize,
 }
 
-impl Guard {
+impl ReplyFilter {
     pub(super) fn new(port: Box<dyn Port>, kind: FrameKind) -> Self {
         Self(Arc::new(Mutex::new(Inner {
             port,
@@ -118,7 +118,7 @@ impl Inner {
     }
 }
 
-impl AsyncRead for Guard {
+impl AsyncRead for ReplyFilter {
     fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -146,7 +146,7 @@ impl AsyncRead for Guard {
     }
 }
 
-impl AsyncWrite for Guard {
+impl AsyncWrite for ReplyFilter {
     fn poll_write(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -179,9 +179,9 @@ impl AsyncWrite for Guard {
 }
 
 /// The Modbus client wants it for its own messages.
-impl fmt::Debug for Guard {
+impl fmt::Debug for ReplyFilter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Guard").finish_non_exhaustive()
+        f.debug_struct("ReplyFilter").finish_non_exhaustive()
     }
 }
 

@@ -1,0 +1,113 @@
+//! Why an exchange gave no sample, with the next step for the person at the bench.
+
+use thiserror::Error;
+
+/// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
+#[derive(Clone, Debug, Error)]
+pub enum LinkError {
+    #[error("{}: cannot open: {}", whom(.0), .1)]
+    Open(String, String),
+    #[error("{}: no reply within {deadline_ms} ms to {request}", whom(link))]
+    Timeout {
+        link: String,
+        deadline_ms: u64,
+        request: String,
+    },
+    #[error("{}: {}", whom(.0), .1)]
+    Corrupt(String, String),
+    #[error("{}: the reply belongs to an earlier request: {}", whom(.0), .1)]
+    Stale(String, String),
+    /// Nothing was asked: what comes next might have been the reply to something older.
+    #[error("{}: not asked: {}", whom(.0), .1)]
+    Unproven(String, String),
+    #[error("{}: the reply belongs to another request: {}", whom(.0), .1)]
+    Mismatch(String, String),
+    #[error(
+        "{}: the drive refused {request}: exception {code:#04x} {name}",
+        whom(link)
+    )]
+    Exception {
+        link: String,
+        request: String,
+        code: u8,
+        name: &'static str,
+    },
+    #[error("{}: the link is gone: {}", whom(.0), .1)]
+    Gone(String, String),
+    #[error(
+        "{}: drive protocol version {found} is not {expected}, which this program speaks",
+        whom(link)
+    )]
+    Version {
+        link: String,
+        found: u16,
+        expected: u16,
+    },
+    #[error("{}: {}", whom(.0), .1)]
+    Identity(String, String),
+    /// Nothing was sent: the profile or its limits forbid it.
+    #[error("{}: not sent: {}", whom(.0), .1)]
+    Refused(String, String),
+    /// The drive did not do what a step of a command waits for.
+    #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
+    Sequence {
+        link: String,
+        command: &'static str,
+        step: usize,
+        steps: usize,
+        reason: String,
+    },
+}
+
+/// A link's name before a colon: that of the drive in memory, `sim:`, ends with one.
+fn whom(link: &str) -> &str {
+    link.trim_end_matches(':')
+}
+
+impl LinkError {
+    /// The next step for the person at the bench.
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Open(link, _) if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
+                "check address and port, and that the unit is on; some units take one connection at a time"
+            }
+            Self::Open { .. } => "check that the port exists and that no other program holds it",
+            Self::Timeout { .. } => {
+                "is the drive powered, and wired? `drivebench doctor --port PORT --scan` finds baud rate, parity and unit"
+            }
+            Self::Corrupt { .. } => {
+                "check baud rate and parity (`drivebench doctor --port PORT --scan` finds them), termination and shielding"
+            }
+            Self::Stale { .. } | Self::Unproven { .. } => {
+                "the drive or an adapter answers late: allow it more (link.reply_ms, link.deadline_ms), set the adapter's latency timer to 1 ms"
+            }
+            Self::Mismatch { .. } => {
+                "two devices may share the address or the bus; see the link statistics"
+            }
+            Self::Exception { .. } => {
+                "the profile asks for something this drive does not have; check the register map"
+            }
+            Self::Gone { .. } => {
+                "check the cable, the adapter, and that the peer is switched on; then start again"
+            }
+            Self::Version { .. } => "use the drivebench release that matches the drive's firmware",
+            Self::Identity { .. } => "check that the profile is the one of this drive",
+            Self::Refused { .. } => "see the drive's profile: what it maps, and its limits",
+            Self::Sequence { .. } => {
+                "look at the drive's display (enable input, local control, a fault) and at the line of the profile; then start again"
+            }
+        }
+    }
+
+    /// Whether the next cycle may simply try again.
+    pub const fn is_transient(&self) -> bool {
+        matches!(
+            self,
+            Self::Timeout { .. }
+                | Self::Corrupt { .. }
+                | Self::Stale { .. }
+                | Self::Mismatch { .. }
+                | Self::Unproven { .. }
+        )
+    }
+}
