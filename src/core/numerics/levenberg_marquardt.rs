@@ -118,8 +118,14 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
             exact = true;
             continue;
         }
+        let Some(step) = step else {
+            // Where much is promised and no step keeps it, the slopes are wrong or the residual is not smooth: no minimum.
+            let within = search.promised_within_bounds(problem, &normal, &gradient);
+            let negligible = NEGLIGIBLE / search.residual.len().max(1) as f64;
+            converged = within <= options.relative_cost.max(negligible) * before;
+            break;
+        };
         converged = small;
-        let Some(step) = step else { continue };
         let worthwhile = gained > CARRIES_ON * before;
         if options.carry_jacobian && (converged || worthwhile) {
             search.correct(&step);
@@ -150,6 +156,9 @@ fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     })
 }
 
+/// Gain in mean squares of the residual that may be left where a search ends without a step: it moves no parameter by more
+/// than a tenth of its standard deviation.
+const NEGLIGIBLE: f64 = 0.01;
 /// Share of the cost that a step must gain for its Jacobian to be carried on.
 const CARRIES_ON: f64 = 0.3;
 
@@ -229,6 +238,25 @@ impl Search {
             self.damping = (self.damping * 10.0).min(1e9);
         }
         None
+    }
+
+    /// What a full step promises of those parameters that it would not take out of their bounds.
+    fn promised_within_bounds(
+        &self,
+        problem: &impl Problem,
+        normal: &DMatrix<f64>,
+        gradient: &DVector<f64>,
+    ) -> f64 {
+        let is_free = |index: &usize| {
+            let mut moved = self.x.clone();
+            moved[*index] -= problem.difference_step(*index).copysign(gradient[*index]);
+            let there = moved[*index];
+            problem.clamp(&mut moved);
+            (moved[*index] - there).abs() < 1e-12
+        };
+        let free: Vec<usize> = (0..self.x.len()).filter(is_free).collect();
+        let normal = normal.select_rows(&free).select_columns(&free);
+        promised(&normal, &gradient.select_rows(&free))
     }
 
     /// Broyden's correction: the smallest change of the Jacobian that makes the last step's residual right.
@@ -317,6 +345,7 @@ mod tests {
     struct Decay {
         data: Vec<f64>,
         can_evaluate: bool,
+        misleads: bool,
     }
 
     impl Problem for Decay {
@@ -338,12 +367,18 @@ mod tests {
         fn clamp(&self, x: &mut [f64]) {
             x[0] = x[0].clamp(0.0, 10.0);
         }
+
+        fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
+            let uphill = |slope: f64| self.misleads.then(|| vec![slope; self.data.len()]);
+            [-1.0, 0.0].map(uphill)[..x.len()].to_vec()
+        }
     }
 
     fn decay() -> Decay {
         Decay {
             data: (0..30).map(|k| 3.0 * (-0.2 * f64::from(k)).exp()).collect(),
             can_evaluate: true,
+            misleads: false,
         }
     }
 
@@ -373,11 +408,21 @@ mod tests {
     #[test]
     fn stays_within_bounds_and_says_so_when_nothing_can_be_evaluated() {
         let bounded = Decay {
-            data: vec![50.0; 30],
-            can_evaluate: true,
+            data: decay().data.iter().map(|value| 10.0 * value).collect(),
+            ..decay()
         };
-        let minimum = minimise(&bounded, &[1.0, -3.0], Options::default()).unwrap();
-        assert!(minimum.x[0] <= 10.0);
+        let patient = Options {
+            most_iterations: 1000,
+            ..Options::default()
+        };
+        let minimum = minimise(&bounded, &[1.0, -3.0], patient).unwrap();
+        assert!(minimum.x[0] <= 10.0 && minimum.converged, "{minimum:?}");
+        let misleading = Decay {
+            misleads: true,
+            ..decay()
+        };
+        let minimum = minimise(&misleading, &[0.3, 0.2f64.ln()], Options::default()).unwrap();
+        assert!(!minimum.converged && minimum.cost > 1.0, "{minimum:?}");
         let broken = Decay {
             can_evaluate: false,
             ..decay()
