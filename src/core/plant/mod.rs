@@ -11,7 +11,6 @@
 
 pub mod effect;
 mod limited;
-mod linear;
 mod model;
 mod model_file;
 mod motor;
@@ -28,7 +27,6 @@ pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path,
     ShaftAngle, Sums, Terms,
 };
-pub use linear::{Linear, LinearStep};
 pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
