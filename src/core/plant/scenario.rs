@@ -552,7 +552,9 @@ mod tests {
     #[test]
     fn too_few_rows_and_no_input_are_named() {
         let error = |run: &Run| Scenario::from_run(run).unwrap_err();
-        let short = error(&run(Origin::Commanded).slice(0, 5, "short"));
+        let columns = [Channel::Voltage, Channel::Current]
+            .map(|channel| (channel, vec![1.0; 5], Origin::Unknown));
+        let short = error(&run_of("short", (0..5).map(f64::from).collect(), columns));
         assert!(matches!(short, ScenarioError::TooShort { rows: 5, .. }));
         let empty = error(&Run::new("empty", vec![]).unwrap());
         assert!(matches!(empty, ScenarioError::NoInput { .. }));

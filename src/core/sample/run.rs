@@ -238,37 +238,6 @@ impl Run {
         })
     }
 
-    /// Rows `from..to` as a run of their own; the last command before `from` is carried onto the first row, because it
-    /// still holds there.
-    #[must_use]
-    pub fn slice(&self, from: usize, to: usize, name: impl Into<String>) -> Self {
-        let mut part = Self {
-            name: name.into(),
-            time_s: self.time_s[from..to].to_vec(),
-            origins: self.origins,
-            sides: self.sides,
-            notes: self.notes.clone(),
-            limited_rows: (self.limited_rows.iter())
-                .filter(|row| (from..to).contains(row))
-                .map(|row| row - from)
-                .collect(),
-            ..Self::default()
-        };
-        for channel in Channel::ALL {
-            let Some(values) = self.column(channel) else {
-                continue;
-            };
-            let mut cells = values[from..to].to_vec();
-            let held = channel.is_commanded() && cells.first().is_some_and(|first| first.is_nan());
-            if held && let Some(last) = values[..from].iter().rev().find(|value| value.is_finite())
-            {
-                cells[0] = *last;
-            }
-            part.columns[channel.index()] = Some(cells);
-        }
-        part
-    }
-
     /// Median distance between rows that carry a measurement of `channel`, s.
     pub fn period_s(&self, channel: Channel) -> Option<f64> {
         let times: Vec<f64> = self.points(channel).map(|(time, _)| time).collect();
@@ -341,24 +310,6 @@ mod tests {
         let said =
             "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)";
         assert_eq!(error.unwrap_err().to_string(), said);
-    }
-
-    #[test]
-    fn origin_and_side_travel_with_a_slice() {
-        let mut run = run();
-        run.set_side(Channel::Current, Side::Supply);
-        run.set_origin(Channel::Current, Origin::Estimated);
-        let part = run.slice(1, 3, "part");
-        assert_eq!(part.side(Channel::Current), Some(Side::Supply));
-        assert_eq!(part.origin(Channel::Current), Origin::Estimated);
-        assert_eq!(part.side(Channel::Voltage), None);
-    }
-
-    #[test]
-    fn a_slice_carries_the_command_that_still_holds() {
-        let part = run().slice(2, 4, "tail");
-        assert_eq!(part.column(Channel::VoltageCmd).unwrap(), &[1.0, 2.0]);
-        assert_eq!(part.column(Channel::Current).unwrap(), &[0.6, 0.7]);
     }
 
     #[test]

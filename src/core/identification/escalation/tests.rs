@@ -145,7 +145,11 @@ fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
 #[test]
 fn a_record_that_is_too_short_is_an_error_and_the_stage_stays() {
     let mut escalation = Escalation::new(bounds());
-    let run = answer(escalation.stage().unwrap(), &Motor::zk_22fc(), |_| {}).slice(0, 5, "cut");
-    assert!(escalation.learn(&run).is_err());
+    let columns = [Channel::VoltageCmd, Channel::Current, Channel::Speed];
+    let short = run_of(
+        vec![0.0, 0.01, 0.02],
+        columns.map(|channel| (channel, vec![1.0; 3])),
+    );
+    assert!(escalation.learn(&short).is_err());
     assert!(escalation.stage().is_some() && escalation.history().is_empty());
 }

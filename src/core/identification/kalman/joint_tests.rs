@@ -108,7 +108,16 @@ fn constant_voltage_settles_neither_inductance_nor_inertia() {
     let record = Record::of(&model, vec![(0.0, 40.0)], every(0.001, 4.0));
     let run = record.run(Some(3));
     // The run without its start: nothing but steady state.
-    let steady = run.slice(1500, run.rows(), "steady");
+    let cells = |channel| (channel, run.column(channel).unwrap()[1500..].to_vec());
+    let mut steady = run_of(
+        run.time_s()[1500..].to_vec(),
+        [Channel::Current, Channel::Speed].map(cells),
+    );
+    put(
+        &mut steady,
+        Channel::VoltageCmd,
+        vec![40.0; run.rows() - 1500],
+    );
     for start in [unknown(), model] {
         let found = identify(&start, &steady);
         let estimates = found.estimates();
