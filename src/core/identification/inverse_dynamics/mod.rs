@@ -558,14 +558,6 @@ impl Stretch {
     }
 }
 
-/// Angle at the first point not before `time_s`, the last one beyond; not a number where there is none.
-fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
-    let after = angles.partition_point(|point| point.0 < time_s);
-    angles
-        .get(after.min(angles.len().saturating_sub(1)))
-        .map_or(f64::NAN, |point| point.1)
-}
-
 /// Rows of the reference processing with room for any term: the torque balance of the scored part of `scenario`, no row left
 /// out by decimation. `None` where nothing can be processed.
 ///
@@ -610,7 +602,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
             let measured = Some(part.angle_rad[k]).filter(|angle| angle.is_finite());
-            let angle_rad = measured.unwrap_or_else(|| nearest_after(&angles, part.time_s(k)));
+            let angle_rad =
+                measured.unwrap_or_else(|| signal::line_with_ends(&angles, part.time_s(k)));
             at.push(Instant {
                 time_s: part.time_s(k) - scenario.begin_s(),
                 voltage_v: f64::NAN,
