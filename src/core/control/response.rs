@@ -32,7 +32,9 @@ pub fn response(trace: &[(f64, f64)], from: f64, to: f64) -> Response {
         let point = trace.iter().find(|point| progress(point.1) >= share)?;
         Some(point.0 - begin_s)
     };
-    let outside = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() > SETTLED_SHARE;
+    // A speed that is no number is not there.
+    let is_there = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() <= SETTLED_SHARE;
+    let outside = |point: &(f64, f64)| !is_there(point);
     let settled = trace.get(trace.iter().rposition(outside).map_or(0, |last| last + 1));
     let absolute_error_rad = trace
         .windows(2)
@@ -84,5 +86,7 @@ mod tests {
         let found = response(&trace(|t| 0.5 * t.min(1.0)), 0.0, 1.0);
         assert_eq!((found.settling_s, found.rise_s), (None, None));
         assert_eq!(response(&[], 0.0, 1.0).settling_s, None);
+        assert_eq!(response(&[(0.0, f64::NAN)], 0.0, 1.0).settling_s, None);
+        assert_eq!(response(&[(0.0, 2.0)], 2.0, 2.0).settling_s, None);
     }
 }
