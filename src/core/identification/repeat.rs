@@ -6,8 +6,9 @@
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::verdict::SETTLED;
+use super::verdict::{SETTLED, SETTLED_EFFECT};
 use crate::numerics::statistics::{mean, variance};
+use crate::plant::MotorKey;
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Probability below which a spread is no longer put down to the noise within the runs.
@@ -81,7 +82,16 @@ fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
     if values.len() < all.len() {
         reasons.push(format!("{} of {} runs carry it", values.len(), all.len()));
     }
-    let settled = relative(doubt) <= 100.0 * SETTLED;
+    // A run that is narrow enough and not settled all the same has a reason that no further run takes away.
+    let is_motor = MotorKey::from_key(&first.key).is_some();
+    let narrow = if is_motor { SETTLED } else { SETTLED_EFFECT };
+    let doubtful = |p: &&&ParameterEstimate| {
+        let is_narrow = |(value, std): (f64, f64)| std <= narrow * value.abs();
+        p.verdict == Verdict::Searching && p.value.zip(p.std).is_some_and(is_narrow)
+    };
+    let doubted = all.iter().find(doubtful).and_then(|p| p.reason.clone());
+    let settled = relative(doubt) <= 100.0 * SETTLED && doubted.is_none();
+    reasons.extend(doubted);
     if !settled && reasons.is_empty() {
         reasons.push(format!("relative uncertainty {:.1} %", relative(doubt)));
     }
@@ -143,6 +153,25 @@ mod tests {
         assert_eq!(estimate.verdict, Verdict::Searching);
         assert!(estimate.reason.as_ref().unwrap().contains("run to run"));
         assert!((estimate.std.unwrap() - 0.1 / 3f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_doubt_that_is_not_of_the_width_stays_whatever_the_number_of_runs() {
+        let of = |std, doubt: &str| {
+            let doubt = Some(doubt.to_owned());
+            vec![ParameterEstimate::found(
+                "resistance_ohm",
+                "ohm",
+                1.1,
+                std,
+                doubt,
+            )]
+        };
+        let verdict = |runs: &[Vec<ParameterEstimate>]| combine(runs)[0].estimate.verdict;
+        let missing = of(0.002, "an effect is missing");
+        assert_eq!(verdict(&[run(1.1, 0.002), missing]), Verdict::Searching);
+        let wide = of(0.025, "relative uncertainty 2.3 %");
+        assert_eq!(verdict(&[wide.clone(), wide]), Verdict::Settled);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::sample::{ParameterEstimate, Verdict};
 /// Relative standard deviation above which a positive parameter is not carried by the data.
 const NOT_OBSERVABLE: f64 = 0.5;
 /// Relative standard deviation of an effect's parameter below which it is settled: its size is what is asked, roughly.
-const SETTLED_EFFECT: f64 = 0.1;
+pub(super) const SETTLED_EFFECT: f64 = 0.1;
 /// Relative standard deviation above which a coefficient may as well be zero (1 % in two directions).
 const TOLD_FROM_ZERO: f64 = 1.0 / 2.58;
 /// Relative standard deviation below which it is settled.
@@ -20,10 +20,10 @@ pub(super) fn unknown(key: MotorKey, reason: impl Into<String>) -> ParameterEsti
     ParameterEstimate::not_observable(key.key(), key.unit(), reason)
 }
 
-/// Judges one fitted value by its standard deviation; `None` or not finite: the data leave it undetermined.
+/// Judges one fitted value by its standard deviation; `None`, or either not finite: the data leave it undetermined.
 pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
-    let Some(std) = std.filter(|std| std.is_finite()) else {
+    let Some(std) = std.filter(|std| std.is_finite() && value.is_finite()) else {
         return ParameterEstimate::not_observable(
             &key,
             unit,
@@ -85,6 +85,18 @@ fn inductance_reason(period_s: f64, relative: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_not_finite_is_never_settled() {
+        let slot = Slot::Motor(MotorKey::Inertia);
+        for (value, std) in [(f64::NAN, 0.0), (f64::INFINITY, 0.0), (1.0, f64::NAN)] {
+            let judged = judge(&slot, value, Some(std), 0.01);
+            assert_eq!(
+                (judged.verdict, judged.value),
+                (Verdict::NotObservable, None)
+            );
+        }
+    }
 
     #[test]
     fn an_uncertainty_reads_sensibly_at_any_size() {
