@@ -21,8 +21,6 @@ pub struct Steps {
 impl Steps {
     pub const CARD: Card = Card {
         id: "steps",
-        name: "steps",
-        shows: "resistance, back-EMF and inertia; both signs part Coulomb friction from an offset",
         example: "steps = { levels_v = [12.0, 0.0, -12.0], hold_s = 0.5, dither = { amplitude_v = 2.0, clock_s = 0.03, seed = 1 } }",
     };
 }
@@ -69,8 +67,6 @@ pub struct Staircase {
 impl Staircase {
     pub const CARD: Card = Card {
         id: "staircase",
-        name: "staircase",
-        shows: "steady points over the speed range: the friction curve, dead zones, saturation",
         example: "staircase = { from_v = -12.0, to_v = 12.0, levels = 9, hold_s = 0.5 }",
     };
 }
@@ -117,8 +113,6 @@ pub struct Ramp {
 impl Ramp {
     pub const CARD: Card = Card {
         id: "ramp",
-        name: "ramp",
-        shows: "what happens around zero speed: Stribeck friction, breakaway, cogging, dead zones",
         example: "ramp = { from_v = -4.0, to_v = 4.0, seconds = 2.0 }",
     };
 }

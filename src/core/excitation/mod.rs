@@ -33,14 +33,11 @@ pub use sine::Sine;
 
 use error::Refusal;
 
-/// What a kind of excitation is and what it is good for.
+/// What a kind of excitation is called, and how it stands in a bench file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Card {
     /// Its key in a bench file.
     pub id: &'static str,
-    pub name: &'static str,
-    /// What it makes visible.
-    pub shows: &'static str,
     /// An example for a bench file.
     pub example: &'static str,
 }

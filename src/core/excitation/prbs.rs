@@ -32,8 +32,6 @@ const fn two() -> u16 {
 impl Prbs {
     pub const CARD: Card = Card {
         id: "prbs",
-        name: "pseudo-random levels",
-        shows: "dynamics over a wide band; with more than two levels also whether the gain depends on amplitude",
         example: "prbs = { amplitude_v = 8.0, clock_s = 0.04, seconds = 4.0, seed = 1, offset_v = 0.0, levels = 5 }",
     };
 

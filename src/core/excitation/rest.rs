@@ -14,8 +14,6 @@ pub struct Standstill {
 impl Standstill {
     pub const CARD: Card = Card {
         id: "standstill",
-        name: "standstill",
-        shows: "noise floor and sensor offsets; every run begins with at least 0.3 s of it",
         example: "standstill = { seconds = 0.5 }",
     };
 }
@@ -43,8 +41,6 @@ pub struct CoastDown {
 impl CoastDown {
     pub const CARD: Card = Card {
         id: "coast_down",
-        name: "coast-down",
-        shows: "friction over speed without any current: Coulomb, viscous and quadratic terms part",
         example: "coast_down = { seconds = 2.0 }",
     };
 }

@@ -22,8 +22,6 @@ const CHORDS: f64 = 128.0;
 impl Sine {
     pub const CARD: Card = Card {
         id: "sine",
-        name: "sine",
-        shows: "slow passages through zero in both directions: friction, backlash, hysteresis",
         example: "sine = { amplitude_v = 12.0, frequency_hz = 0.4, seconds = 5.0 }",
     };
 }

@@ -14,7 +14,6 @@ pub mod levenberg_marquardt;
 pub mod linear_map;
 pub(crate) mod propagator;
 pub mod recursive_least_squares;
-pub mod reference_recursive_least_squares;
 pub mod riccati;
 pub mod root;
 pub mod statistics;
