@@ -121,7 +121,8 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
         let Some(step) = step else {
             // Where much is promised and no step keeps it, the slopes are wrong or the residual is not smooth: no minimum.
             let within = search.promised_within_bounds(problem, &normal, &gradient);
-            converged = within <= NO_MINIMUM * options.relative_cost * before;
+            let negligible = NEGLIGIBLE / search.residual.len().max(1) as f64;
+            converged = within <= options.relative_cost.max(negligible) * before;
             break;
         };
         converged = small;
@@ -155,8 +156,9 @@ fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     })
 }
 
-/// Multiple of the least relative gain that may be left to gain where a search ends without a step.
-const NO_MINIMUM: f64 = 10.0;
+/// Gain in mean squares of the residual that may be left where a search ends without a step: it moves no parameter by more
+/// than a tenth of its standard deviation.
+const NEGLIGIBLE: f64 = 0.01;
 /// Share of the cost that a step must gain for its Jacobian to be carried on.
 const CARRIES_ON: f64 = 0.3;
 
