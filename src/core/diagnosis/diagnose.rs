@@ -478,7 +478,7 @@ fn not_told(confusable: &[[&'static str; 2]]) -> String {
     let mut pairs: Vec<(&str, String)> = Vec::new();
     for [id, rival] in confusable {
         match pairs.iter_mut().find(|(known, _)| known == id) {
-            Some((_, words)) => *words += &format!(", {rival}"),
+            Some((_, words)) => words.extend([", ", *rival]),
             None => pairs.push((id, format!("{id} from {rival}"))),
         }
     }
