@@ -208,14 +208,16 @@ fn text(result: &TuneResult<'_>) -> String {
 }
 
 fn margins_text(margins: &Margins) -> String {
+    let bandwidth_rad_s = margins.bandwidth_rad_s;
+    let bandwidth = if bandwidth_rad_s.is_finite() {
+        let hertz = bandwidth_rad_s / std::f64::consts::TAU;
+        format!("bandwidth {bandwidth_rad_s:.2} rad/s ({hertz:.2} Hz)")
+    } else {
+        "no bandwidth (it never falls by 3 dB)".to_owned()
+    };
     format!(
-        "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, bandwidth {:.2} rad/s ({:.2} Hz), radius {:.4}",
-        margins.phase_margin_deg,
-        margins.gain_margin,
-        margins.crossover_rad_s,
-        margins.bandwidth_rad_s,
-        margins.bandwidth_rad_s / std::f64::consts::TAU,
-        margins.radius
+        "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, {bandwidth}, radius {:.4}",
+        margins.phase_margin_deg, margins.gain_margin, margins.crossover_rad_s, margins.radius
     )
 }
 
