@@ -475,17 +475,26 @@ fn sentence(diagnosis: &Diagnosis) -> String {
 
 /// Said where effects of an answer may as well be others: which, each with all that it may be instead.
 fn not_told(confusable: &[[&'static str; 2]]) -> String {
-    let mut pairs: Vec<(&str, String)> = Vec::new();
+    let mut each: Vec<(&str, Vec<&str>)> = Vec::new();
     for [id, rival] in confusable {
-        match pairs.iter_mut().find(|(known, _)| known == id) {
-            Some((_, words)) => words.extend([", ", *rival]),
-            None => pairs.push((id, format!("{id} from {rival}"))),
+        match each.iter_mut().find(|(known, _)| known == id) {
+            Some((_, rivals)) => rivals.push(rival),
+            None => each.push((id, vec![rival])),
         }
     }
-    let words: Vec<String> = pairs.into_iter().map(|pair| pair.1).collect();
-    if words.is_empty() {
+    if each.is_empty() {
         return String::new();
     }
+    let words = each
+        .into_iter()
+        .map(|(id, rivals)| match rivals.as_slice() {
+            [first, second, _, _, ..] => {
+                let more = rivals.len() - 2;
+                format!("{id} from {first}, {second} and {more} others")
+            }
+            few => format!("{id} from {}", few.join(", ")),
+        });
+    let words: Vec<String> = words.collect();
     format!("; this run cannot tell {}", words.join(" nor "))
 }
 
@@ -579,6 +588,9 @@ mod tests {
             not_told(&pairs),
             "; this run cannot tell quadratic_load from load_step, constant_load nor viscous_friction from load_step"
         );
+        let many = ["a", "b", "c", "d", "e"].map(|rival| ["cogging", rival]);
+        let told = "; this run cannot tell cogging from a, b and 3 others";
+        assert_eq!(not_told(&many), told);
     }
 
     fn third(diagnosis: &Diagnosis) -> &Confirmation {

@@ -66,7 +66,7 @@ impl SignalLights {
 /// Whiteness of the residual and its independence of the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ResidualLights {
-    /// Whether every signal is ([`SignalLights::is_white`]); false also where there are too few samples to say.
+    /// Whether every signal is (`SignalLights::is_white`); false also where there are too few samples to say.
     pub white: bool,
     /// Whether every signal has samples enough for the verdict.
     pub enough_samples: bool,
