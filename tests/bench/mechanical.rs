@@ -730,7 +730,7 @@ mod real {
             (3, "torque", "speed_rad_s", 0.84),
             (4, "voltage", "current_a", 0.96),
             (5, "voltage", "time_s", 0.4),
-            (12, "torque", "speed_rad_s", 0.9),
+            (12, "torque", "speed_rad_s", 0.88),
         ] {
             for part in ["train", "holdout"] {
                 let path = format!("{folder}/hidden-effects/set{set:02}_{part}.csv");
