@@ -3,10 +3,11 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 use super::burst::BurstResult;
 use super::discovery::Discovery;
+use super::keyed::with_keys;
 use crate::bench::{
     BenchFile, CheckReport, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
     next_bench, scale,
@@ -417,23 +418,6 @@ impl ProgressCell {
     pub fn publish(&self, progress: Progress) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(progress);
     }
-}
-
-/// Estimates as a result file lists them: each with its key.
-pub(super) fn with_keys<S: Serializer>(
-    estimates: &[ParameterEstimate],
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    #[derive(Serialize)]
-    struct Keyed<'a> {
-        key: &'a str,
-        #[serde(flatten)]
-        estimate: &'a ParameterEstimate,
-    }
-    serializer.collect_seq(estimates.iter().map(|estimate| Keyed {
-        key: &estimate.key,
-        estimate,
-    }))
 }
 
 /// One recorded run of the loop.

@@ -9,11 +9,12 @@
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
 //!
-//! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
+//! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
 mod burst;
 mod commission;
 mod discovery;
+mod keyed;
 pub mod reproduce;
 mod reveal;
 

@@ -7,7 +7,7 @@ use super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 use super::terms::{Converter, Device, Quantity, Rates, Resync, Unit};
 use super::value::Layout;
 use crate::drive::register_bus::{ReadRequest, RegisterTable};
-use crate::drive::settings::{DriveLimits, LinkSettings, Trust};
+use crate::drive::settings::Trust;
 use crate::sample::Channel;
 use crate::units::rad_s_from_rpm;
 
@@ -333,22 +333,6 @@ impl RegisterMap {
     ];
     /// Channels that are mapped or declared missing.
     pub const REQUIRED: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
-
-    /// Reads a profile file of this kind; `file` names it in errors.
-    ///
-    /// # Errors
-    /// The first key or value that is not allowed, with its line.
-    pub fn parse(file: &str, text: &str) -> Result<Self, crate::config_text::ConfigError> {
-        super::resolve::read(file, text).map(|(map, ..)| map)
-    }
-
-    /// The same with what the file says of the link and of the drive's limits.
-    pub(in crate::drive) fn with_settings(
-        file: &str,
-        text: &str,
-    ) -> Result<(Self, LinkSettings, DriveLimits), crate::config_text::ConfigError> {
-        super::resolve::read(file, text)
-    }
 
     /// Position of a signal.
     pub fn index(&self, name: &str) -> Option<usize> {

@@ -35,11 +35,26 @@ const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
 /// a reply was lost.
 const SHORTEST_TURN_S: f64 = 2.0;
 
+impl RegisterMap {
+    /// Reads a profile file of this kind; `file` names it in errors.
+    ///
+    /// # Errors
+    /// The first key or value that is not allowed, with its line.
+    pub fn parse(file: &str, text: &str) -> Result<Self, ConfigError> {
+        read(file, text).map(|(map, ..)| map)
+    }
+
+    /// The same with what the file says of the link and of the drive's limits.
+    pub(in crate::drive) fn with_settings(
+        file: &str,
+        text: &str,
+    ) -> Result<(Self, LinkSettings, DriveLimits), ConfigError> {
+        read(file, text)
+    }
+}
+
 /// Reads the file; `file` names it in errors.
-pub(super) fn read(
-    file: &str,
-    text: &str,
-) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
+fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
     let keys: ProfileFile = config_text::parse(file, text)?;
     let reader = Reader {
         file,
