@@ -19,7 +19,7 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Progress, StepState, StepView};
+use crate::workflow::{Progress, Role, Step, StepState, StepView};
 
 fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
     ParameterEstimate::found(key, unit, value, std, None)
@@ -177,19 +177,20 @@ fn missing() -> Snapshot {
 
 fn workflow(finished: bool) -> Progress {
     use StepState::{Active, Done, Failed, Waiting};
-    let step = |(title, state, line): &(&str, StepState, &str)| StepView {
-        title: (*title).to_owned(),
+    let step = |(step, state, line): &(Step, StepState, &str)| StepView {
         state: *state,
         line: (*line).to_owned(),
+        ..StepView::new(*step)
     };
-    let checked = ("check the drive", Done, "watchdog proven in 98 ms");
+    let checked = (Step::Safety, Done, "watchdog proven in 98 ms");
+    let [fit, confirm] = [Role::Fit, Role::Confirm].map(Step::Record);
     let found = "quadratic_load, probability 0.99";
     let (steps, report) = if finished {
         let steps = [
             checked,
-            ("excite (fit)", Done, "2,400 rows"),
-            ("diagnose", Done, found),
-            ("confirm", Failed, "the third run was stopped"),
+            (fit, Done, "2,400 rows"),
+            (Step::Diagnose, Done, found),
+            (confirm, Failed, "the third run was stopped"),
         ];
         let report = [
             "verdict: quadratic_load (a fan or a pump)",
@@ -199,9 +200,9 @@ fn workflow(finished: bool) -> Progress {
     } else {
         let steps = [
             checked,
-            ("excite (fit)", Active, "8.4 of 24 s"),
-            ("diagnose", Waiting, ""),
-            ("confirm", Waiting, ""),
+            (fit, Active, "8.4 of 24 s"),
+            (Step::Diagnose, Waiting, ""),
+            (confirm, Waiting, ""),
         ];
         (steps, Vec::new())
     };
