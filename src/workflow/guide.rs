@@ -75,6 +75,11 @@ impl Step {
         )
     }
 
+    /// Whether it follows the report, when a person asks for it.
+    pub const fn is_on_request(self) -> bool {
+        matches!(self, Self::Experiment | Self::SpeedLoop)
+    }
+
     pub const fn needs(self) -> &'static str {
         match self {
             Self::Connect => "a powered drive on the port of the bench file",

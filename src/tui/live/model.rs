@@ -147,7 +147,7 @@ impl Model {
                 if !workflow.report.is_empty() && !self.shows_report() && !self.guess_first {
                     // The answer that everything was done for.
                     self.page = Page::Steps;
-                    self.scroll = workflow.steps.len();
+                    self.scroll = 0;
                 }
                 self.workflow = Some(workflow);
             }

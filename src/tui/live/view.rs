@@ -279,7 +279,7 @@ fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     notices(&model.snapshot.notices, bottom, buffer);
 }
 
-/// The steps of a workflow, then what it found; the last page stays full.
+/// What a workflow found, where it is over, and its steps; the last page stays full.
 fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let Some(workflow) = &model.workflow else {
         return;
@@ -360,10 +360,7 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         let more = (is_open || model.explains).then(|| explained(step, title_width + 14, width));
         std::iter::once(head).chain(more.into_iter().flatten())
     });
-    let mut lines: Vec<Line<'static>> = steps.collect();
-    if !workflow.report.is_empty() {
-        lines.push(Line::default());
-    }
+    let mut lines = Vec::new();
     for text in &workflow.report {
         // Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
         let rows = if text.starts_with('|') {
@@ -373,6 +370,11 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         };
         lines.extend(rows.into_iter().map(|row| Line::raw(format!(" {row}"))));
     }
+    // What it came to, then how, and what can follow.
+    if !workflow.report.is_empty() {
+        lines.push(Line::default());
+    }
+    lines.extend(steps);
     lines
 }
 
