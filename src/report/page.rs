@@ -2,11 +2,12 @@
 
 use std::fmt::Write;
 
+use super::plot::Plot;
 use crate::text::columns;
 
 /// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
 pub(super) const STYLE: &str = include_str!("page.css");
-/// A cursor with values over the plots; the page is complete without it.
+/// Zoom, pan, legend and a cursor with values for the plots; the page is complete without it.
 const SCRIPT: &str = include_str!("page.js");
 
 /// Text made safe inside HTML and SVG, in content and in quoted attributes alike; control characters, which no HTML may
@@ -159,7 +160,7 @@ enum Block {
     Table(Table),
     /// SVG from this room, already escaped; the caption is the plain-text form.
     Figure {
-        svg: String,
+        plot: Plot,
         caption: String,
     },
     Notice(String),
@@ -219,10 +220,11 @@ impl Page {
     }
 
     /// A picture made by [`super::plot`]; nothing where it is empty.
-    pub fn figure(&mut self, svg: String, caption: impl Into<String>) {
-        if !svg.is_empty() {
+    pub fn figure(&mut self, plot: impl Into<Plot>, caption: impl Into<String>) {
+        let plot = plot.into();
+        if !plot.svg.is_empty() {
             let caption = caption.into();
-            self.blocks.push(Block::Figure { svg, caption });
+            self.blocks.push(Block::Figure { plot, caption });
         }
     }
 
@@ -230,7 +232,7 @@ impl Page {
         self.blocks.push(Block::Notice(text.into()));
     }
 
-    /// The whole page: one file without external resources. The script only adds a cursor to the plots.
+    /// The whole page: one file without external resources. The script only lets one look closer at the plots.
     pub fn html(&self) -> String {
         let mut out = format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -331,10 +333,19 @@ fn block_html(out: &mut String, block: &Block) {
             )
         }
         Block::Table(table) => return table_html(out, table),
-        Block::Figure { svg, caption } => format!(
-            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>\n",
-            escape(caption)
-        ),
+        Block::Figure { plot, caption } => {
+            let points = match plot.points.as_str() {
+                "" => String::new(),
+                points => {
+                    format!("<script type=\"text/plain\" class=\"points\">{points}</script>")
+                }
+            };
+            format!(
+                "<figure><div class=\"scroll\">{}</div>{points}<figcaption>{}</figcaption></figure>\n",
+                plot.svg,
+                escape(caption)
+            )
+        }
     };
     out.push_str(&piece);
 }

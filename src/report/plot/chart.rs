@@ -126,6 +126,16 @@ impl Svg {
         self.rectangle("frame", x.from_px, upper, width, lower - upper);
     }
 
+    /// What is drawn until the closing `</svg>` is cut off at the frame; its coordinates stay those of the picture.
+    pub(super) fn open_clipped(&mut self, class: &str, x: &Scale, upper: f64, lower: f64) {
+        let (left, top) = (px(x.from_px), px(upper));
+        let (width, height) = (px(x.to_px - x.from_px), px(lower - upper));
+        self.write(format_args!(
+            "<svg class=\"{class}\" x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"{left} {top} {width} {height}\">"
+        ));
+    }
+
     pub(super) fn grid_across(&mut self, x: &Scale, at: &[f64], upper: f64, lower: f64) {
         for tick in at {
             self.line("grid", (x.px(*tick), upper), (x.px(*tick), lower));
