@@ -3,7 +3,7 @@
 use super::page::{Page, Table, Tone};
 use super::plot::{MOST_POINTS, Panel, Style, TIME, bars, stacked};
 use super::{Context, Target, comparison, findings, tables};
-use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Rung};
+use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, EffectCurve, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
 use crate::sample::ParameterEstimate;
@@ -45,6 +45,8 @@ pub struct CommissionReport<'a> {
     /// Errors before and after on the run that neither fitted nor selected: the headline.
     pub confirm: Option<&'a [Rung; 2]>,
     pub series: Option<ConfirmRun<'a>>,
+    /// The curve of each effect that was found; without one, that of the error.
+    pub curves: &'a [EffectCurve],
     /// What the emulator really had, as sentences. Left out for hardware whatever is given.
     pub truth: &'a [String],
 }
@@ -63,6 +65,7 @@ impl CommissionReport<'_> {
     /// The page itself, for callers that have more to add.
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
+        tables::about(&mut page, self.context);
         let sufficient = self.diagnosis.sufficient;
         let (tone, word) = match self.diagnosis.verdict {
             DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
@@ -87,7 +90,7 @@ impl CommissionReport<'_> {
             (&[][..], self.parameters_before)
         };
         tables::parameter_section(&mut page, self.nameplate, before, after);
-        findings::effects(&mut page, self.diagnosis);
+        findings::effects(&mut page, self.diagnosis, self.curves);
         self.comparison_section(&mut page);
         comparison::places(&mut page, &self.comparisons());
         findings::curves(&mut page, self.diagnosis);
@@ -284,7 +287,7 @@ fn signal_panels(
     simulated: fn(&Trajectory) -> &Vec<f64>,
 ) -> [Panel; 2] {
     let mut signal = Panel::new(name, unit).sampled("measured", Style::Measured, time_s, measured);
-    let mut residual = Panel::new(format!("{name}, simulated - measured"), unit).with_height(110.0);
+    let mut residual = Panel::new(format!("{name}, measured - model"), unit).with_height(110.0);
     // A signal that was not measured has nothing to be compared with.
     let seen = measured.iter().any(|value| value.is_finite());
     let [before, after] = model_names(run.after.is_some());
@@ -304,7 +307,7 @@ fn signal_panels(
         let values = simulated(trajectory);
         signal = signal.sampled(label, style, time_s, values);
         let both = values.iter().zip(measured);
-        let error: Vec<f64> = both.map(|(model, truth)| model - truth).collect();
+        let error: Vec<f64> = both.map(|(model, measured)| measured - model).collect();
         residual = residual.sampled(label, style, time_s, &error);
     }
     if run.noise.source != FloorSource::None {

@@ -62,6 +62,7 @@ class Panels {
     this.cursor = element(svg, "path", { class: "cursor" });
     this.border = element(svg, "path", { class: "divider" });
     for (const panel of this.panels) panel.readout = element(svg, "text", { class: "readout" });
+    this.instant = element(svg, "text", { class: "readout", "text-anchor": "middle" });
     const view = svg.viewBox.baseVal;
     this.foot = view.height - 40;
     this.listen();
@@ -116,7 +117,9 @@ class Panels {
   path(line, y) {
     const [from, to] = this.span(line);
     if (line.hidden || !(from < to)) return "";
-    const [begin, end] = [Math.max(this.index(line, from) - 1, 0), Math.min(this.index(line, to) + 1, line.at.length)];
+    // At an edge of the picture the line goes on; at the divider it ends.
+    const before = from === this.from ? 1 : 0, beyond = to === this.to ? 1 : 0;
+    const [begin, end] = [Math.max(this.index(line, from) - before, 0), Math.min(this.index(line, to) + beyond, line.at.length)];
     let [out, pen, drawn, column, here] = ["", "M", 0, null, []];
     const flush = () => {
       let [lowest, highest] = [0, 0];
@@ -213,6 +216,9 @@ class Panels {
   point(x) {
     const seen = x !== null && x >= this.left && x <= this.right;
     this.cursor.setAttribute("d", seen ? `M${x} 0V${this.foot}` : "");
+    const digits = Math.max(0, 3 - Math.floor(Math.log10(this.to - this.from)));
+    this.instant.textContent = seen ? `${this.at(x).toFixed(Math.min(digits, 7))} ${this.svg.dataset.xUnit}` : "";
+    for (const [name, value] of [["x", x], ["y", this.foot + 16]]) this.instant.setAttribute(name, seen ? value : 0);
     for (const panel of this.panels) {
       if (!seen) { panel.readout.textContent = ""; continue; }
       const values = panel.lines.filter((line) => !line.hidden).map((line) => {
@@ -222,14 +228,14 @@ class Panels {
         // A measured value is said where there is one, not beside a gap.
         const pixels = (this.right - this.left) / 120;
         if (held ? near < 0 : far(near) > pixels) return `${line.label} –`;
-        return `${line.label} ${Number(line.value[near].toPrecision(5))}`;
+        return `${line.label} ${Number(line.value[near].toPrecision(4))}`;
       });
-      const aside = x > 0.5 * (this.left + this.right);
-      panel.readout.setAttribute("x", aside ? x - 6 : x + 6);
+      panel.readout.textContent = `${values.join(", ")} ${panel.unit}`;
+      // On the side where there is room, and within the picture where there is room on none.
+      const width = panel.readout.getComputedTextLength();
+      const wanted = x > 0.5 * (this.left + this.right) ? x - 6 - width : x + 6;
+      panel.readout.setAttribute("x", Math.max(this.left, Math.min(wanted, this.right - width)));
       panel.readout.setAttribute("y", panel.high + 14);
-      panel.readout.setAttribute("text-anchor", aside ? "end" : "start");
-      const digits = Math.max(0, 3 - Math.floor(Math.log10(this.to - this.from)));
-      panel.readout.textContent = `${this.at(x).toFixed(Math.min(digits, 7))} ${this.svg.dataset.xUnit}: ${values.join(", ")} ${panel.unit}`;
     }
   }
 
@@ -356,7 +362,7 @@ document.querySelectorAll("figure").forEach((figure, index) => {
       slider.addEventListener("input", move);
       button("both", "draw both models everywhere", () => { plot.divider = null; plot.draw(); });
     }
-    element(tools, "span", {}, "drag: zoom; shift and drag: move; double click: whole; legend: hide");
   }
   button("SVG", "save this picture", () => save(svg, `figure-${index + 1}.svg`));
+  if (points) element(tools, "span", {}, "drag to zoom, with shift to move; double click: whole; legend: hide");
 });

@@ -171,6 +171,7 @@ enum Block {
 pub struct Page {
     title: String,
     subtitle: String,
+    about: Vec<(String, String)>,
     lead: Option<(Tone, String, String)>,
     blocks: Vec<Block>,
 }
@@ -180,9 +181,15 @@ impl Page {
         Self {
             title: title.into(),
             subtitle: subtitle.into(),
+            about: Vec::new(),
             lead: None,
             blocks: Vec::new(),
         }
+    }
+
+    /// What it is about, above everything else: labels and values.
+    pub fn about(&mut self, facts: Vec<(String, String)>) {
+        self.about = facts;
     }
 
     /// The sentence that answers the reader's question, with its one-word verdict.
@@ -239,8 +246,9 @@ impl Page {
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
              <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
-             <p class=\"subtitle\">{}</p>\n</header>\n",
+             <p class=\"subtitle\">{}</p>\n{}</header>\n",
             escape(&self.subtitle),
+            facts_html(&self.about),
             title = escape(&self.title),
         );
         if let Some((tone, word, sentence)) = &self.lead {
@@ -283,6 +291,13 @@ impl Page {
             let _ = writeln!(out, "{}: {sentence}\n", word.to_uppercase());
         }
         let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
+        if !self.about.is_empty() {
+            let facts = self.about.iter();
+            let facts: Vec<_> = facts
+                .map(|(label, value)| format!("{label}: {value}"))
+                .collect();
+            let _ = writeln!(out, "\n{}", facts.join("; "));
+        }
         for block in &self.blocks {
             let item = |line: String| format!("- {line}\n");
             let each = |lines: &mut dyn Iterator<Item = String>| {
@@ -307,6 +322,20 @@ impl Page {
     }
 }
 
+fn facts_html(facts: &[(String, String)]) -> String {
+    if facts.is_empty() {
+        return String::new();
+    }
+    let fact = |(label, value): &(String, String)| {
+        let (label, value) = (escape(label), escape(value));
+        format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
+    };
+    format!(
+        "<dl>\n{}</dl>\n",
+        facts.iter().map(fact).collect::<String>()
+    )
+}
+
 fn block_html(out: &mut String, block: &Block) {
     let piece = match block {
         Block::Heading(_) => String::new(),
@@ -322,16 +351,7 @@ fn block_html(out: &mut String, block: &Block) {
                 items.iter().map(item).collect::<String>()
             )
         }
-        Block::Facts(facts) => {
-            let fact = |(label, value): &(String, String)| {
-                let (label, value) = (escape(label), escape(value));
-                format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
-            };
-            format!(
-                "<dl>\n{}</dl>\n",
-                facts.iter().map(fact).collect::<String>()
-            )
-        }
+        Block::Facts(facts) => facts_html(facts),
         Block::Table(table) => return table_html(out, table),
         Block::Figure { plot, caption } => {
             let points = match plot.points.as_str() {

@@ -61,6 +61,7 @@ impl RunReport<'_> {
             self.title,
             format!("Run {}, {}", run.name, self.context.target.name()),
         );
+        tables::about(&mut page, self.context);
         let time_s = run.time_s();
         let duration_s =
             time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);

@@ -114,11 +114,20 @@ impl Svg {
         ));
     }
 
-    pub(super) fn dot(&mut self, (x, y): (f64, f64), radius: u8) {
+    pub(super) fn dot(&mut self, class: &str, (x, y): (f64, f64), radius: u8) {
         let (x, y) = (px(x), px(y));
         self.write(format_args!(
-            "<circle class=\"knot\" cx=\"{x}\" cy=\"{y}\" r=\"{radius}\"/>"
+            "<circle class=\"knot {class}\" cx=\"{x}\" cy=\"{y}\" r=\"{radius}\"/>"
         ));
+    }
+
+    /// A label with a sample of its line, the label's end at `right`; returns where the next one on the left ends.
+    pub(super) fn legend_entry(&mut self, right: f64, base: f64, class: &str, label: &str) -> f64 {
+        const SAMPLE: f64 = 26.0;
+        self.text("legend end", right, base, label);
+        let (right, at) = (right - width(label) - 5.0, base - 4.0);
+        self.line(&format!("key {class}"), (right - SAMPLE, at), (right, at));
+        right - SAMPLE - 13.0
     }
 
     pub(super) fn frame(&mut self, x: &Scale, upper: f64, lower: f64) {

@@ -5,7 +5,7 @@
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //!                                '-> detail: the points for zooming in, decimated far less
 //! ratios -> curves        rungs -> bars with the noise floor as the goal    error over speed x current -> map
-//! what an equation lacks over one axis -> curve with its band    given probabilities and what came true -> reliability
+//! what an equation lacks over one axis, the effect through it -> axis chart    given probabilities and what came true -> reliability
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
@@ -18,7 +18,9 @@ mod decimate;
 mod detail;
 mod panels;
 
-pub use charts::{AxisChart, Claims, CurveChart, CurvePanel, MapChart, bars, reliability};
+pub use charts::{
+    AxisChart, Claims, CurveChart, CurvePanel, MapChart, PointSet, bars, reliability,
+};
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
 

@@ -28,7 +28,7 @@ pub enum Style {
 }
 
 impl Style {
-    const fn class(self) -> &'static str {
+    pub(super) const fn class(self) -> &'static str {
         match self {
             Self::Measured => "measured",
             Self::Command => "command",
@@ -214,13 +214,8 @@ impl Panel {
         }
         for (line, series) in self.series.iter().enumerate().rev() {
             svg.write(format_args!("<g class=\"entry\" data-line=\"{line}\">"));
-            svg.text("legend end", right, base, &series.label);
-            right -= width(&series.label);
-            let at = base - 4.0;
-            let class = format!("key {}", series.style.class());
-            svg.line(&class, (right - SAMPLE - 5.0, at), (right - 5.0, at));
+            right = svg.legend_entry(right, base, series.style.class(), &series.label);
             svg.write(format_args!("</g>"));
-            right -= SAMPLE + 18.0;
         }
     }
 }
