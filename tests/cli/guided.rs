@@ -5,6 +5,11 @@ use super::next_run::weak_bench;
 use super::screen::keep_what_scrolls;
 use crate::kit::prelude::*;
 
+/// They stand below what the loop has come to.
+fn to_the_steps(session: &mut Session) {
+    session.press(&"\u{1b}[6~".repeat(9));
+}
+
 #[test]
 fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
     let desk = Desk::new();
@@ -17,6 +22,7 @@ fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
 
     // The runs are too short to tell rivals apart, and the page says what would.
     session.wait_for("x next experiment");
+    to_the_steps(&mut session);
     session.wait_for("needs    effects that these runs do not tell apart");
     session.press("x");
     session.wait_for("DONE");
@@ -30,10 +36,14 @@ fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
     session.press("q");
 
     // Back on the page of the loop: the gains are tuned, the loop follows.
+    session.wait_for("l speed loop");
+    to_the_steps(&mut session);
     session.wait_for("✓ done     next experiment");
     session.press("l");
     session.wait_for("DONE");
     session.press("q");
+    session.wait_for("l speed loop");
+    to_the_steps(&mut session);
     session.wait_for("reference followed within");
     keep_what_scrolls(&mut session);
     session.press("q");
