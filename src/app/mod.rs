@@ -12,10 +12,11 @@
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders.
+//! * `files`, `pages`: what is left in folders; `cards`: what is left on the terminal.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
+pub(crate) mod cards;
 mod controls;
 mod ending;
 pub(crate) mod evidence;

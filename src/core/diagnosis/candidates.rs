@@ -85,6 +85,9 @@ pub struct Candidate {
     pub holdout_before: f64,
     pub holdout_after: Option<f64>,
     pub explained_percent: Option<f64>,
+    /// The effect of the answer, or of the model, that these runs do not tell it from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub as_good_as: Option<&'static str>,
     /// Its size is below this with 95 %, whatever else is there: its first parameter, or the amplitude of sine and cosine.
     /// Null where these runs do not show it, or where it is there wholly or not at all.
     pub upper_bound: Option<f64>,
@@ -97,6 +100,13 @@ pub struct Candidate {
 const WORTH_SAYING_RATIO: f64 = 1.05;
 
 impl Candidate {
+    /// These runs do not tell it from `other`, which is in the answer or in the model.
+    pub(super) fn is_as_good_as(&mut self, other: &'static str) {
+        self.as_good_as = Some(other);
+        self.evidence += "; ";
+        self.evidence += &as_good_as(other);
+    }
+
     /// Said beside its size where its intervals are wider than the noise alone makes them.
     pub fn widened(&self) -> Option<String> {
         (self.interval_factor > WORTH_SAYING_RATIO).then(|| {
@@ -173,7 +183,7 @@ pub(super) fn candidates(
             }
         });
         let times = evidence.noise.source.times();
-        Candidate {
+        let mut candidate = Candidate {
             effect: id,
             rank: rank + 1,
             status,
@@ -187,11 +197,17 @@ pub(super) fn candidates(
             holdout_before: before.unwrap_or(base).score.nrms,
             holdout_after: after.map(|after| after.score.nrms),
             explained_percent,
+            as_good_as: None,
             // The size of what is named has an interval, and one bound is enough.
             upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
             detectable: inferred.detectable,
             evidence: evidence_sentence(inferred, status, rung, times, happening),
+        };
+        let mut pairs = inference.confusable.iter();
+        if let Some([named, _]) = pairs.find(|pair| pair[1] == id) {
+            candidate.is_as_good_as(named);
         }
+        candidate
     };
     order.into_iter().enumerate().map(candidate).collect()
 }
@@ -253,6 +269,11 @@ pub(super) fn happening(
         [one] => Some(format!("in the fit run only, {}", when(one))),
         [one, other, ..] => Some(format!("{}; in the hold-out {}", when(one), when(other))),
     }
+}
+
+/// Said of an effect that these runs do not tell from another.
+fn as_good_as(other: &str) -> String {
+    format!("explains as much as {other}; these runs cannot tell them apart")
 }
 
 fn evidence_sentence(

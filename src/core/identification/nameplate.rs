@@ -78,6 +78,15 @@ impl Comparison {
             .map(|row| row.sentence.as_str())
     }
 
+    /// Whether it fits, then what does not and why, one a line.
+    pub fn in_short(&self) -> Vec<String> {
+        let text = self.text();
+        let mut lines = vec![text.lines().next().unwrap_or_default().to_owned()];
+        lines.extend(self.differences().map(str::to_owned));
+        lines.extend(self.causes.iter().map(|cause| format!("likely: {cause}")));
+        lines
+    }
+
     /// A table for people.
     pub fn text(&self) -> String {
         use std::fmt::Write as _;

@@ -86,7 +86,7 @@ impl Model {
 
     fn shows_report(&self) -> bool {
         let workflow = self.workflow.as_ref();
-        workflow.is_some_and(|workflow| !workflow.report.is_empty())
+        workflow.is_some_and(|workflow| workflow.report.is_some())
     }
 
     /// Whether the whole loop is over, so that its runs can be diagnosed by hand.
@@ -138,7 +138,7 @@ impl Model {
                 self.confirm_start &= self.waits_for_start();
             }
             Event::Workflow(workflow) => {
-                if !workflow.report.is_empty() && !self.shows_report() {
+                if workflow.report.is_some() && !self.shows_report() {
                     // The answer that everything was done for.
                     self.page = Page::Steps;
                     self.scroll = workflow.steps.len();

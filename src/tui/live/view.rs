@@ -11,7 +11,7 @@ use super::model::{Model, Page};
 use super::scope::scope;
 use crate::bench::{Level, Notice, Phase, Snapshot};
 use crate::sample::{ParameterEstimate, Verdict};
-use crate::text::lines::{cut, wrapped};
+use crate::text::lines::cut;
 use crate::text::number::shortest;
 use crate::tui::frame::{bar_spans, help, hints, is_too_small};
 use crate::tui::keys::On;
@@ -196,7 +196,7 @@ fn step_line(workflow: &Progress) -> Line<'static> {
         .iter()
         .position(|step| step.state == StepState::Active);
     let Some(index) = active else {
-        let text = if workflow.report.is_empty() {
+        let text = if workflow.report.is_none() {
             " no step is active"
         } else {
             " all steps are over: the verdict is on the steps screen"
@@ -305,16 +305,9 @@ fn step_lines(workflow: &Progress, width: usize) -> Vec<Line<'static>> {
         ])
     });
     let mut lines: Vec<Line<'static>> = steps.collect();
-    if !workflow.report.is_empty() {
+    if let Some(card) = &workflow.report {
         lines.push(Line::default());
-    }
-    for text in &workflow.report {
-        // Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
-        let rows = if text.starts_with('|') {
-            vec![text.clone()]
-        } else {
-            wrapped(text, width.saturating_sub(2))
-        };
+        let rows = card.rows(width.saturating_sub(2));
         lines.extend(rows.into_iter().map(|row| Line::raw(format!(" {row}"))));
     }
     lines
