@@ -55,6 +55,12 @@ impl Standing {
                 (self.next, self.since) = (None, 0);
                 return;
             }
+            News::Undone { .. } => {
+                // The answer to the model as it is again follows at once.
+                self.changes.pop();
+                (self.diagnosis, self.next, self.since) = (None, None, 0);
+                return;
+            }
             News::Recommended(next) => return self.next = Some((**next).clone()),
             News::Written(text) => return self.written.push(text.clone()),
             _ => return,

@@ -196,11 +196,7 @@ pub fn change_card(result: &AddResult) -> Card {
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
         let times = result.before.noise_floor_from.times();
-        card.say(
-            "confirming",
-            [format!("{before:.2} -> {after:.2} {times}")],
-            1,
-        );
+        card.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
     }
     card.table(
         "size",

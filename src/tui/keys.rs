@@ -34,11 +34,14 @@ pub enum Press {
     Table,
     Guess,
     Write,
+    Undo,
+    /// The model before the last change, or after it.
+    Before,
     Other,
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 20] = [
+pub(super) const CHARACTERS: [(char, Press); 22] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -59,6 +62,8 @@ pub(super) const CHARACTERS: [(char, Press); 20] = [
     ('t', Press::Table),
     ('g', Press::Guess),
     ('w', Press::Write),
+    ('u', Press::Undo),
+    ('b', Press::Before),
 ];
 
 /// The screens on which a key does something.
@@ -70,7 +75,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 20] = [
+const HELP: [(On, &str, &str); 22] = [
     (
         On::Every,
         "Space Esc",
@@ -94,7 +99,7 @@ const HELP: [(On, &str, &str); 20] = [
     (
         On::Diagnosis,
         "a",
-        "add it: refitted, judged on the hold-out, or refused",
+        "add it: refitted, judged on the hold-out, or refused; again: all the same",
     ),
     (On::Diagnosis, "r", "remove it: refused where it is needed"),
     (
@@ -116,6 +121,12 @@ const HELP: [(On, &str, &str); 20] = [
         On::Diagnosis,
         "g",
         "guess first: no names until you have given one",
+    ),
+    (On::Diagnosis, "u", "undo the last change by hand"),
+    (
+        On::Diagnosis,
+        "b",
+        "before and after the last change, in turn",
     ),
     (On::Diagnosis, "w", "write the model to a new file"),
     (On::Every, "?", "this help"),

@@ -38,6 +38,7 @@ fn added(effect: &'static str, accepted: bool) -> News {
     News::Added(Box::new(AddResult {
         effect,
         accepted,
+        forced: false,
         reason: format!("{effect} helps only in training (4.80 -> 4.20)"),
         before: comparison(0.76),
         after: comparison(0.155),
