@@ -8,8 +8,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::ending::{Watched, spawn, watched};
+use super::evidence::{EvidenceFiles, Judging, Place, prepare};
 use super::failure::Failure;
-use super::files::model_file;
+use super::files::{load, model_file};
 use super::{output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::FileHistory;
@@ -107,6 +108,27 @@ impl Left {
     pub(crate) fn is_interrupted(&self) -> bool {
         self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
     }
+}
+
+/// Goes on with a run that was just recorded; its last part is held out.
+pub(crate) fn show_run(folder: &Path) -> Result<Left, Failure> {
+    let files = EvidenceFiles {
+        run: folder,
+        model: None,
+        holdout: None,
+        confirm: None,
+    };
+    let prepared = prepare(files, |path, _| load(path, None), Judging::Refits)?;
+    let place = Place::of(None, &prepared)?;
+    let shown = Shown {
+        title: prepared.about.title.clone(),
+        guess_first: false,
+        fitted_on: prepared.run.run.name.clone(),
+        history: prepared.model.file.history.clone(),
+        output: None,
+    };
+    let discovery = Discovery::new(prepared.model.file.model, prepared.evidence);
+    show(discovery.with_limits(place.limits()), shown)
 }
 
 /// Shows the screen until it is left.

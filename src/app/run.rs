@@ -14,9 +14,12 @@ use super::output::quoted;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
 use crate::bench::{CheckReport, Plan, RunSummary, burst_part};
+use crate::diagnosis::{Evidence, Score};
 use crate::drive::offer::Purpose;
 use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
+use crate::identification::noise::FloorSource;
+use crate::identification::start;
 use crate::plant::{FileHistory, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use crate::recording::RunFile;
 use crate::report::card::COLUMNS;
@@ -61,6 +64,8 @@ pub struct Whole {
     pub(crate) escalation: Option<EscalationResult>,
     /// What the bench file says about the motor.
     pub(super) plate: Motor,
+    /// What was found against it, where it says anything.
+    nameplate: Option<Comparison>,
 }
 
 /// Makes one run over the rig that `open` gives. `run_seed`: that of the sequence's random parts; without it `runs.fit` of the
@@ -102,9 +107,42 @@ pub fn run(
         recorded,
         escalation,
         plate: rig.plate.clone(),
+        nameplate: None,
     };
+    whole.nameplate = match &whole.escalation {
+        // The escalation's fit is the sharper one; where there was none, what was found on line.
+        Some(escalation) => escalation.nameplate.clone(),
+        None => compared(&whole.plate, &whole.recorded.summary.estimates),
+    };
+    judge_plate(&mut whole, &nameplate);
     write_results(&mut whole, &nameplate);
     Ok(RunDone::Run(Box::new(whole)))
+}
+
+/// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
+/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew.
+fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
+    let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
+        return;
+    };
+    let left = || -> Option<f64> {
+        let loaded = whole.recorded.load().ok()?;
+        let run = Scenario::from_run(&loaded.run).ok()?;
+        let start = Model::baseline(nameplate.clone());
+        let start = start::complete(&start, &run).ok()?;
+        let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start).ok()?;
+        let error = Score::of(&fit.model, &evidence.training, &evidence.noise)
+            .ok()?
+            .nrms;
+        let is_explained = evidence.noise.is_at_the_floor(error);
+        (evidence.noise.source != FloorSource::None && !is_explained).then_some(error)
+    };
+    if let Some(times) = left() {
+        comparison.doubt(format!(
+            "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
+             drivebench diagnose names it"
+        ));
+    }
 }
 
 /// Model and result beside the samples: whatever was measured is kept, also after a trip.
@@ -154,11 +192,7 @@ pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
         plan: &whole.plan,
         summary: &recorded.summary,
         escalation: whole.escalation.as_ref(),
-        // The escalation's fit is the sharper one; where there was none, what was found on line.
-        nameplate: match &whole.escalation {
-            Some(escalation) => escalation.nameplate.clone(),
-            None => compared(&whole.plate, &recorded.summary.estimates),
-        },
+        nameplate: whole.nameplate.clone(),
         parameters: estimates
             .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
             .collect(),

@@ -8,6 +8,7 @@ use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::pages;
 use crate::diagnosis::{Comparison, ErrorOf, compare};
+use crate::plant::Input;
 use crate::report::SignalFigures;
 use crate::text::number::percent;
 
@@ -45,19 +46,38 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
     let shown = progress::begin("compare");
     let model = arguments.model.as_deref();
-    let judging = Judging::AsGiven;
+    let judging = if model.is_some() {
+        Judging::AsGiven
+    } else {
+        Judging::Refits
+    };
     let mut prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
-    if prepared.model.from == "baseline" {
-        progress::stage("fits the baseline", 0);
-        let (with_scale, fit) = prepared
-            .evidence
-            .with_baseline(&prepared.model.file.model)?;
+    // What the folder of a run keeps is not given: it is judged as `diagnose` judges it.
+    let is_baseline = prepared.model.from == "baseline";
+    let is_electrical = prepared.evidence.training.input == Input::Voltage;
+    let refits = is_baseline || model.is_none() && is_electrical;
+    let mut error_of = ErrorOf::Model;
+    if refits {
+        progress::stage("fits the model", 0);
+        let evidence = prepared.evidence.clone();
+        let (with_scale, fit) = evidence.with_baseline(&prepared.model.file.model)?;
         (prepared.evidence, prepared.model.file.model) = (with_scale, fit.model);
+        if !is_baseline {
+            error_of = ErrorOf::Structure;
+        }
     }
     prepared.model.file.model.require_complete()?;
+    let from = prepared.model.from.clone();
+    prepared.model.from = match (is_baseline, refits) {
+        (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
+        (_, true) => {
+            format!("{from}, refitted to this run as diagnose does; --model judges a file as it is")
+        }
+        (_, false) => format!("{from}, as it is"),
+    };
     progress::stage("compares", 0);
     let model = &prepared.model.file.model;
-    let comparison = compare(model, &prepared.evidence, ErrorOf::Model)?;
+    let comparison = compare(model, &prepared.evidence, error_of)?;
     drop(shown);
     let full = arguments.full;
     let (mut card, above, html) = pages::comparison(&prepared, &comparison, |report| {
@@ -75,7 +95,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         arguments.evidence.words()
     ));
     let mut value = prepared.result(&comparison);
-    value["model"] = prepared.model.from.into();
+    value["model"] = from.into();
+    value["refitted"] = refits.into();
     value["undecided"] = comparison.undecided().into();
     output::card(&value, arguments.json, full, above, || card)?;
     check_fit(&comparison, arguments.min_fit)

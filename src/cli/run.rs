@@ -2,7 +2,7 @@
 //! `commission` (the whole loop, guided; the screen and the headless run drive the same state machine) and `speed` (the
 //! adaptive speed loop over the real link).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::arguments::{LiveArguments, UnknownMotor};
 use super::failure::Failure;
@@ -58,10 +58,24 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             if live.full {
                 above = cards::run_in_full(whole, plate);
             }
+            let seen = by_hand(&left, whole.recorded.folder.path());
+            // However it was left: the result of the run is there all the same.
             output::card(&result, json, live.full, above, || cards::run(whole, plate))?;
+            seen?;
             left.conclude(whole.recorded.failure())
         }
     }
+}
+
+/// The diagnosis of a run, where its screen was left for that.
+fn by_hand(left: &Left, folder: &Path) -> Result<(), Failure> {
+    if !matches!(left, Left::Screen(Exit::Diagnosis)) {
+        return Ok(());
+    }
+    if by_hand::show_run(folder)?.is_interrupted() {
+        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
+    }
+    Ok(())
 }
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -231,8 +245,10 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
     if full {
         above = cards::speed_in_full(&result);
     }
+    let seen = by_hand(&done.left, recorded.folder.path());
     output::card(&result, json, full, above, || {
         cards::speed(&result, recorded, &words)
     })?;
+    seen?;
     done.left.conclude(done.work.recorded.failure())
 }

@@ -9,6 +9,8 @@ pub enum Press {
     Stop,
     /// Ctrl-C: stop, then quit.
     Interrupt,
+    /// Ctrl-Z: to the shell and back.
+    Suspend,
     Quit,
     Start,
     Yes,
@@ -75,7 +77,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 22] = [
+const HELP: [(On, &str, &str); 23] = [
     (
         On::Every,
         "Space Esc",
@@ -84,6 +86,11 @@ const HELP: [(On, &str, &str); 22] = [
     (On::Live, "s", "start, where the bench waits for it"),
     (On::Every, "q", "quit, when nothing is energised"),
     (On::Every, "Ctrl-C", "stop, then quit; 3 x: leave now"),
+    (
+        On::Every,
+        "Ctrl-Z",
+        "to the shell, once nothing is energised; fg comes back",
+    ),
     (On::Live, "Tab 1 2 3", "screens"),
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
@@ -156,6 +163,7 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
         // With Ctrl as well: a hand that changes from Ctrl-C to Space still holds it.
         KeyCode::Esc | KeyCode::Char(' ') => Press::Stop,
         KeyCode::Char('c' | 'C') if control => Press::Interrupt,
+        KeyCode::Char('z' | 'Z') if control => Press::Suspend,
         KeyCode::Char(character) if !control => {
             let wanted = character.to_ascii_lowercase();
             let found = CHARACTERS.iter().find(|(known, _)| *known == wanted);

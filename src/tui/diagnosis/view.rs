@@ -19,9 +19,7 @@ use crate::plant::effect;
 use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::{
-    percent, probability, shortest, significant, with_std,
-};
+use crate::text::number::{percent, probability, shortest, significant, with_std};
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
 use crate::tui::live::parameter_name;

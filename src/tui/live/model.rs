@@ -89,9 +89,10 @@ impl Model {
         workflow.is_some_and(|workflow| workflow.report.is_some())
     }
 
-    /// Whether the whole loop is over, so that its runs can be diagnosed by hand.
-    pub(super) fn has_report(&self) -> bool {
-        self.is_finished() && self.shows_report()
+    /// Whether the whole loop is over, or a run without one went to its end: that can be diagnosed by hand.
+    pub(super) fn can_diagnose(&self) -> bool {
+        let has_run = self.workflow.is_none() && self.snapshot.outcome == Some("done");
+        self.is_finished() && (self.shows_report() || has_run)
     }
 
     /// Whether the drive's output may be on, as far as the screen knows.
@@ -194,8 +195,10 @@ impl Model {
                 self.say(format!("{text} set"));
                 return vec![Effect::Send(Intent::Mark(text))];
             }
-            Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
-            Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
+            Press::Diagnose if self.can_diagnose() => return vec![Effect::Leave(Exit::Diagnosis)],
+            Press::Diagnose => {
+                self.say("not yet: the diagnosis begins where a run has gone to its end")
+            }
             Press::Help => self.help = Some(0),
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
@@ -209,6 +212,15 @@ impl Model {
             _ => {}
         }
         Vec::new()
+    }
+
+    /// Whether the program may be halted now; else it is said why not. While the bench is at work every cycle of it counts,
+    /// and between two runs the next one may begin at any moment.
+    pub(super) fn may_suspend(&mut self) -> bool {
+        if !self.is_finished() {
+            self.say("Ctrl-Z: not while the bench is at work, it would stand still with it: Space stops it");
+        }
+        self.is_finished()
     }
 
     fn say(&mut self, text: impl Into<String>) {

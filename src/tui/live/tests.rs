@@ -489,7 +489,12 @@ proptest! {
         }
         let shown = terminal(&model, width, height).backend().to_string();
         if width >= 30 && height >= 6 {
-            prop_assert!(shown.contains("Space = STOP"), "{shown}");
+            let word = match (finished, &model.snapshot.stop_error) {
+                (false, _) => "Space = STOP",
+                (true, None) => "output off",
+                (true, Some(_)) => "Stop NOT confirmed",
+            };
+            prop_assert!(shown.contains(word), "{shown}");
         }
     }
 }
@@ -650,6 +655,40 @@ fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
     assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
     report(&mut model, false);
     assert_eq!(press(&mut model, Press::Diagnose), []);
+}
+
+#[test]
+fn d_goes_on_from_a_run_that_went_to_its_end_and_from_no_other() {
+    let mut whole = model(done());
+    assert_eq!(
+        press(&mut whole, Press::Diagnose),
+        [],
+        "the work is not over"
+    );
+    finish(&mut whole);
+    let left = press(&mut whole, Press::Diagnose);
+    assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
+    let shown = terminal(&whole, 80, 24).backend().to_string();
+    assert!(shown.contains("d = diagnosis by hand, q = quit"), "{shown}");
+    assert!(
+        shown.contains("output off") && !shown.contains("Space = STOP"),
+        "{shown}"
+    );
+    let mut halted = model(tripped());
+    finish(&mut halted);
+    assert_eq!(press(&mut halted, Press::Diagnose), []);
+}
+
+#[test]
+fn ctrl_z_is_refused_for_as_long_as_the_bench_is_at_work() {
+    for mut model in every_state() {
+        let may = model.may_suspend();
+        assert_eq!(may, model.is_finished(), "{model:?}");
+        assert_eq!(
+            may,
+            !model.message.is_some_and(|text| text.starts_with("Ctrl-Z"))
+        );
+    }
 }
 
 #[test]

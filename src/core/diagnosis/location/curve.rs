@@ -108,8 +108,14 @@ impl AxisMap {
         }
         let mut sentence = format!("{} of the {what} error follows the {along}", share(self.r2));
         if let Some(peak) = self.peak() {
-            let [place, height] = [self.knots[peak], self.values[peak]].map(|v| significant(v, 3));
-            let (across, upwards) = (axis.unit(), equation.unit());
+            // As in a place: from the begin of the run.
+            let (begin, across) = match axis {
+                Axis::Time => (scenario.begin_s(), "s of the run"),
+                axis => (0.0, axis.unit()),
+            };
+            let places = [self.knots[peak] - begin, self.values[peak]];
+            let [place, height] = places.map(|v| significant(v, 3));
+            let upwards = equation.unit();
             let _ = write!(
                 sentence,
                 "; it is largest near {place} {across}: {height} {upwards}"
