@@ -56,6 +56,9 @@ pub(super) struct AddArguments {
     common: Arguments,
     #[command(flatten)]
     definition: DefinitionArguments,
+    /// Take the effect although these runs do not ask for it; the result says that it was forced
+    #[arg(long)]
+    force: bool,
 }
 
 /// What defines an effect that is not in the catalogue.
@@ -107,7 +110,7 @@ pub(super) fn execute_add(arguments: &AddArguments) -> Result<(), Failure> {
         refuse(id, &arguments.definition.given())?;
         known(id)?;
     }
-    run(&arguments.common, Some(&arguments.definition))
+    run(&arguments.common, Some(arguments))
 }
 
 pub(super) fn execute_remove(arguments: &Arguments) -> Result<(), Failure> {
@@ -133,7 +136,7 @@ fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
     active.map_or_else(|| known(id), |active| Ok(active.effect))
 }
 
-fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<(), Failure> {
+fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failure> {
     let id = arguments.effect.as_str();
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
@@ -144,7 +147,7 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
     let (mut model, evidence) = (prepared.model.file.model.clone(), &prepared.evidence);
     progress::stage("refits with the effect and without it", 0);
-    let result = if let Some(definition) = adding {
+    let mut result = if let Some(AddArguments { definition, .. }) = adding {
         // Refused here with a clear word rather than as a failed fit.
         if model.has(id) {
             return Err(ModelError::Duplicate { id: id.to_owned() }.into());
@@ -160,6 +163,10 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
         remove(of_model(&model, id)?, &model, evidence.clone())?
     };
     drop(shown);
+    if adding.is_some_and(|adding| adding.force) && !result.accepted {
+        result.force();
+        output::warn(&[format!("{}: {}", result.effect, result.reason)]);
+    }
     let before = &prepared.model.file.history;
     let run = Some(prepared.run.run.name.clone());
     let floor = result.before.noise_floor_from;

@@ -17,6 +17,7 @@ use crate::app::evidence::{before_identify, model, name_voltage, signals as sign
 use crate::app::identify::{
     Answer, OneRun, absolute, caution, identify, is_usable, plate, trace_csv,
 };
+use crate::config_text::help_for_unknown;
 use crate::identification::kalman::{LoadTrace, load_torque_trace};
 use crate::identification::{nameplate, repeat, scheme};
 use crate::plant::{Model, Scenario};
@@ -214,7 +215,12 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
     let missing = |key: &&String| !find(key).is_some_and(is_usable);
     if let Some(key) = require.iter().find(missing) {
         let reason = find(key).and_then(|parameter| parameter.reason.clone());
-        let reason = reason.unwrap_or_else(|| "it is not a parameter of this model".to_owned());
+        let Some(reason) = reason else {
+            let headline =
+                format!("{key} could not be identified: it is not a parameter of this model");
+            let help = help_for_unknown(key, parameters.iter().map(|own| own.key.as_str()));
+            return Err(Failure::not_identifiable(headline, help));
+        };
         let headline = format!("{key} could not be identified: {reason}");
         return Err(Failure::new(NOT_IDENTIFIABLE, headline));
     }

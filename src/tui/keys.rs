@@ -97,7 +97,7 @@ const HELP: [(On, &str, &str); 23] = [
     (On::Live, "m", "mark this moment in the record"),
     (On::Live, "x", "reset a fault of the drive"),
     (On::Every, "Up Down", "scroll a page; select an effect"),
-    (On::Live, "d", "diagnosis by hand, after the report"),
+    (On::Live, "d", "diagnosis by hand, after the run"),
     (
         On::Diagnosis,
         "Enter",
@@ -106,7 +106,7 @@ const HELP: [(On, &str, &str); 23] = [
     (
         On::Diagnosis,
         "a",
-        "add it: refitted, judged on the hold-out, or refused; again: all the same",
+        "add it: judged on the hold-out; where refused, a again forces it",
     ),
     (On::Diagnosis, "r", "remove it: refused where it is needed"),
     (

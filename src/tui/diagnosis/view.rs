@@ -332,10 +332,13 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
     } else {
         ("✗", theme::BAD)
     };
-    let room = usize::from(width).saturating_sub(" residual: ".len() + 2);
+    let sentence = residual.sentence();
+    let words = sentence.strip_prefix("more than noise is left: ");
+    let room = usize::from(width).saturating_sub(" residual: ".len() + 3);
+    let words = cut(words.unwrap_or(&sentence), room);
     Line::from(vec![
         Span::raw(" residual: "),
-        Span::styled(format!("{mark} {}", cut(&residual.sentence(), room)), style),
+        Span::styled(format!("{mark} {words}"), style),
     ])
 }
 
