@@ -20,6 +20,9 @@ use crate::workflow::{Discovery, News, Order};
 /// Where a model goes for which no name was given.
 const MODEL: &str = "model.toml";
 
+/// Said of a model, before the name of its file.
+const WRITTEN: &str = "model written to ";
+
 /// What the screen and the model file say of the runs.
 pub(crate) struct Shown {
     pub(crate) title: String,
@@ -75,12 +78,15 @@ impl Standing {
         }
     }
 
+    /// Where the model as it stands is, of that which was written last.
+    pub(crate) fn model(&self) -> Option<&str> {
+        self.written.last()?.strip_prefix(WRITTEN)
+    }
+
     /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
     pub(crate) fn heading(&self) -> String {
         let changes = self.changes.iter();
-        let lines: Vec<String> = changes
-            .map(|change| format!("by hand: {change}\n"))
-            .collect();
+        let lines: Vec<String> = changes.map(|change| format!("{change}\n")).collect();
         let mut text = lines.concat();
         if self.since > 0 {
             let last = match self.since {
@@ -212,7 +218,7 @@ fn work(
     while let Ok(order) = ordered.recv() {
         if order == Order::Write {
             tell(match write(&discovery, shown, gone) {
-                Ok(path) => News::Written(format!("model written to {}", path.display())),
+                Ok(path) => News::Written(format!("{WRITTEN}{}", path.display())),
                 Err(reason) => News::NotWritten(reason),
             });
         } else {
@@ -319,7 +325,7 @@ mod tests {
         let between = between.into_inner().unwrap().unwrap();
         let heading = between.heading();
         assert!(
-            heading.starts_with("by hand: + quadratic_load: held-out error "),
+            heading.starts_with("+ quadratic_load: held-out error "),
             "{heading}"
         );
         assert!(heading.contains("without the last change"), "{heading}");

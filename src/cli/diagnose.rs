@@ -91,7 +91,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let place = Place::of(arguments.bench.as_deref(), &prepared)?;
     let original = prepared.model.file.model.clone();
     let evidence = prepared.evidence.clone();
-    let mut by_hand = String::new();
+    let (mut by_hand, mut written) = (String::new(), None);
     let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
         // From here on the screen owns the terminal and hears the signals.
@@ -111,6 +111,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             return Err(Failure::interrupted("interrupted"));
         }
         by_hand = left.standing.heading();
+        written = left.standing.model().map(str::to_owned);
         known_next = left.standing.next;
         let no_answer = || Failure::interrupted("left before there was an answer");
         left.standing.diagnosis.ok_or_else(no_answer)?
@@ -138,7 +139,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         (report.card(), above, html)
     })?;
     card.say("by hand", by_hand.lines(), 1);
-    go_on(&mut card, arguments, &diagnosis);
+    if by_hand.is_empty() {
+        go_on(&mut card, arguments, &diagnosis);
+    } else if let Some(model) = &written {
+        let model = output::quoted_word(model);
+        card.go_on(format!("drivebench tune --model {model}"));
+    } else {
+        let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
+        card.go_on(format!("drivebench diagnose {run}{words} --screen"));
+    }
     if let (Some(path), Some(html)) = (&arguments.html, html) {
         pages::write(path, &html)?;
         card.ends_with(path.display().to_string());
