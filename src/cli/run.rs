@@ -8,17 +8,15 @@ use super::arguments::{LiveArguments, UnknownMotor};
 use super::failure::Failure;
 use super::output;
 use super::progress;
-use crate::app::by_hand::{self, Shown};
-use crate::app::files::read_text;
+use crate::app::guided;
 use crate::app::{
-    Left, Rig, RunDone, SpeedRequest, cards, commission, conduct, escalation_failure, run,
+    Left, Rig, RunDone, SpeedRequest, by_hand, cards, commission, conduct, escalation_failure, run,
     run_result, speed, speed_result,
 };
-use crate::bench::{ControllerKind, EMBEDDED_NAME, ForwardUse};
+use crate::bench::{ControllerKind, ForwardUse};
 use crate::control::Actuator;
-use crate::plant::FileHistory;
 use crate::tui::Exit;
-use crate::workflow::{EscalationResult, Progress, ProgressCell, StepState};
+use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]
@@ -94,12 +92,16 @@ pub(super) struct CommissionArguments {
 pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), Failure> {
     let live = arguments.live;
     let options = live.options(arguments.unknown.escalate)?;
+    let source = live.source()?;
+    let file = live.bench.as_ref().map(|_| source.0.as_str());
+    let called = Called::new(&options.bench, file, live.port.as_deref());
     let cell = ProgressCell::default();
     let shown = live.is_headless().then(|| progress::begin("commission"));
     let mut told = shown.is_some().then(StepLog::default);
     let audience = live.audience(Some(cell.clone()));
+    let asked = options.clone();
     let done = conduct(audience, move |strings| {
-        commission(options, Box::new(Rig::open), strings, |latest| {
+        commission(asked, called, Box::new(Rig::open), strings, |latest| {
             cell.publish(latest.clone());
             if let Some(told) = &mut told {
                 told.tell(latest);
@@ -107,32 +109,13 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
         })
     })?;
     drop(shown);
-    let (done, left) = (done.work, done.left);
-    let (result, card, full) = (done.result, done.card, done.full);
-    let finish = || {
-        let above = if live.full { full.clone() } else { Vec::new() };
-        output::card(&result, live.json, live.full, above, || card.clone())
-    };
-    let by_hand = matches!(left, Left::Screen(Exit::Diagnosis));
-    if let Some(discovery) = done.discovery.filter(|_| by_hand) {
-        let first = result.runs.first();
-        let shown = Shown {
-            title: "the runs of this commissioning".to_owned(),
-            guess_first: false,
-            fitted_on: first.and_then(|run| run.folder.clone()).unwrap_or_default(),
-            history: FileHistory::default(),
-            output: None,
-        };
-        let seen = by_hand::show(discovery, shown);
-        // However it was left: the result of the loop is there all the same.
-        finish()?;
-        if seen?.is_interrupted() {
-            return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-        }
-        return done.unkept.map_or(Ok(()), Err);
-    }
-    finish()?;
-    left.conclude(done.unkept)
+    let followed = guided::follow(done.work, done.left, &options, &source);
+    // However it was left: the result of the loop is there all the same.
+    let mut done = followed.done;
+    done.card.say("then", followed.said, 1);
+    let above = if live.full { done.full } else { Vec::new() };
+    output::card(&done.result, live.json, live.full, above, || done.card)?;
+    followed.outcome
 }
 
 /// Progress on stderr: each step once when it begins and once with its figure.
@@ -151,12 +134,12 @@ impl StepLog {
             if now == self.lines[index] {
                 continue;
             }
-            let head = format!("[{:>2}/{total}] {}", index + 1, step.title);
+            let head = format!("[{:>2}/{total}] {}", index + 1, step.step.title());
             match step.state {
-                StepState::Waiting => {}
+                StepState::Waiting | StepState::Offered => {}
                 StepState::Active => {
                     output::message(&format!("{head} ..."));
-                    progress::stage(&step.title, 0);
+                    progress::stage(step.step.title(), 0);
                 }
                 StepState::Done => output::message(&format!("{head}: {}", step.line)),
                 StepState::Failed => output::message(&format!("{head} failed")),
@@ -220,15 +203,9 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
             "`drivebench run --escalate` first, then --model with the model.toml of its run folder",
         ));
     }
-    let (json, full, words) = (
-        arguments.live.json,
-        arguments.live.full,
-        arguments.live.words(),
-    );
-    let source = match &arguments.live.bench {
-        Some(path) => (path.display().to_string(), read_text(path)?),
-        None => (EMBEDDED_NAME.to_owned(), String::new()),
-    };
+    let (json, full) = (arguments.live.json, arguments.live.full);
+    let words = arguments.live.words();
+    let source = arguments.live.source()?;
     let request = SpeedRequest {
         rig: arguments.live.options(false)?,
         source,

@@ -93,6 +93,7 @@ impl ComparisonReport<'_> {
     pub fn page(&self) -> Page {
         let found = self.comparison;
         let mut page = Page::new(self.title, "Comparison of a model with a run");
+        tables::about(&mut page, self.context);
         let (tone, word, sentence) = self.verdict();
         page.lead(tone, word, sentence);
         tables::data_notes(&mut page, self.context);

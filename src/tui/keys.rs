@@ -19,6 +19,9 @@ pub enum Press {
     Zoom,
     Mark,
     ResetFault,
+    /// The run that would tell more.
+    Experiment,
+    SpeedLoop,
     Diagnose,
     NextScreen,
     PreviousScreen,
@@ -43,7 +46,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 22] = [
+pub(super) const CHARACTERS: [(char, Press); 24] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -51,7 +54,9 @@ pub(super) const CHARACTERS: [(char, Press); 22] = [
     ('f', Press::Freeze),
     ('z', Press::Zoom),
     ('m', Press::Mark),
-    ('x', Press::ResetFault),
+    ('k', Press::ResetFault),
+    ('x', Press::Experiment),
+    ('l', Press::SpeedLoop),
     ('d', Press::Diagnose),
     ('1', Press::Page(0)),
     ('2', Press::Page(1)),
@@ -77,7 +82,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 23] = [
+const HELP: [(On, &str, &str); 27] = [
     (
         On::Every,
         "Space Esc",
@@ -95,9 +100,29 @@ const HELP: [(On, &str, &str); 23] = [
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
     (On::Live, "m", "mark this moment in the record"),
-    (On::Live, "x", "reset a fault of the drive"),
+    (On::Live, "k", "acknowledge (reset) a fault of the drive"),
     (On::Every, "Up Down", "scroll a page; select an effect"),
+    (
+        On::Live,
+        "Enter",
+        "what each step needs, unlocks, and its command",
+    ),
     (On::Live, "d", "diagnosis by hand, after the run"),
+    (
+        On::Live,
+        "x",
+        "the run that would tell more, after the report",
+    ),
+    (
+        On::Live,
+        "l",
+        "the speed loop with what was found, after the report",
+    ),
+    (
+        On::Live,
+        "g",
+        "guess first: no names until you have given one",
+    ),
     (
         On::Diagnosis,
         "Enter",
