@@ -13,10 +13,12 @@
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file.
+//! * `files`, `pages`: what is left in folders; `cards`: what is left on the terminal; `export`: models for other tools;
+//!   `tune`: gains, and those from a file.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
+pub(crate) mod cards;
 mod controls;
 mod ending;
 pub(crate) mod evidence;

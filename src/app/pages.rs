@@ -20,12 +20,6 @@ use crate::report::{
 };
 use crate::workflow::CommissionResult;
 
-/// A report in both of its forms.
-pub(crate) struct Report {
-    pub(crate) html: String,
-    pub(crate) text: String,
-}
-
 /// Writes the page of one run into its folder; where there is none that is said.
 pub(crate) fn write_run(
     recorded: &mut Recorded,
@@ -129,13 +123,14 @@ impl<'a> FreeRuns<'a> {
     }
 }
 
-/// The page of a commissioning, with measured and simulated signals of the confirming run.
-pub(crate) fn commission(
+/// What `take` makes of the report of a commissioning, with measured and simulated signals of the confirming run.
+pub(crate) fn commission<T>(
     scenarios: &[Scenario],
     result: &CommissionResult,
     rig: &Rig,
     records: &[Recorded],
-) -> Result<Report, Failure> {
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let runs = result.runs.iter();
     let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
     let manifest = records.first().map(|first| first.manifest.clone());
@@ -164,8 +159,7 @@ pub(crate) fn commission(
         curves: &free_runs.curves(diagnosis)?,
         truth: &truth,
     };
-    let (html, text) = (report.html(), report.text());
-    Ok(Report { html, text })
+    Ok(take(&report))
 }
 
 fn truth_sentence(truth: &crate::workflow::Truth) -> String {
@@ -181,8 +175,12 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
     format!("the emulator carries {carried}: the answer is {verdict}")
 }
 
-/// The page of a diagnosis of recorded runs.
-pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String, Failure> {
+/// What `take` makes of the report of a diagnosis of recorded runs.
+pub(crate) fn diagnosis<T>(
+    prepared: &Prepared,
+    found: &Diagnosis,
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
     let mut evidence = prepared.evidence.clone();
     let is_electrical = evidence.training.input == Input::Voltage;
@@ -214,20 +212,25 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String
         curves: &free_runs.curves(found)?,
         truth: &[],
     };
-    Ok(report.html())
+    Ok(take(&report))
 }
 
-/// The page of a comparison of recorded runs.
-pub(crate) fn comparison(prepared: &Prepared, comparison: &Comparison) -> String {
+/// What `take` makes of the report of a comparison of recorded runs.
+pub(crate) fn comparison<T>(
+    prepared: &Prepared,
+    comparison: &Comparison,
+    take: impl FnOnce(&ComparisonReport<'_>) -> T,
+) -> T {
     let about = &prepared.about;
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
         comparison,
+        model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
     };
-    report.html()
+    take(&report)
 }
 
 /// Writes a page where none is yet.

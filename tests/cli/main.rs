@@ -10,6 +10,7 @@
 mod kit;
 
 mod bad_input;
+mod card;
 mod examples;
 mod first_move;
 mod guided;
