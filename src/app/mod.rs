@@ -7,7 +7,8 @@
 //! ending: whatever returns, fails, panics or hangs up -> zero, disable, the drive's word -> status
 //! ```
 //!
-//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`: drives that are only looked at.
+//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
+//!   lines that are only looked at.
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
@@ -17,6 +18,7 @@
 
 pub(crate) mod by_hand;
 mod controls;
+pub(crate) mod doctor;
 mod ending;
 pub(crate) mod evidence;
 pub(crate) mod export;
