@@ -9,7 +9,7 @@
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
 //!   lines that are only looked at.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`: the order of work of each
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `versus`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
@@ -37,6 +37,7 @@ mod speed;
 pub(crate) mod study;
 pub(crate) mod survey;
 pub(crate) mod tune;
+pub(crate) mod versus;
 
 pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};
