@@ -13,7 +13,8 @@
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file.
+//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file;
+//!   `front`: what the program says when it is called alone.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
@@ -25,6 +26,7 @@ pub(crate) mod export;
 pub(crate) mod failure;
 pub(crate) mod files;
 pub(crate) mod forecast;
+pub(crate) mod front;
 pub(crate) mod identify;
 pub(crate) mod opening;
 pub(crate) mod output;

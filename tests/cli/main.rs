@@ -12,6 +12,7 @@ mod kit;
 mod bad_input;
 mod examples;
 mod first_move;
+mod front;
 mod holdout;
 mod identify;
 mod input;
