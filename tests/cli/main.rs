@@ -13,6 +13,7 @@ mod bad_input;
 mod card;
 mod examples;
 mod first_move;
+mod front;
 mod guided;
 mod holdout;
 mod identify;
