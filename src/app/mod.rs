@@ -12,7 +12,7 @@
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders.
+//! * `files`, `pages`: what is left in folders; `report`: the page of a run and its pictures once more.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
@@ -27,6 +27,7 @@ pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
+pub(crate) mod report;
 mod rig;
 mod run;
 pub(crate) mod signals;

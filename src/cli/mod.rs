@@ -17,6 +17,7 @@ mod plan;
 mod probe;
 mod registers;
 mod replay;
+mod report;
 mod reproduce;
 mod reveal;
 mod run;
@@ -71,6 +72,7 @@ enum Command {
     Remove(add::Arguments),
     Effects(effects::Arguments),
     Tune(tune::Arguments),
+    Report(report::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
 }
@@ -115,6 +117,7 @@ pub fn main() -> ExitCode {
         Command::Remove(arguments) => add::execute_remove(&arguments),
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Tune(arguments) => tune::execute(&arguments),
+        Command::Report(arguments) => report::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),
     };
