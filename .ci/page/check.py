@@ -113,7 +113,8 @@ try:
     head = script("return [...document.querySelectorAll('table')].map(t => [...t.tHead.rows[0].cells].map(c => c.innerText))"
                   ".find(head => head[0] === 'parameter')")
     column = next(head.index(name) for name in ("after ± std", "estimate ± std") if name in head)
-    for key, estimate in result["parameters"].items():
+    for estimate in result["parameters"]:
+        key = estimate["key"]
         if estimate["value"] is None:
             continue
         shown = re.match(r"\(?(-?[\d.]+)(?:e(-?\d+))?", rows[key][column].replace("−", "-"))

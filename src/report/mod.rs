@@ -23,6 +23,7 @@ mod tables;
 
 pub use commission::{CommissionReport, ConfirmRun};
 pub use comparison::{ComparisonReport, SignalFigures};
+pub use findings::effect_picture;
 pub use page::{Page, Tone};
 pub use run::{EarlyEnd, RunReport, SpeedLoop};
 

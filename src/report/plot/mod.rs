@@ -24,6 +24,9 @@ pub use charts::{
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
 
+/// Light, dark and printed. Every kind of line has a dash pattern beside its colour.
+pub(super) const STYLE: &str = include_str!("plot.css");
+
 /// A picture and, where its lines run over one axis, the points behind them, with which the script of a page zooms.
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
@@ -63,17 +66,14 @@ pub fn pictures(html: &str) -> Vec<String> {
     begins.filter_map(whole).collect()
 }
 
-/// A picture as a file of its own: with the page's style sheet, which every viewer of SVG understands.
+/// A picture as a file of its own: with the style sheet, which every viewer of SVG understands.
 pub fn standalone(svg: &str) -> String {
     let opened = svg.replacen(
         "<svg ",
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"900\" ",
         1,
     );
-    let style = format!(
-        "><style>{}svg.plot{{background:var(--paper)}}</style>",
-        super::page::STYLE
-    );
+    let style = format!("><style>{STYLE}svg.plot{{background:var(--paper)}}</style>");
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
         opened.replacen('>', &style, 1)
