@@ -24,6 +24,7 @@ const SEEN: f64 = 2.0;
 const MOST_DOUBLINGS: u32 = 8;
 const PERIOD_S: f64 = 0.002;
 const DURATION_S: f64 = 12.0;
+const SLEW_V_PER_S: f64 = 800.0;
 
 /// Rest, a slow climb and fall both ways, then steps with reversals, creeping and rests between them.
 fn excitation() -> Vec<(f64, f64)> {
@@ -36,8 +37,15 @@ fn excitation() -> Vec<(f64, f64)> {
     let levels = [
         30.0, 90.0, 50.0, 3.0, 0.0, -4.0, -40.0, -90.0, 60.0, -60.0, 6.0, 20.0, 0.0, 70.0,
     ];
-    let steps = levels.into_iter().enumerate();
-    events.extend(steps.map(|(k, level_v)| (6.4 + 0.4 * k as f64, level_v)));
+    // A drive climbs to a level no faster than this.
+    let most_v = SLEW_V_PER_S * 0.01;
+    let mut level_v: f64 = 0.0;
+    for (k, wanted_v) in levels.into_iter().enumerate() {
+        for step in 0..40 {
+            level_v += (wanted_v - level_v).clamp(-most_v, most_v);
+            events.push((6.4 + 0.4 * k as f64 + 0.01 * f64::from(step), level_v));
+        }
+    }
     events
 }
 

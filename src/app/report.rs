@@ -1,5 +1,5 @@
 //! `report`: the page of a recorded run, the one that stands in its folder or one made anew from the record, and the pictures of
-//! a page as files.
+//! any page of ours as files.
 
 use std::path::{Path, PathBuf};
 
@@ -17,12 +17,13 @@ use crate::report::{EarlyEnd, Page, RunReport, SpeedLoop, plot};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// What became of it.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(crate) struct Reported {
-    run: String,
-    rows: usize,
-    rows_dropped: usize,
-    duration_s: f64,
+    /// Null, as what follows, where a page was named and no run.
+    run: Option<String>,
+    rows: Option<usize>,
+    rows_dropped: Option<usize>,
+    duration_s: Option<f64>,
     /// How the run ended, as its manifest says.
     outcome: Option<String>,
     /// What the live estimators said at the end.
@@ -39,11 +40,11 @@ impl Reported {
         if markdown {
             return self.markdown.clone();
         }
-        let (rows, duration_s) = (self.rows, self.duration_s);
-        let mut text = format!(
-            "run      {}: {rows} rows over {duration_s:.3} s\n",
-            self.run
-        );
+        let mut text = String::new();
+        if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
+            let run = format!("{run}: {rows} rows over {duration_s:.3} s");
+            output::lines(&mut text, "run      ", [run]);
+        }
         output::lines(&mut text, "outcome  ", &self.outcome);
         let pictures = self.pictures.iter().map(|path| path.display());
         output::lines(&mut text, "picture  ", pictures);
@@ -56,14 +57,28 @@ impl Reported {
 }
 
 /// Writes what is asked for: the page under `output`, else into the run's folder where there is none yet; its pictures into
-/// `pictures`.
+/// `pictures`. Of a page that is named itself there are the pictures only.
 pub(crate) fn report(
-    loaded: &LoadedRun,
+    path: &Path,
+    load: impl FnOnce() -> Result<LoadedRun, Failure>,
     output: Option<&Path>,
     pictures: Option<&Path>,
 ) -> Result<Reported, Failure> {
-    let kept = kept_estimates(loaded);
-    let page = page(loaded, &kept);
+    if path.extension().is_some_and(|ending| ending == "html") {
+        let Some(folder) = pictures.filter(|_| output.is_none()) else {
+            let headline = format!("{}: is a page already", path.display());
+            let help = "name a folder for its pictures with --svg DIR, or a run";
+            return Err(Failure::usage(headline, help));
+        };
+        return Ok(Reported {
+            pictures: write_pictures(&read_text(path)?, folder)?,
+            page: Some(path.to_owned()),
+            ..Reported::default()
+        });
+    }
+    let loaded = load()?;
+    let kept = kept_estimates(&loaded);
+    let page = page(&loaded, &kept);
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
     let there = folder.as_ref().map(|folder| folder.file(RunFile::Report));
     let there = there.filter(|path| output.is_none() && path.exists());
@@ -88,10 +103,10 @@ pub(crate) fn report(
         (estimate.key.clone(), value)
     });
     Ok(Reported {
-        run: run.name.clone(),
-        rows: run.rows(),
-        rows_dropped: run.rows_dropped,
-        duration_s: ends.map_or(0.0, |(first, last)| last - first),
+        run: Some(run.name.clone()),
+        rows: Some(run.rows()),
+        rows_dropped: Some(run.rows_dropped),
+        duration_s: ends.map(|(first, last)| last - first),
         outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
         parameters: parameters.collect(),
         page: path,

@@ -13,7 +13,7 @@ use crate::app::report::report;
   drivebench report runs/a --svg figures          pictures of the page that runs/a keeps
   drivebench report runs/a --output page.html     the page of the record alone, made anew")]
 pub(super) struct Arguments {
-    /// Run folder, samples.csv, or any CSV with --map
+    /// Run folder, samples.csv, any CSV with --map; or a page, with --svg
     run: PathBuf,
     /// Make the page anew and write it here; never overwritten
     #[arg(long, value_name = "PAGE.html")]
@@ -36,8 +36,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_existing(path, "--output")?;
     }
     let _endable = signals::endable()?;
-    let loaded = arguments.map.load(&arguments.run)?;
+    let load = || arguments.map.load(&arguments.run);
     let (page, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
-    let done = report(&loaded, page, pictures)?;
+    let done = report(&arguments.run, load, page, pictures)?;
     output::result(&done, arguments.json, |done| done.text(arguments.markdown))
 }
