@@ -11,6 +11,7 @@ mod diagnose;
 mod doctor;
 mod effects;
 mod emulate;
+mod export;
 mod identify;
 mod init;
 mod plan;
@@ -72,6 +73,7 @@ enum Command {
     Remove(add::Arguments),
     Effects(effects::Arguments),
     Tune(tune::Arguments),
+    Export(export::Arguments),
     Report(report::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
@@ -117,6 +119,7 @@ pub fn main() -> ExitCode {
         Command::Remove(arguments) => add::execute_remove(&arguments),
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Tune(arguments) => tune::execute(&arguments),
+        Command::Export(arguments) => export::execute(&arguments),
         Command::Report(arguments) => report::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),

@@ -14,6 +14,7 @@
 pub mod commission;
 pub mod comparison;
 pub mod conventions;
+pub mod export;
 mod findings;
 pub mod page;
 pub mod plot;
