@@ -24,6 +24,8 @@ mod next_run;
 mod offline;
 mod progress;
 mod replay;
+mod report;
 mod reproduce;
 mod screen;
+mod tutorial;
 mod unknown;
