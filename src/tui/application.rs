@@ -19,6 +19,7 @@ use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::unistd::{getpgrp, tcgetpgrp};
 use ratatui::backend::CrosstermBackend;
+use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
 use signal_hook::consts::SIGTSTP;
 
@@ -196,7 +197,9 @@ impl Owned {
             }
         }
         enter_screen()?;
-        self.terminal.clear()
+        // Not `clear`, which asks the terminal where its cursor is: one that does not answer would end the screen.
+        let area = Rect::from((Position::ORIGIN, self.terminal.size()?));
+        self.terminal.resize(area)
     }
 
     /// Whether a thread other than the screen's has panicked.
