@@ -66,6 +66,10 @@ fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
     let mut reports = 0;
     for folder in fs::read_dir(desk.path("runs")).unwrap() {
         let folder = folder.unwrap().path();
+        if folder.is_symlink() {
+            // The latest of them, once more.
+            continue;
+        }
         assert!(folder.join("samples.csv").exists(), "{folder:?}");
         reports += usize::from(folder.join("report.html").exists());
     }
