@@ -90,8 +90,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         card.ends_with(path.display().to_string());
     }
     card.go_on(format!(
-        "drivebench diagnose {}{}",
+        "drivebench diagnose {}{}{}",
         output::quoted(&arguments.run),
+        model_words(arguments),
         arguments.evidence.words()
     ));
     let mut value = prepared.result(&comparison);
@@ -100,6 +101,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["undecided"] = comparison.undecided().into();
     output::card(&value, arguments.json, full, above, || card)?;
     check_fit(&comparison, arguments.min_fit)
+}
+
+/// The model as it is given, with a space before it.
+fn model_words(arguments: &Arguments) -> String {
+    let model = arguments.model.as_deref().map(output::quoted);
+    model.map_or_else(String::new, |model| format!(" --model {model}"))
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
