@@ -19,7 +19,6 @@ use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::unistd::{getpgrp, tcgetpgrp};
 use ratatui::backend::CrosstermBackend;
-use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
 use signal_hook::consts::SIGTSTP;
 
@@ -196,10 +195,9 @@ impl Owned {
                 break;
             }
         }
-        enter_screen()?;
-        // Not `clear`, which asks the terminal where its cursor is: one that does not answer would end the screen.
-        let area = Rect::from((Position::ORIGIN, self.terminal.size()?));
-        self.terminal.resize(area)
+        // A new one draws every cell; the old one is not dropped, as ever.
+        self.terminal = ManuallyDrop::new(enter()?);
+        Ok(())
     }
 
     /// Whether a thread other than the screen's has panicked.
@@ -227,13 +225,9 @@ impl Drop for Owned {
     }
 }
 
-fn enter_screen() -> io::Result<()> {
-    enable_raw_mode()?;
-    execute!(io::stdout(), EnterAlternateScreen, Hide)
-}
-
 fn enter() -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
-    enter_screen()?;
+    enable_raw_mode()?;
+    execute!(io::stdout(), EnterAlternateScreen, Hide)?;
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
 
