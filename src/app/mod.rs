@@ -12,6 +12,7 @@
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `versus`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
+//! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
 //! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file;
 //!   `front`: what the program says when it is called alone.
@@ -27,6 +28,7 @@ pub(crate) mod failure;
 pub(crate) mod files;
 pub(crate) mod forecast;
 pub(crate) mod front;
+pub(crate) mod guided;
 pub(crate) mod identify;
 pub(crate) mod opening;
 pub(crate) mod output;

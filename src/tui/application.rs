@@ -34,6 +34,12 @@ pub enum Exit {
     Finished,
     /// `d` when the work was over: the diagnosis is to be gone on with by hand.
     Diagnosis,
+    /// The same, and no name is to be shown before the person has given one.
+    Guess,
+    /// The run that would tell more is to be made.
+    Experiment,
+    /// The speed loop is to be run with what was found.
+    SpeedLoop,
     /// `q` before the end; the worker has been told to stop.
     Quit,
     /// Ctrl-C or a signal; the worker has stopped.

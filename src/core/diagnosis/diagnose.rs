@@ -9,7 +9,9 @@ use super::joint::Noise;
 use super::joint::answer::{Inference, Unknown, asked};
 use super::joint::free_run::likelier;
 use super::ladder::{A_SIZE_SIGMAS, Bench, Rung, Standing, climb};
-use super::location::{AxisMap, FailureLocation, axis_map};
+use super::location::{
+    AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
+};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, cannot_simulate, in_noise};
@@ -100,6 +102,35 @@ impl Diagnosis {
             })
         };
         Ok([rung(&self.baseline.model)?, rung(&self.model.model)?])
+    }
+
+    /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
+    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the model with
+    /// every named effect along the axis that it follows most.
+    pub fn curve_of(
+        &self,
+        id: Option<&str>,
+        run: &Scenario,
+        noise: &NoiseFloor,
+    ) -> Result<Option<EffectCurve>, FitError> {
+        let with_effect = id.and_then(|id| {
+            if self.model.model.has(id) {
+                return Some((id, self.model.model.clone()));
+            }
+            let mut candidates = self.candidates.iter();
+            let candidate = candidates.find(|candidate| candidate.effect == id)?;
+            let value = |key: &str| {
+                let key = format!("{id}.{key}");
+                let own = candidate.parameters.iter().find(|own| own.key == key)?;
+                own.value
+            };
+            let with = with_candidate(&self.baseline.model, id, value)?;
+            Some((id, with))
+        });
+        match with_effect {
+            Some((id, model)) => effect_curve(&model, id, run, noise),
+            None => error_curve(&self.model.model, run, noise),
+        }
     }
 
     /// Whether the run that had no part in the answer speaks against it.

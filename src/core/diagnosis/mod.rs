@@ -41,8 +41,8 @@ pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    AxisMap, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, MapDigits, OwnChange,
-    axis_map, locate,
+    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located,
+    MapDigits, OwnChange, axis_map, effect_curve, error_curve, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

@@ -6,6 +6,7 @@
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
 //!                  |           the narrowest range that holds most of it; one sentence each
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
+//!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -16,11 +17,14 @@
 
 mod axis;
 mod curve;
+mod effect_curve;
 mod windows;
 
 use serde::Serialize;
 
 pub use self::curve::{AxisMap, axis_map};
+pub(super) use self::effect_curve::with_candidate;
+pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
 
 use self::axis::{figure, name_of, name_of_variable};
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};

@@ -60,6 +60,11 @@ impl Window {
         self.floor[equation as usize]
     }
 
+    /// Mean of the input.
+    pub(super) const fn input(&self) -> f64 {
+        self.input
+    }
+
     /// Square of the error beyond the noise.
     pub(super) fn beyond(&self, equation: Balance) -> f64 {
         self.error(equation).powi(2) - self.floor(equation).powi(2)
