@@ -174,8 +174,14 @@ fn speed_loop(
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;
+    let folder = recorded.folder.path();
+    if matches!(ended.left, Left::Screen(Exit::Diagnosis))
+        && by_hand::show_run(folder)?.is_interrupted()
+    {
+        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
+    }
     ended.left.conclude(recorded.failure())?;
-    let folder = recorded.folder.path().display();
+    let folder = folder.display();
     let report = recorded.summary.speed.as_ref();
     let last = report.and_then(|report| report.tracking.last());
     let tracking = last.map_or_else(

@@ -10,7 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::Plan;
-use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -19,12 +19,6 @@ use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
 use crate::workflow::CommissionResult;
-
-/// A report in both of its forms.
-pub(crate) struct Report {
-    pub(crate) html: String,
-    pub(crate) text: String,
-}
 
 /// Writes the page of one run into its folder; where there is none that is said.
 pub(crate) fn write_run(
@@ -120,13 +114,14 @@ impl<'a> FreeRuns<'a> {
     }
 }
 
-/// The page of a commissioning, with measured and simulated signals of the confirming run.
-pub(crate) fn commission(
+/// What `take` makes of the report of a commissioning, with measured and simulated signals of the confirming run.
+pub(crate) fn commission<T>(
     scenarios: &[Scenario],
     result: &CommissionResult,
     rig: &Rig,
     records: &[Recorded],
-) -> Result<Report, Failure> {
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let runs = result.runs.iter();
     let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
     let manifest = records.first().map(|first| first.manifest.clone());
@@ -155,8 +150,7 @@ pub(crate) fn commission(
         curves: &free_runs.curves(diagnosis)?,
         truth: &truth,
     };
-    let (html, text) = (report.html(), report.text());
-    Ok(Report { html, text })
+    Ok(take(&report))
 }
 
 fn truth_sentence(truth: &crate::workflow::Truth) -> String {
@@ -172,8 +166,12 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
     format!("the emulator carries {carried}: the answer is {verdict}")
 }
 
-/// The page of a diagnosis of recorded runs.
-pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String, Failure> {
+/// What `take` makes of the report of a diagnosis of recorded runs.
+pub(crate) fn diagnosis<T>(
+    prepared: &Prepared,
+    found: &Diagnosis,
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
     let mut evidence = prepared.evidence.clone();
     let is_electrical = evidence.training.input == Input::Voltage;
@@ -205,20 +203,43 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String
         curves: &free_runs.curves(found)?,
         truth: &[],
     };
-    Ok(report.html())
+    Ok(take(&report))
 }
 
-/// The page of a comparison of recorded runs.
-pub(crate) fn comparison(prepared: &Prepared, comparison: &Comparison) -> String {
+/// What `take` makes of the report of a comparison of recorded runs.
+pub(crate) fn comparison<T>(
+    prepared: &Prepared,
+    comparison: &Comparison,
+    take: impl FnOnce(&ComparisonReport<'_>) -> T,
+) -> Result<T, Failure> {
     let about = &prepared.about;
+    let evidence = &prepared.evidence;
+    let (run, noise) = (&evidence.holdout, evidence.noise);
+    let model = &prepared.model.file.model;
+    let free_run = match evidence.training.input {
+        Input::Voltage => Some(output_error::predict(model, run, &noise)?.trajectory),
+        Input::Current | Input::Torque => None,
+    };
+    let curve = match &free_run {
+        Some(_) => error_curve(model, run, &noise)?,
+        None => None,
+    };
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
         comparison,
+        model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
+        series: free_run.as_ref().map(|trajectory| ConfirmRun {
+            scenario: run,
+            before: trajectory,
+            after: None,
+            noise: &noise,
+        }),
+        curve: curve.as_ref(),
     };
-    report.html()
+    Ok(take(&report))
 }
 
 /// Writes a page where none is yet.

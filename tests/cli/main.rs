@@ -10,8 +10,11 @@
 mod kit;
 
 mod bad_input;
+mod card;
 mod examples;
 mod first_move;
+mod front;
+mod guided;
 mod holdout;
 mod identify;
 mod input;
