@@ -93,7 +93,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let above = if full { report.in_full() } else { Vec::new() };
         let html = arguments.html.as_ref().map(|_| report.html());
         (report.card(), above, html)
-    });
+    })?;
     if let (Some(path), Some(html)) = (&arguments.html, html) {
         pages::write(path, &html)?;
         card.ends_with(path.display().to_string());
