@@ -228,7 +228,7 @@ fn shortened(text: &str, width: usize, most: usize) -> Vec<String> {
     if rows.len() > most {
         rows.truncate(most);
         if let Some(last) = rows.last_mut() {
-            *last = cut(last, width.saturating_sub(2)) + " …";
+            *last = cut(&format!("{last} …"), width);
         }
     }
     rows
