@@ -298,7 +298,11 @@ fn note(notes: &mut Vec<String>, sentence: String) {
 }
 
 /// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
-fn was_fitted_on(fitted_on: &[String], run: &Path, holdout: Option<&Path>) -> Option<String> {
+pub(crate) fn was_fitted_on(
+    fitted_on: &[String],
+    run: &Path,
+    holdout: Option<&Path>,
+) -> Option<String> {
     let judge = holdout.unwrap_or(run);
     let mut names = fitted_on.iter();
     let name = names.find(|name| is_same(Path::new(name), judge))?;

@@ -161,6 +161,11 @@ fn held() -> MutexGuard<'static, Option<Vec<String>>> {
     HELD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Whether a screen has the terminal.
+pub(crate) fn is_held() -> bool {
+    held().is_some()
+}
+
 /// While it lives messages wait; then they are printed.
 pub(crate) struct Held(());
 

@@ -10,7 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::Plan;
-use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -43,15 +43,6 @@ fn run(
     let manifest = &recorded.manifest;
     let mut context = context(manifest, &[recorded.folder.path()]);
     context.plan = plan.map(plan_facts).unwrap_or_default();
-    let timing = &recorded.summary.timing;
-    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
-    let (p50_ms, p99_ms) = (1e3 * timing.lateness_p50_s, 1e3 * timing.lateness_p99_s);
-    let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
-    let facts = vec![
-        fact("rate", format!("{achieved_hz:.1} of {asked_hz:.0} Hz")),
-        fact("missed cycles", timing.missed_cycles.to_string()),
-        fact("lateness, median and 99 %", lateness),
-    ];
     let model = Model::baseline(nameplate.clone());
     let summary = &recorded.summary;
     let ended = early_end(&summary.outcome, summary.stop_error.as_deref());
@@ -61,7 +52,7 @@ fn run(
         run: &loaded.run,
         nameplate: Some(&model),
         parameters: &recorded.summary.estimates,
-        timing: &facts,
+        timing: &timing(manifest),
         early_end: ended.map(|(.., page)| page),
         speed_loop,
     };
@@ -220,8 +211,19 @@ pub(crate) fn comparison<T>(
     prepared: &Prepared,
     comparison: &Comparison,
     take: impl FnOnce(&ComparisonReport<'_>) -> T,
-) -> T {
+) -> Result<T, Failure> {
     let about = &prepared.about;
+    let evidence = &prepared.evidence;
+    let (run, noise) = (&evidence.holdout, evidence.noise);
+    let model = &prepared.model.file.model;
+    let free_run = match evidence.training.input {
+        Input::Voltage => Some(output_error::predict(model, run, &noise)?.trajectory),
+        Input::Current | Input::Torque => None,
+    };
+    let curve = match &free_run {
+        Some(_) => error_curve(model, run, &noise)?,
+        None => None,
+    };
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
@@ -229,8 +231,15 @@ pub(crate) fn comparison<T>(
         model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
+        series: free_run.as_ref().map(|trajectory| ConfirmRun {
+            scenario: run,
+            before: trajectory,
+            after: None,
+            noise: &noise,
+        }),
+        curve: curve.as_ref(),
     };
-    take(&report)
+    Ok(take(&report))
 }
 
 /// Writes a page where none is yet.
@@ -251,22 +260,44 @@ fn of_data(about: &About, run: &LoadedRun) -> Context {
     }
 }
 
-fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
+/// Entries of a JSON object that are a single value, as labels and values.
+pub(crate) fn table(value: &Value) -> Facts {
     let text = |value: &Value| {
         value
             .as_str()
             .map_or_else(|| value.to_string(), str::to_owned)
     };
-    let table = |value: &Value| -> Facts {
-        let entries = value.as_object().into_iter().flatten();
-        let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
-        told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
-            .collect()
-    };
+    let entries = value.as_object().into_iter().flatten();
+    let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
+    told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
+        .collect()
+}
+
+/// Rate and lateness of a run.
+pub(crate) fn timing(manifest: &Manifest) -> Facts {
+    let hz = |period_s: f64| 1.0 / period_s;
+    let achieved = manifest.period_achieved_s.map(hz);
+    let rate = achieved.zip(manifest.period_asked_s.map(hz));
+    let late = manifest.lateness_p50_s.zip(manifest.lateness_p99_s);
+    let facts = [
+        rate.map(|(achieved, asked)| fact("rate", format!("{achieved:.1} of {asked:.0} Hz"))),
+        (manifest.missed_cycles).map(|missed| fact("missed cycles", missed.to_string())),
+        late.map(|(p50_s, p99_s)| {
+            let (p50_ms, p99_ms) = (1e3 * p50_s, 1e3 * p99_s);
+            let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
+            fact("lateness, median and 99 %", lateness)
+        }),
+    ];
+    facts.into_iter().flatten().collect()
+}
+
+pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Context {
     let mut link = vec![fact("link", manifest.link.clone())];
     link.extend(table(&manifest.link_statistics));
     link.extend(table(&manifest.wire));
-    let folders = folders.iter().map(|folder| folder.display().to_string());
+    let folders = folders
+        .iter()
+        .map(|folder| folder.as_ref().display().to_string());
     Context {
         target: match manifest.identity["is_emulator"].as_bool() {
             Some(true) => Target::Emulator,

@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 
-use super::arguments::EvidenceArguments;
+use super::arguments::{EvidenceArguments, run_path};
 use super::failure::{Failure, REFUSED};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     model: Option<PathBuf>,
     /// Run folder, samples.csv, or any CSV with --map
-    #[arg(long)]
+    #[arg(long, value_parser = run_path())]
     run: PathBuf,
     /// Where to write the new model; without it the model is printed
     #[arg(long, value_name = "MODEL2.toml")]

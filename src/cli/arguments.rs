@@ -5,6 +5,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::failure::Failure;
 use super::output;
@@ -14,9 +15,14 @@ use crate::app::{Audience, MYSTERY, RigOptions, Tap};
 use crate::bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
 use crate::drive::{Framing, RawClient, RawSettings, Target, standard_gap_s};
 use crate::identification::sanity;
-use crate::recording::{ColumnMap, LoadedRun};
+use crate::recording::{ColumnMap, LoadedRun, resolved};
 use crate::sample::{Channel, Origin, Run, Side};
 use crate::workflow::ProgressCell;
+
+/// A run on the command line; `runs/latest` is the folder that it names now.
+pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(|path| resolved(&path))
+}
 
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
@@ -141,10 +147,10 @@ impl Provenance {
 #[derive(Args, Clone, Debug)]
 pub(super) struct EvidenceArguments {
     /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
-    #[arg(long, value_name = "RUN2")]
+    #[arg(long, value_name = "RUN2", value_parser = run_path())]
     holdout: Option<PathBuf>,
     /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
-    #[arg(long, value_name = "RUN3")]
+    #[arg(long, value_name = "RUN3", value_parser = run_path())]
     confirm: Option<PathBuf>,
     #[command(flatten)]
     map: MapArguments,

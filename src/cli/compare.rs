@@ -1,12 +1,13 @@
 //! `compare`: the model as given beside the measurement.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use super::arguments::EvidenceArguments;
+use super::arguments::{EvidenceArguments, run_path};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::pages;
+use crate::app::versus::VersusResult;
 use crate::diagnosis::{Comparison, ErrorOf, compare};
 use crate::plant::Input;
 use crate::report::SignalFigures;
@@ -15,14 +16,15 @@ use crate::text::number::percent;
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90"
+    after_help = "Examples:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90\n  drivebench compare runs/a --model before.toml --model after.toml --holdout runs/b     which is better"
 )]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
     run: PathBuf,
-    /// Model file; without it the run folder's, else a fitted baseline
-    #[arg(long)]
-    model: Option<PathBuf>,
+    /// Model file; without it the run folder's, else a fitted baseline. Two of them are compared with each other
+    #[arg(long, value_parser = run_path())]
+    model: Vec<PathBuf>,
     /// Exit with status 1 when a held-out fit is below this, in per cent
     #[arg(long, value_name = "P")]
     min_fit: Option<f64>,
@@ -45,7 +47,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     let _endable = signals::endable()?;
     let shown = progress::begin("compare");
-    let model = arguments.model.as_deref();
+    let model = match arguments.model.as_slice() {
+        [first, second] => return both(arguments, first, second, shown),
+        [_, _, _, ..] => {
+            let help = "give two models, and compare the better with the third";
+            return Err(Failure::usage("more than two models are given", help));
+        }
+        models => models.first().map(PathBuf::as_path),
+    };
     let judging = if model.is_some() {
         Judging::AsGiven
     } else {
@@ -84,7 +93,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let above = if full { report.in_full() } else { Vec::new() };
         let html = arguments.html.as_ref().map(|_| report.html());
         (report.card(), above, html)
-    });
+    })?;
     if let (Some(path), Some(html)) = (&arguments.html, html) {
         pages::write(path, &html)?;
         card.ends_with(path.display().to_string());
@@ -103,9 +112,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     check_fit(&comparison, arguments.min_fit)
 }
 
+/// Two models on the same run.
+fn both(
+    arguments: &Arguments,
+    first: &Path,
+    second: &Path,
+    shown: progress::Shown,
+) -> Result<(), Failure> {
+    if arguments.min_fit.is_some() || arguments.html.is_some() {
+        let headline = "--min-fit and --html judge one model, and two are given";
+        return Err(Failure::usage(headline, "leave one --model out"));
+    }
+    let judging = Judging::AsGiven;
+    let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging)?;
+    let result = VersusResult::of(&prepared, second, &arguments.run)?;
+    drop(shown);
+    output::result(&result, arguments.json, VersusResult::text)
+}
+
 /// The model as it is given, with a space before it.
 fn model_words(arguments: &Arguments) -> String {
-    let model = arguments.model.as_deref().map(output::quoted);
+    let model = arguments.model.first().map(|path| output::quoted(path));
     model.map_or_else(String::new, |model| format!(" --model {model}"))
 }
 

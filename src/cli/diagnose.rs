@@ -3,7 +3,7 @@
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
-use super::arguments::EvidenceArguments;
+use super::arguments::{EvidenceArguments, run_path};
 use super::failure::Failure;
 use super::{output, progress, signals};
 use crate::app::by_hand::{self, Shown};
@@ -27,6 +27,7 @@ use crate::workflow::Discovery;
   drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
     run: PathBuf,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::arguments::MapArguments;
+use super::arguments::{MapArguments, run_path};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output::{self, lines};
-use super::signals;
+use super::{progress, signals};
 use crate::app::cards;
 use crate::app::evidence::{before_identify, model, name_voltage, signals as signals_of};
 use crate::app::identify::{
@@ -33,7 +33,7 @@ const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
 #[command(after_help = after_help())]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map; several runs of one machine also give the spread between them
-    #[arg(required = true, value_name = "RUN")]
+    #[arg(required = true, value_name = "RUN", value_parser = run_path())]
     runs: Vec<PathBuf>,
     /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
     #[arg(long)]
@@ -104,6 +104,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ));
         }
     }
+    let shown = progress::begin("identify");
+    progress::stage("identifies the runs", arguments.runs.len());
     let mut file = None;
     let mut runs = Vec::new();
     for path in &arguments.runs {
@@ -123,9 +125,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             let scenario = Scenario::from_run(&loaded.run)?;
             let mut run = loaded.run;
             before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
+            drop(shown);
             return trace_load(trace, &run, &file.model, arguments.json);
         }
         runs.push(one(loaded, &file.model, arguments)?);
+        progress::at(runs.len());
     }
     let commanded = |run: &&OneRun| run.scenario.input_channel == Channel::VoltageCmd;
     if let Some(run) = runs.iter().find(commanded).or(runs.first()) {
@@ -153,6 +157,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.nameplate {
         answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
     }
+    drop(shown);
     let full = arguments.full;
     let above = if full {
         cards::identify_in_full(&answer)

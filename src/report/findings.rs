@@ -125,7 +125,21 @@ fn listed(names: Vec<String>) -> Option<String> {
 }
 
 /// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
-fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+pub(super) fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+    let why = curve.why_axis.iter();
+    let why = why.map(|why| format!(" {}.", capitalised(why)));
+    page.figure(
+        effect_picture(curve),
+        format!(
+            "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
+            capitalised(&curve.sentence()),
+            why.collect::<String>()
+        ),
+    );
+}
+
+/// The picture of the curve of an effect.
+pub fn effect_picture(curve: &EffectCurve) -> String {
     let axis = curve.axis_label();
     let of = |label, style, points: &[CurvePoint]| PointSet {
         label,
@@ -146,18 +160,7 @@ fn effect_curve(page: &mut Page, curve: &EffectCurve) {
         ],
         line: (&label, line),
     };
-    let why = curve
-        .why_axis
-        .iter()
-        .map(|why| format!(" {}.", capitalised(why)));
-    page.figure(
-        chart.svg(&format!("{} error over {axis}", curve.equation)),
-        format!(
-            "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
-            capitalised(&curve.sentence()),
-            why.collect::<String>()
-        ),
-    );
+    chart.svg(&format!("{} error over {axis}", curve.equation))
 }
 
 /// The curves that an unexplained error follows.

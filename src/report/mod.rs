@@ -26,6 +26,7 @@ pub(crate) mod tables;
 pub use card::Card;
 pub use commission::{CommissionReport, ConfirmRun};
 pub use comparison::{ComparisonReport, SignalFigures};
+pub use findings::effect_picture;
 pub use page::{Page, Tone};
 pub use run::{EarlyEnd, RunReport, SpeedLoop};
 

@@ -2,12 +2,12 @@
 
 use std::fmt::Write;
 
-use super::plot::Plot;
+use super::plot::{self, Plot};
 use crate::text::lines::{cut, wrapped};
 use crate::text::{columns, number};
 
-/// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
-pub(super) const STYLE: &str = include_str!("page.css");
+/// What is about the pictures, whose own style gives the colours; narrow and printed.
+const STYLE: &str = include_str!("page.css");
 /// Zoom, pan, legend and a cursor with values for the plots; the page is complete without it.
 const SCRIPT: &str = include_str!("page.js");
 
@@ -309,8 +309,9 @@ impl Page {
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
-             <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
+             <title>{title}</title>\n<style>{}</style>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
              <p class=\"subtitle\">{}</p>\n{}</header>\n",
+            plot::STYLE,
             escape(&self.subtitle),
             facts_html(&self.about),
             title = escape(&self.title),

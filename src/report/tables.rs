@@ -139,7 +139,12 @@ pub(super) fn about(page: &mut Page, context: &Context) {
         let fact = facts.find(|(label, _)| label == key);
         fact.map(|(_, value)| value.trim()).unwrap_or_default()
     };
-    let drive = format!("{} {}", identity("vendor"), identity("product"));
+    let (vendor, product) = (identity("vendor"), identity("product"));
+    let drive = if product.starts_with(vendor) {
+        product.to_owned()
+    } else {
+        format!("{vendor} {product}")
+    };
     let told = |text: &str| if text.is_empty() { "not told" } else { text }.to_owned();
     let facts = [
         ("date", context.date.as_str()),

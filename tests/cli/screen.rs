@@ -14,7 +14,7 @@ fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
 }
 
 /// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
-fn keep_what_scrolls(session: &mut Session) {
+pub(crate) fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
     let rows = NonZero::new(400).expect("more than none");
     session.screen.screen_mut().set_size(rows, columns);

@@ -3,6 +3,7 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
+//!    |-> versus       two models on one run: the better, and whether that is more than chance
 //!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
@@ -30,6 +31,7 @@ mod progress;
 mod reached;
 mod residual;
 mod score;
+mod versus;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};
@@ -49,6 +51,7 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
+pub use versus::{Better, SignalVersus, Versus, versus};
 
 #[cfg(test)]
 mod event_tests;
