@@ -3,6 +3,7 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
+//!    |-> traces       every signal measured and of the model, over the time of its run
 //!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
@@ -30,6 +31,7 @@ mod progress;
 mod reached;
 mod residual;
 mod score;
+mod traces;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};
@@ -49,6 +51,7 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
+pub use traces::{Part, Recorded, RunTraces, SignalTrace, Traces, WorstPlace};
 
 #[cfg(test)]
 mod event_tests;
