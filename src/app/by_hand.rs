@@ -13,7 +13,7 @@ use super::files::model_file;
 use super::{output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::FileHistory;
-use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit};
+use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit, Opens};
 use crate::workflow::{Discovery, News, Order};
 
 /// Where a model goes for which no name was given.
@@ -23,6 +23,8 @@ const MODEL: &str = "model.toml";
 pub(crate) struct Shown {
     pub(crate) title: String,
     pub(crate) guess_first: bool,
+    /// With what the screen opens.
+    pub(crate) opens: Opens,
     /// Run that the model is fitted on.
     pub(crate) fitted_on: String,
     /// Of the model that the diagnosis began with.
@@ -111,6 +113,7 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     let sources = DiagnosisSources {
         title: shown.title.clone(),
         guess_first: shown.guess_first,
+        opens: shown.opens,
         news,
         orders,
         hang_up: Arc::clone(&hang_up),

@@ -17,7 +17,7 @@ use super::{output, progress};
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{
     Diagnosis, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship, NextExperiment,
-    fingerprint, matches, recommend, shared_samples,
+    RecordedChannels, fingerprint, matches, recommend, shared_samples,
 };
 use crate::identification::sanity::{self, Finding, Kind};
 use crate::identification::{lost_rows, start};
@@ -44,6 +44,8 @@ pub(crate) struct EvidenceFiles<'a> {
     pub(crate) model: Option<&'a Path>,
     pub(crate) holdout: Option<&'a Path>,
     pub(crate) confirm: Option<&'a Path>,
+    /// Every channel is kept beside what the model needs.
+    pub(crate) for_screen: bool,
 }
 
 /// What a command that judges a model does with it.
@@ -98,9 +100,23 @@ pub(crate) struct Prepared {
     pub(crate) model: ChosenModel,
     pub(crate) evidence: Evidence,
     pub(crate) about: About,
+    /// Every channel of the runs, where a screen is to show them.
+    pub(crate) recorded: RecordedChannels,
 }
 
 impl Prepared {
+    /// Fits the baseline where no model was given, so that there is one to compare.
+    pub(crate) fn fit_where_incomplete(&mut self) -> Result<(), Failure> {
+        if self.model.from == "baseline" {
+            progress::stage("fits the baseline", 0);
+            let evidence = self.evidence.clone();
+            let (with_scale, fit) = evidence.with_baseline(&self.model.file.model)?;
+            (self.evidence, self.model.file.model) = (with_scale, fit.model);
+        }
+        self.model.file.model.require_complete()?;
+        Ok(())
+    }
+
     /// A result as JSON, with what is to be known of the data.
     pub(crate) fn result(&self, found: &impl Serialize) -> Value {
         let mut value = serde_json::to_value(found).unwrap_or_default();
@@ -130,6 +146,10 @@ pub(crate) fn prepare(
     let found = cautions(&run.run, &fit_run);
     output::warn(&found);
     run.run.notes.extend(found);
+    let mut recorded = RecordedChannels::default();
+    if files.for_screen {
+        recorded.add(&run.run, fit_run.begin_s());
+    }
     let mut others = Vec::new();
     let mut other = |path: Option<&Path>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
         let Some(path) = path else { return Ok(None) };
@@ -138,6 +158,9 @@ pub(crate) fn prepare(
         let found = cautions(&loaded.run, &scenario);
         output::warn(&found);
         others.extend(found);
+        if files.for_screen {
+            recorded.add(&loaded.run, scenario.begin_s());
+        }
         Ok(Some((loaded, scenario)))
     };
     name_voltage(&run.run, &fit_run);
@@ -190,6 +213,7 @@ pub(crate) fn prepare(
         model,
         evidence,
         about,
+        recorded,
     })
 }
 

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`: drives that are only looked at.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`: the order of work of each
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
@@ -29,6 +29,7 @@ pub(crate) mod pages;
 pub(crate) mod progress;
 mod rig;
 mod run;
+pub(crate) mod screen;
 pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;

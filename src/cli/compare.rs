@@ -8,15 +8,16 @@ use super::failure::{Failure, REFUSED, USAGE};
 use super::output::{self, lines};
 use super::{progress, signals};
 use crate::app::evidence::Judging;
-use crate::app::pages;
-use crate::diagnosis::{Comparison, ErrorOf, MapDigits, ResidualLights, compare};
+use crate::app::{pages, screen};
+use crate::diagnosis::{Comparison, ErrorOf, MapCell, MapDigits, ResidualLights, compare};
 use crate::report::SignalFigures;
 use crate::text::number::{percent, significant};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90"
+    after_help = "Examples:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90
+  drivebench compare runs/a --holdout runs/b --screen     the same on the screen, measured and model over time"
 )]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
@@ -32,6 +33,9 @@ pub(super) struct Arguments {
     /// Write the page: figures, lights, where the model fails; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
+    /// See it on the screen: measured and model over time, where the model fails
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -41,23 +45,34 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
     }
-    let _endable = signals::endable()?;
+    if arguments.screen {
+        screen::needs_terminal(
+            "--screen",
+            "leave --screen out: the result is printed as text",
+        )?;
+    }
+    let mut endable = Some(signals::endable()?);
     let shown = progress::begin("compare");
     let model = arguments.model.as_deref();
     let judging = Judging::AsGiven;
-    let mut prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
-    if prepared.model.from == "baseline" {
-        progress::stage("fits the baseline", 0);
-        let (with_scale, fit) = prepared
-            .evidence
-            .with_baseline(&prepared.model.file.model)?;
-        (prepared.evidence, prepared.model.file.model) = (with_scale, fit.model);
-    }
-    prepared.model.file.model.require_complete()?;
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let mut prepared = if arguments.screen {
+        evidence.prepare_for_screen(run, model, judging)?
+    } else {
+        evidence.prepare(run, model, judging)?
+    };
+    prepared.fit_where_incomplete()?;
     progress::stage("compares", 0);
     let model = &prepared.model.file.model;
     let comparison = compare(model, &prepared.evidence, ErrorOf::Model)?;
     drop(shown);
+    if arguments.screen {
+        // Meanwhile the screen owns the terminal and hears the signals.
+        drop(endable.take());
+        screen::show(&prepared, model.clone())?;
+        endable = Some(signals::endable()?);
+    }
+    let _endable = endable;
     if let Some(path) = &arguments.html {
         pages::write(path, &pages::comparison(&prepared, &comparison))?;
     }
@@ -181,7 +196,7 @@ fn lights(residual: &ResidualLights) -> String {
     line
 }
 
-/// The map of the equation that fails worst, ten shades from nothing to its largest error, a dot where the run never was.
+/// The map of the equation that fails worst, ten sizes from nothing to its largest error, a dot where the run never was.
 fn map(comparison: &Comparison) -> String {
     let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return String::new();
@@ -192,13 +207,12 @@ fn map(comparison: &Comparison) -> String {
     }
     let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
     let mut text = format!(
-        "\n{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was\n"
+        "\n{equation} error over speed and current: 9 is {nine} {unit} too low in the model, i as much too high, shades both ways, a dot: never there\n"
     );
     for (middle, digits) in rows {
         let _ = write!(text, "{middle:>8.0} rad/s  ");
         for digit in digits {
-            let mark = digit.map_or(".".to_owned(), |digit| digit.to_string());
-            let _ = write!(text, " {mark}");
+            let _ = write!(text, " {}", digit.map_or('.', MapCell::glyph));
         }
         text.push('\n');
     }

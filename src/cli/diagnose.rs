@@ -1,7 +1,6 @@
 //! `diagnose`: which physical effect is missing.
 
 use std::fmt::Write as _;
-use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use super::arguments::EvidenceArguments;
@@ -11,10 +10,11 @@ use super::{progress, signals};
 use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
 use crate::app::evidence::Place;
-use crate::app::pages;
+use crate::app::{pages, screen};
 use crate::diagnosis::{Candidate, Diagnosis, Reached, diagnose_with};
 use crate::plant::effect::Axis;
 use crate::sample::ParameterEstimate;
+use crate::tui::Opens;
 use crate::workflow::Discovery;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
@@ -70,11 +70,9 @@ struct ScreenArguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let on_screen = &arguments.on_screen;
-    if on_screen.screen && !std::io::stdout().is_terminal() {
-        return Err(Failure::usage(
-            "--screen: standard output is not a terminal",
-            "leave --screen out: the answer is printed as text",
-        ));
+    if on_screen.screen {
+        let help = "leave --screen out: the answer is printed as text";
+        screen::needs_terminal("--screen", help)?;
     }
     for (path, option) in [(&on_screen.output, "--output"), (&arguments.html, "--html")] {
         let path = path.as_deref();
@@ -82,7 +80,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
     let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
-    let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let prepared = if on_screen.screen {
+        evidence.prepare_for_screen(run, model, judging)?
+    } else {
+        evidence.prepare(run, model, judging)?
+    };
     if let Some(path) = &arguments.next_bench {
         output::refuse_existing(path, "--next-bench")?;
     }
@@ -97,11 +100,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let shown = Shown {
             title: prepared.about.title.clone(),
             guess_first: on_screen.guess,
+            opens: Opens::Search,
             fitted_on: prepared.run.run.name.clone(),
             history: prepared.model.file.history.clone(),
             output: on_screen.output.clone(),
         };
-        let discovery = Discovery::new(original, evidence).with_limits(place.limits());
+        let discovery = Discovery::new(original, evidence)
+            .with_limits(place.limits())
+            .with_recorded(prepared.recorded.clone());
         let left = by_hand::show(discovery, shown)?;
         attended = Some((signals::endable()?, progress::begin("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.

@@ -22,6 +22,7 @@ mod reveal;
 mod run;
 mod simulate;
 mod tune;
+mod view;
 
 use std::process::ExitCode;
 
@@ -66,6 +67,7 @@ enum Command {
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
+    View(view::Arguments),
     Diagnose(diagnose::Arguments),
     Add(add::AddArguments),
     Remove(add::Arguments),
@@ -110,6 +112,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
+        Command::View(arguments) => view::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),
         Command::Add(arguments) => add::execute_add(&arguments),
         Command::Remove(arguments) => add::execute_remove(&arguments),

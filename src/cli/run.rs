@@ -19,7 +19,7 @@ use crate::app::{
 use crate::bench::{ControllerKind, EMBEDDED_NAME, ForwardUse, RunSummary};
 use crate::control::Actuator;
 use crate::plant::FileHistory;
-use crate::tui::Exit;
+use crate::tui::{Exit, Opens};
 use crate::workflow::{CommissionResult, EscalationResult, Progress, ProgressCell, StepState};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
@@ -121,12 +121,14 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     })?;
     drop(shown);
     let (done, left) = (done.work, done.left);
-    let by_hand = matches!(left, Left::Screen(Exit::Diagnosis));
+    let sees = matches!(left, Left::Screen(Exit::Traces));
+    let by_hand = sees || matches!(left, Left::Screen(Exit::Diagnosis));
     if let Some(discovery) = done.discovery.filter(|_| by_hand) {
         let first = done.result.runs.first();
         let shown = Shown {
             title: "the runs of this commissioning".to_owned(),
             guess_first: false,
+            opens: if sees { Opens::Traces } else { Opens::Search },
             fitted_on: first.and_then(|run| run.folder.clone()).unwrap_or_default(),
             history: FileHistory::default(),
             output: None,

@@ -34,6 +34,8 @@ pub enum Exit {
     Finished,
     /// `d` when the work was over: the diagnosis is to be gone on with by hand.
     Diagnosis,
+    /// `v` then: the same, measured and model over time first.
+    Traces,
     /// `q` before the end; the worker has been told to stop.
     Quit,
     /// Ctrl-C or a signal; the worker has stopped.

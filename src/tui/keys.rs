@@ -34,11 +34,22 @@ pub enum Press {
     Table,
     Guess,
     Write,
+    /// Measured and model over time.
+    Traces,
+    /// The next of the places where the model is farthest off.
+    Worst,
+    /// Closer, or farther away.
+    Zoomed(bool),
+    /// Along the time axis, backwards negative.
+    Pan(i32),
+    Cursor(i32),
+    /// Which signals are shown.
+    Signals,
     Other,
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 20] = [
+pub(super) const CHARACTERS: [(char, Press); 27] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -59,6 +70,13 @@ pub(super) const CHARACTERS: [(char, Press); 20] = [
     ('t', Press::Table),
     ('g', Press::Guess),
     ('w', Press::Write),
+    ('v', Press::Traces),
+    ('j', Press::Worst),
+    ('+', Press::Zoomed(true)),
+    ('-', Press::Zoomed(false)),
+    (',', Press::Pan(-1)),
+    ('.', Press::Pan(1)),
+    ('o', Press::Signals),
 ];
 
 /// The screens on which a key does something.
@@ -70,7 +88,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 20] = [
+const HELP: [(On, &str, &str); 26] = [
     (
         On::Every,
         "Space Esc",
@@ -87,6 +105,11 @@ const HELP: [(On, &str, &str); 20] = [
     (On::Every, "Up Down", "scroll a page; select an effect"),
     (On::Live, "d", "diagnosis by hand, after the report"),
     (
+        On::Live,
+        "v",
+        "measured and model over time, after the report",
+    ),
+    (
         On::Diagnosis,
         "Enter",
         "the card of the effect: equation, causes, remedy",
@@ -100,7 +123,20 @@ const HELP: [(On, &str, &str); 20] = [
     (
         On::Diagnosis,
         "e",
-        "error over speed x current, each equation in turn",
+        "signed error over speed x current, each equation in turn",
+    ),
+    (
+        On::Diagnosis,
+        "v",
+        "traces: measured and model over time, residual with its noise",
+    ),
+    (On::Diagnosis, "j", "traces: the next of the worst places"),
+    (On::Diagnosis, "+ - , .", "traces: zoom, pan"),
+    (On::Diagnosis, "Left Right", "cursor of traces and curves"),
+    (
+        On::Diagnosis,
+        "o Tab",
+        "traces: choose signals; another run",
     ),
     (
         On::Diagnosis,
@@ -110,7 +146,7 @@ const HELP: [(On, &str, &str); 20] = [
     (
         On::Diagnosis,
         "c t",
-        "the curve that an unexplained error follows; add it",
+        "error along its axis, the effect drawn through it; add a curve",
     ),
     (
         On::Diagnosis,
@@ -153,6 +189,8 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
         KeyCode::Enter => Press::Open,
         KeyCode::Tab => Press::NextScreen,
         KeyCode::BackTab => Press::PreviousScreen,
+        KeyCode::Left => Press::Cursor(-1),
+        KeyCode::Right => Press::Cursor(1),
         KeyCode::Up => Press::Move(-1),
         KeyCode::Down => Press::Move(1),
         KeyCode::PageUp => Press::Move(-PAGE),
@@ -225,7 +263,9 @@ mod tests {
     #[test]
     fn the_help_names_every_key_that_does_something() {
         let named: Vec<&str> = HELP.iter().flat_map(|row| row.1.split(' ')).collect();
-        for word in ["Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down"] {
+        for word in [
+            "Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down", "Left", "Right",
+        ] {
             assert!(named.contains(&word), "{word}");
         }
         // `y` answers a question that names it.

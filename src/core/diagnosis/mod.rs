@@ -42,7 +42,7 @@ pub use joint::answer::Unknown;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located,
-    MapDigits, OwnChange, axis_map, effect_curve, error_curve, locate,
+    MapCell, MapDigits, Off, OwnChange, axis_map, effect_curve, error_curve, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
@@ -51,7 +51,7 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
-pub use traces::{Part, Recorded, RunTraces, SignalTrace, Traces, WorstPlace};
+pub use traces::{Part, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
 
 #[cfg(test)]
 mod event_tests;

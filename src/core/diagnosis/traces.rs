@@ -152,11 +152,11 @@ pub struct Traces {
 
 /// Every channel that was recorded beside what a comparison is of, by the name of its run.
 #[derive(Clone, Debug, Default)]
-pub struct Recorded {
+pub struct RecordedChannels {
     runs: Vec<(String, Vec<SignalTrace>)>,
 }
 
-impl Recorded {
+impl RecordedChannels {
     /// Takes in a run that the comparison may be of.
     pub fn add(&mut self, run: &Run, begin_s: f64) {
         let since = |time_s: &f64| time_s - begin_s;
@@ -193,7 +193,11 @@ impl Recorded {
 
 impl Traces {
     /// The traces of a complete model; only initial state and times of events are fitted.
-    pub fn of(model: &Model, evidence: &Evidence, recorded: &Recorded) -> Result<Self, FitError> {
+    pub fn of(
+        model: &Model,
+        evidence: &Evidence,
+        recorded: &RecordedChannels,
+    ) -> Result<Self, FitError> {
         let is_split = evidence.holdout_from == HoldoutFrom::Split;
         let first = if is_split { Part::Split } else { Part::HoldOut };
         let mut parts = vec![(first, &evidence.holdout)];
@@ -327,7 +331,7 @@ mod tests {
 
     #[test]
     fn a_right_model_leaves_the_noise_a_wrong_one_more_and_a_gap_stays_a_gap() {
-        let none = Recorded::default();
+        let none = RecordedChannels::default();
         let right = Traces::of(&with_its_fan(), &evidence(), &none).unwrap();
         let wrong = Traces::of(&Model::baseline(Motor::zk_22fc()), &evidence(), &none).unwrap();
         assert_eq!(right.effects, ["quadratic_load"]);
@@ -380,7 +384,7 @@ mod tests {
     #[test]
     fn a_split_run_is_one_run_and_says_from_when_on_it_is_held_out() {
         let evidence = Evidence::new(with_a_fan(0), None, None);
-        let traces = Traces::of(&with_its_fan(), &evidence, &Recorded::default()).unwrap();
+        let traces = Traces::of(&with_its_fan(), &evidence, &RecordedChannels::default()).unwrap();
         let [run] = traces.runs.as_slice() else {
             panic!("{}", traces.runs.len())
         };
@@ -390,7 +394,7 @@ mod tests {
 
     #[test]
     fn what_else_was_recorded_stands_beside_under_the_time_of_its_run() {
-        let mut recorded = Recorded::default();
+        let mut recorded = RecordedChannels::default();
         let columns = [
             (Channel::Speed, vec![1.0; 3], Origin::Measured),
             (Channel::Bus, vec![48.0, f64::NAN, 47.0], Origin::Measured),

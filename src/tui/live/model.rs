@@ -195,6 +195,8 @@ impl Model {
                 return vec![Effect::Send(Intent::Mark(text))];
             }
             Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
+            Press::Traces if self.has_report() => return vec![Effect::Leave(Exit::Traces)],
+            Press::Traces => self.say("not yet: the traces are there when the report is"),
             Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
             Press::Help => self.help = Some(0),
             Press::Freeze => {

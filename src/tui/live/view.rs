@@ -80,7 +80,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let keys: &[&str] = if model.waits_for_start() {
         &["s start", "Space stop", next]
     } else if model.has_report() {
-        &["d diagnosis by hand", next, "Up Down scroll"]
+        &["v traces", "d diagnosis by hand", next, "Up Down scroll"]
     } else if model.is_finished() {
         &[next, "f freeze", "z zoom"]
     } else {
