@@ -153,6 +153,8 @@ impl Discovery {
             let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
             self.trace(&fit.model, &evidence, tell);
+            let curve = error_curve(&fit.model, &evidence.holdout, &evidence.noise);
+            tell(News::Curves(curve.ok().flatten().into_iter().collect()));
         }
         let known = self.known.take();
         let is_known = known.is_some();
@@ -539,13 +541,24 @@ mod tests {
         let news = told(&mut discovery, Order::Diagnose);
         let [
             News::Compared(_),
+            News::Traced(traces),
+            News::Curves(before),
             News::Diagnosed(diagnosis),
+            News::Curves(curves),
             News::Recommended(next),
         ] = &news[..]
         else {
             panic!("{news:?}");
         };
         assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        assert_eq!((traces.runs.len(), before.len()), (2, 1));
+        let drawn: Vec<_> = curves.iter().map(|curve| curve.effect).collect();
+        assert_eq!(drawn, [None, Some("quadratic_load")]);
+        // The error alone is that of the model as it stands, which lacks the fan.
+        assert_eq!(
+            (curves[0].equation, curves[0].axis),
+            ("torque", "speed_rad_s")
+        );
         assert_eq!(next.sentence, "turn it backward");
         // Of a changed model there is none yet.
         let news = told(&mut discovery, Order::Add("quadratic_load"));

@@ -7,6 +7,7 @@
 //! ```
 //!
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
+//! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
 //!
 //! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
@@ -15,6 +16,7 @@ mod burst;
 mod commission;
 mod discovery;
 mod keyed;
+mod leaning;
 pub mod reproduce;
 mod reveal;
 
@@ -26,4 +28,5 @@ pub use commission::{
 pub use discovery::{
     Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
 };
+pub use leaning::{LeaningCell, LeaningWatch, Provisional};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

@@ -41,8 +41,8 @@ pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located,
-    MapCell, MapDigits, Off, OwnChange, axis_map, effect_curve, error_curve, locate,
+    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
+    Located, MapCell, MapDigits, Off, OwnChange, axis_map, effect_curve, error_curve, lean, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

@@ -236,7 +236,9 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
         Span::styled("  ░▒▓ both ways", shade(Off::BothWays)),
         Span::styled("  · never there", theme::DIM),
     ])];
-    for (middle, cells) in &rows {
+    // Where there are fewer rows than speeds, some of them over the whole range.
+    let step = rows.len().div_ceil(room.max(1)).max(1);
+    for (middle, cells) in rows.iter().skip(step / 2).step_by(step) {
         for copy in 0..repeat {
             let label = if copy == 0 {
                 format!("{middle:>6.0} rad/s ")
@@ -257,7 +259,12 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     if let (Some(from), Some(to)) = (map.current_edges_a.first(), map.current_edges_a.last()) {
         let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
         let gap = (columns * cell_width).saturating_sub(from.chars().count());
-        let axis = format!("{:13}{from}{to:>gap$}", "");
+        let left_out = if step > 1 {
+            format!("1 row of {step}")
+        } else {
+            String::new()
+        };
+        let axis = format!(" {left_out:<12}{from}{to:>gap$}");
         lines.push(Line::styled(axis, theme::DIM));
     }
     Paragraph::new(lines).render(inner, buffer);

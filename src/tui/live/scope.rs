@@ -1,4 +1,5 @@
-//! Three charts over one time axis: voltage; current; speed, measured and of the model, or with a loop its reference.
+//! Charts over one time axis: voltage; current; speed, measured and of the model, or with a loop its reference; and the
+//! innovation of the on-line estimators.
 //! Below them the lines of dots in Braille: every column shows the smallest and the largest value that fell into it.
 
 use ratatui::buffer::Buffer;
@@ -28,6 +29,8 @@ enum Chart {
     Voltage,
     Current,
     Speed,
+    /// What the on-line estimators add to their prediction of the speed.
+    Innovation,
 }
 
 impl Chart {
@@ -35,7 +38,7 @@ impl Chart {
         match self {
             Self::Voltage => (Channel::Voltage, theme::VOLTAGE),
             Self::Current => (Channel::Current, theme::CURRENT),
-            Self::Speed => (Channel::Speed, theme::SPEED),
+            Self::Speed | Self::Innovation => (Channel::Speed, theme::SPEED),
         }
     }
 
@@ -44,6 +47,7 @@ impl Chart {
             Self::Voltage => point.voltage_v,
             Self::Current => point.current_a,
             Self::Speed => point.speed_rad_s,
+            Self::Innovation => f64::NAN,
         }
     }
 }
@@ -63,7 +67,13 @@ pub(super) fn scope(
     let charts: &[Chart] = match (area.height - 1) / SMALLEST {
         0 | 1 => &[Chart::Speed],
         2 => &[Chart::Current, Chart::Speed],
-        _ => &[Chart::Voltage, Chart::Current, Chart::Speed],
+        3..=5 => &[Chart::Voltage, Chart::Current, Chart::Speed],
+        _ => &[
+            Chart::Voltage,
+            Chart::Current,
+            Chart::Speed,
+            Chart::Innovation,
+        ],
     };
     let (from_s, to_s) = window(&snapshot.trace, window_s);
     let trace = &snapshot.trace;
@@ -116,7 +126,13 @@ fn draw(
         let pairs = points.iter().map(|point| (point.time_s, value(point)));
         pairs.collect()
     };
-    let measured = trace(&|point| chart.value(point));
+    let innovations = snapshot.innovations.iter();
+    let measured = match chart {
+        Chart::Innovation => innovations
+            .map(|point| (point.time_s, point.speed_rad_s))
+            .collect(),
+        _ => trace(&|point| chart.value(point)),
+    };
     // A loop is held against its reference; the model knows nothing of a load that changes meanwhile.
     let follows = points.iter().any(|point| point.reference_rad_s.is_finite());
     let model = match chart {
@@ -163,7 +179,11 @@ fn title(
     width: u16,
 ) -> Line<'static> {
     let (channel, style) = chart.look();
-    let head = format!("{} {} ", channel.name(), channel.unit());
+    let name = match chart {
+        Chart::Innovation => "innovation: speed less its prediction,",
+        _ => channel.name(),
+    };
+    let head = format!("{name} {} ", channel.unit());
     let mut line = Line::from(Span::styled(head, theme::BOLD));
     line.push_span(Span::styled(reading(newest), style));
     if chart == Chart::Speed {
@@ -255,6 +275,8 @@ mod tests {
             speed_rad_s: 0.0,
             model_speed_rad_s: 0.0,
             reference_rad_s: f64::NAN,
+            command_v: f64::NAN,
+            applied_s: f64::NAN,
         };
         assert_eq!(window(&[], 10.0), (0.0, 10.0));
         assert_eq!(window(&[point(0.0), point(3.0)], 10.0), (0.0, 10.0));

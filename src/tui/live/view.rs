@@ -225,6 +225,9 @@ fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     }
 }
 
+/// Rows of the page from which on there is one for what the residual leans on.
+const WITH_LEANING: u16 = 9;
+
 /// The scope, and beside it parameters and link where there is room.
 fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = model.viewed();
@@ -235,8 +238,16 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         15..=29 => 2,
         _ => 4,
     };
-    let [body, bottom] =
-        Layout::vertical([Constraint::Fill(1), Constraint::Length(notice_rows)]).areas(area);
+    // What is provisional while the run goes on is no result when it is over.
+    let leans = !model.is_finished() && model.leaning.seconds > 0.0;
+    let lean_rows = u16::from(leans && area.height >= WITH_LEANING);
+    let [body, lean, bottom] = Layout::vertical([
+        Constraint::Fill(1),
+        Constraint::Length(lean_rows),
+        Constraint::Length(notice_rows),
+    ])
+    .areas(area);
+    Line::styled(format!(" {}", model.leaning.line()), theme::CAREFUL).render(lean, buffer);
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
         scope(snapshot, model.window_s(), frozen, body, buffer);

@@ -7,6 +7,7 @@
 //!                  |           the narrowest range that holds most of it; one sentence each
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |-> leaning which effect the residual follows so far, to first order, while a run goes on
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -18,6 +19,7 @@
 mod axis;
 mod curve;
 mod effect_curve;
+mod leaning;
 mod windows;
 
 use serde::Serialize;
@@ -25,6 +27,7 @@ use serde::Serialize;
 pub use self::curve::{AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
+pub use self::leaning::{Leaning, lean};
 
 use self::axis::{figure, name_of, name_of_variable};
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
