@@ -148,7 +148,7 @@ pub(crate) fn prepare(
     run.run.notes.extend(found);
     let mut recorded = RecordedChannels::default();
     if files.for_screen {
-        recorded.add(&run.run, fit_run.begin_s());
+        recorded.add(&run.run, &fit_run);
     }
     let mut others = Vec::new();
     let mut other = |path: Option<&Path>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
@@ -159,7 +159,7 @@ pub(crate) fn prepare(
         output::warn(&found);
         others.extend(found);
         if files.for_screen {
-            recorded.add(&loaded.run, scenario.begin_s());
+            recorded.add(&loaded.run, &scenario);
         }
         Ok(Some((loaded, scenario)))
     };

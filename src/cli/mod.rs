@@ -153,7 +153,7 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
             tip.clone_into(&mut help);
         } else if let Some(usage) = line.strip_prefix("Usage: ") {
             if help.is_empty() {
-                let judges = ["compare ", "diagnose "];
+                let judges = ["compare ", "diagnose ", "view "];
                 let is_second_run = headline.starts_with("unexpected argument '")
                     && !headline.starts_with("unexpected argument '-")
                     && judges.iter().any(|command| usage.contains(command));

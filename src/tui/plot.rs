@@ -268,10 +268,14 @@ fn columns(
     columns
 }
 
-/// Step of time from which on there is a gap: so many times the median one; infinite where there are not two points.
-pub(super) fn longest_step_s(times: impl Iterator<Item = f64>) -> f64 {
-    let mut before = f64::NAN;
-    let steps = times.map(|time_s| time_s - std::mem::replace(&mut before, time_s));
+/// Steps of which the usual one is found.
+const LOOKS: usize = 2000;
+
+/// Step of time from which on there is a gap: so many times the median one of up to [`LOOKS`]; infinite where there are not
+/// two points. `at` gives the time of each of `count` points.
+pub(super) fn longest_step_s(count: usize, at: impl Fn(usize) -> f64) -> f64 {
+    let stride = count.div_ceil(LOOKS).max(1);
+    let steps = (1..count).step_by(stride).map(|k| at(k) - at(k - 1));
     let mut steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
     if steps.is_empty() {
         return f64::INFINITY;
@@ -285,7 +289,7 @@ mod tests {
     use super::*;
 
     fn longest(points: &[(f64, f64)]) -> f64 {
-        longest_step_s(points.iter().map(|point| point.0))
+        longest_step_s(points.len(), |k| points[k].0)
     }
 
     const BOUNDS: Bounds = Bounds {

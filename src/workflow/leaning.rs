@@ -38,16 +38,16 @@ impl Provisional {
     pub fn line(&self) -> String {
         let seconds = self.seconds;
         let Some(first) = self.effects.first() else {
-            return format!("provisional, after {seconds:.0} s: the residual leans on no effect");
+            return format!("provisional, {seconds:.0} s: the residual leans on no effect");
         };
         let named = |own: &Leaning| format!("{} {:.0} %", own.effect, 100.0 * own.share);
         let others = self.effects[1..]
             .iter()
             .filter(|own| own.equation == first.equation);
         let others: Vec<String> = others.take(2).map(named).collect();
-        let or = if others.is_empty() { "" } else { "; or " };
+        let or = if others.is_empty() { "" } else { ", or " };
         format!(
-            "provisional, after {seconds:.0} s: the {} residual leans on {}{or}{}",
+            "provisional, {seconds:.0} s: {} residual leans on {}{or}{}",
             first.equation,
             named(first),
             others.join(", ")
@@ -213,7 +213,7 @@ mod tests {
         assert!(
             found
                 .line()
-                .starts_with("provisional, after 4 s: the torque residual leans on")
+                .starts_with("provisional, 4 s: torque residual leans on")
         );
         // Another run begins anew.
         let mut other = snapshot(&run, 50, 50);

@@ -51,7 +51,7 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
-pub use traces::{Part, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
+pub use traces::{Part, Quantity, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
 
 #[cfg(test)]
 mod event_tests;

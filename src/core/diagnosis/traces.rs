@@ -7,20 +7,47 @@
 //!
 //! Of a run that no voltage drives the torque of the motor stands beside that of the inverse model.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::evidence::{Evidence, HoldoutFrom};
+use super::location::name_of;
 use super::mechanical::{self, Balance, Sides};
 use crate::identification::balance::TorqueRows;
 use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Input, Model, Scenario};
-use crate::sample::{Channel, Run};
+use crate::plant::{Input, Model, MotorKey, Scenario};
+use crate::sample::{Channel, ParameterEstimate, Run};
+
+/// What a trace is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    Channel(Channel),
+    /// What the on-line estimators say of a parameter of the motor.
+    Estimate(MotorKey),
+}
+
+impl Quantity {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Channel(channel) => channel.name(),
+            Self::Estimate(key) => name_of(key),
+        }
+    }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Channel(channel) => channel.unit(),
+            Self::Estimate(key) => key.unit(),
+        }
+    }
+}
 
 /// One signal over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SignalTrace {
-    pub channel: Channel,
+    pub quantity: Quantity,
     /// Since the run's begin, its first command; rising.
     pub time_s: Arc<[f64]>,
     /// NaN where nothing was measured.
@@ -29,6 +56,8 @@ pub struct SignalTrace {
     pub model: Vec<f64>,
     /// Standard deviation of the sensor's noise, where it is known.
     pub noise: Option<f64>,
+    /// Standard deviation of each value, of an estimate.
+    pub std: Vec<f64>,
     /// Held from each instant to the next, as a command.
     pub is_held: bool,
 }
@@ -157,8 +186,9 @@ pub struct RecordedChannels {
 }
 
 impl RecordedChannels {
-    /// Takes in a run that the comparison may be of.
-    pub fn add(&mut self, run: &Run, begin_s: f64) {
+    /// Takes in a run that the comparison may be of, and what the on-line estimators make of it.
+    pub fn add(&mut self, run: &Run, scenario: &Scenario) {
+        let begin_s = scenario.begin_s();
         let since = |time_s: &f64| time_s - begin_s;
         let signal = |channel: &Channel| {
             let values = run.column(*channel)?;
@@ -167,15 +197,17 @@ impl RecordedChannels {
             let points: Vec<(f64, f64)> = points.filter(|point| point.1.is_finite()).collect();
             let time_s: Vec<f64> = points.iter().map(|point| point.0).collect();
             (!points.is_empty()).then(|| SignalTrace {
-                channel: *channel,
+                quantity: Quantity::Channel(*channel),
                 time_s: time_s.into(),
                 measured: points.iter().map(|point| point.1).collect(),
                 model: Vec::new(),
                 noise: None,
+                std: Vec::new(),
                 is_held: channel.is_commanded(),
             })
         };
-        let signals = Channel::ALL.iter().filter_map(signal).collect();
+        let mut signals: Vec<SignalTrace> = Channel::ALL.iter().filter_map(signal).collect();
+        signals.extend(estimates(run, scenario));
         self.runs.push((run.name.clone(), signals));
     }
 
@@ -185,7 +217,8 @@ impl RecordedChannels {
         let mut runs = self.runs.iter();
         let own = runs.find(|(name, _)| run == name || run.starts_with(&format!("{name} (")));
         let signals = own.into_iter().flat_map(|(_, signals)| signals);
-        let is_new = |signal: &&SignalTrace| known.iter().all(|own| own.channel != signal.channel);
+        let is_new =
+            |signal: &&SignalTrace| known.iter().all(|own| own.quantity != signal.quantity);
         let new: Vec<SignalTrace> = signals.filter(is_new).cloned().collect();
         new.into_iter()
     }
@@ -226,11 +259,12 @@ impl Traces {
             let (time_s, measured) = run.events.iter().copied().unzip::<_, _, Vec<_>, Vec<_>>();
             if run.input == Input::Voltage {
                 signals.push(SignalTrace {
-                    channel: run.input_channel,
+                    quantity: Quantity::Channel(run.input_channel),
                     time_s: time_s.iter().map(since).collect(),
                     measured,
                     model: Vec::new(),
                     noise: None,
+                    std: Vec::new(),
                     is_held: true,
                 });
             }
@@ -265,11 +299,12 @@ fn free_run(
     let signal = |channel, measured: &Vec<f64>, model, level: f64| {
         let is_there = measured.iter().any(|value| value.is_finite());
         is_there.then(|| SignalTrace {
-            channel,
+            quantity: Quantity::Channel(channel),
             time_s: Arc::clone(&time_s),
             measured: measured.clone(),
             model,
             noise: (is_known && level.is_finite()).then_some(level),
+            std: Vec::new(),
             is_held: false,
         })
     };
@@ -279,6 +314,55 @@ fn free_run(
         signal(Channel::Current, &run.current_a, current, noise.current_a),
     ];
     Ok(signals.into_iter().flatten().collect())
+}
+
+/// Instants at which estimates are kept.
+const ESTIMATES: usize = 400;
+
+/// What the on-line estimators say along a run that a voltage drives; gaps where they say nothing yet.
+fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
+    if scenario.input != Input::Voltage {
+        return Vec::new();
+    }
+    let command = Channel::VoltageCmd;
+    let is_measured = scenario.input_channel == Channel::Voltage && run.column(command).is_some();
+    let used = if is_measured {
+        Cow::Owned(run.without(command))
+    } else {
+        Cow::Borrowed(run)
+    };
+    let stride = used.rows().div_ceil(ESTIMATES).max(1);
+    let mut online = Online::new(OnlineConfig::default());
+    let mut times = Vec::new();
+    let mut found: Vec<Vec<ParameterEstimate>> = Vec::new();
+    for (row, sample) in used.samples().enumerate() {
+        online.push(&sample);
+        if row % stride == 0 {
+            times.push(sample.time_s - scenario.begin_s());
+            found.push(online.estimates());
+        }
+    }
+    let time_s: Arc<[f64]> = times.into();
+    let of = |key: MotorKey| {
+        let own = || {
+            let each = found.iter();
+            each.map(move |all| ParameterEstimate::find(all, key.key()))
+        };
+        let value = |own: Option<&ParameterEstimate>| own.and_then(|own| own.value);
+        let std = |own: Option<&ParameterEstimate>| own.and_then(|own| own.std);
+        let measured: Vec<f64> = own().map(|own| value(own).unwrap_or(f64::NAN)).collect();
+        let is_there = measured.iter().any(|value| value.is_finite());
+        is_there.then(|| SignalTrace {
+            quantity: Quantity::Estimate(key),
+            time_s: Arc::clone(&time_s),
+            measured,
+            model: Vec::new(),
+            noise: None,
+            std: own().map(|own| std(own).unwrap_or(f64::NAN)).collect(),
+            is_held: false,
+        })
+    };
+    MotorKey::ALL.into_iter().filter_map(of).collect()
 }
 
 const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
@@ -293,11 +377,12 @@ const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
 /// The torque of the motor beside the one that the model asks for.
 fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) -> SignalTrace {
     SignalTrace {
-        channel: Channel::Torque,
+        quantity: Quantity::Channel(Channel::Torque),
         time_s: rows.time_s.iter().map(|t| t - run.begin_s()).collect(),
         measured: rows.left.clone(),
         model: mechanical::predicted(&mechanical::with_events_of(model, rows), rows),
         noise,
+        std: Vec::new(),
         is_held: false,
     }
 }
@@ -340,7 +425,7 @@ mod tests {
         assert_eq!(parts, [Part::HoldOut, Part::FitRun]);
         for (of_right, of_wrong) in right.runs.iter().zip(&wrong.runs) {
             let (speed, missed) = (&of_right.signals[0], &of_wrong.signals[0]);
-            assert_eq!(speed.channel, Channel::Speed);
+            assert_eq!(speed.quantity, Quantity::Channel(Channel::Speed));
             assert!(
                 (rms(speed) / SPEED_NOISE_RAD_S - 1.0).abs() < 0.15,
                 "{}",
@@ -364,11 +449,12 @@ mod tests {
             .map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t))
             .collect();
         let trace = SignalTrace {
-            channel: Channel::Speed,
+            quantity: Quantity::Channel(Channel::Speed),
             measured: vec![0.0; 1000],
             model,
             time_s,
             noise: None,
+            std: Vec::new(),
             is_held: false,
         };
         let worst = trace.worst_places(100);
@@ -394,27 +480,48 @@ mod tests {
 
     #[test]
     fn what_else_was_recorded_stands_beside_under_the_time_of_its_run() {
-        let mut recorded = RecordedChannels::default();
+        let fitted = with_a_fan(0);
+        let times = fitted.sample_time_s.clone();
+        let volts = times
+            .iter()
+            .map(|time_s| fitted.input_at(*time_s))
+            .collect();
+        let bus = (0..times.len())
+            .map(|k| if k == 1 { f64::NAN } else { 48.0 })
+            .collect();
         let columns = [
-            (Channel::Speed, vec![1.0; 3], Origin::Measured),
-            (Channel::Bus, vec![48.0, f64::NAN, 47.0], Origin::Measured),
+            (Channel::VoltageCmd, volts, Origin::Unknown),
+            (Channel::Current, fitted.current_a.clone(), Origin::Measured),
+            (Channel::Speed, fitted.speed_rad_s.clone(), Origin::Measured),
+            (Channel::Bus, bus, Origin::Measured),
         ];
-        let run = testing::run_of("a", vec![10.0, 10.5, 11.0], columns);
-        recorded.add(&run, 10.0);
+        let run = testing::run_of("a", times, columns);
+        let mut recorded = RecordedChannels::default();
+        recorded.add(&run, &fitted);
         let traces = Traces::of(&with_its_fan(), &evidence(), &recorded).unwrap();
-        let channels = |run: &RunTraces| -> Vec<Channel> {
-            run.signals.iter().map(|signal| signal.channel).collect()
+        let channels = |run: &RunTraces| -> Vec<Quantity> {
+            run.signals.iter().map(|signal| signal.quantity).collect()
         };
-        let own = [Channel::Speed, Channel::Current, Channel::VoltageCmd];
+        let own = [Channel::Speed, Channel::Current, Channel::VoltageCmd].map(Quantity::Channel);
         assert_eq!(channels(&traces.runs[0]), own);
-        assert_eq!(
-            channels(&traces.runs[1]),
-            [&own[..], &[Channel::Bus]].concat()
+        let beside = &traces.runs[1].signals[3..];
+        let bus = &beside[0];
+        assert_eq!(bus.quantity, Quantity::Channel(Channel::Bus));
+        // An empty cell of a row of commands is no gap.
+        assert_eq!(bus.time_s.len(), fitted.samples() - 1);
+        let resistance = beside
+            .iter()
+            .find(|own| own.quantity == Quantity::Estimate(MotorKey::Resistance))
+            .unwrap();
+        let (value, std) = (resistance.measured.last(), resistance.std.last());
+        let (value, std) = (*value.unwrap(), *std.unwrap());
+        assert!(
+            (value - 1.1).abs() < 5.0 * std && std < 0.1,
+            "{value} {std}"
         );
-        let bus = &traces.runs[1].signals[3];
-        assert_eq!(
-            (bus.time_s.as_ref(), bus.measured.as_slice()),
-            (&[0.0, 1.0][..], &[48.0, 47.0][..])
+        assert!(
+            resistance.measured[0].is_nan(),
+            "nothing is known at the start"
         );
     }
 }

@@ -19,6 +19,8 @@ use crate::units::rpm_from_rad_s;
 
 /// Rows of a chart at least: its title and two rows of dots.
 const SMALLEST: u16 = 3;
+/// Rows above which there is room for a fourth chart.
+const WITH_INNOVATION: u16 = 16;
 /// From this width on the legend is written out.
 const WIDE: u16 = 62;
 /// The model may stretch the axis of the speed by this share of the measured span, no further.
@@ -64,10 +66,16 @@ pub(super) fn scope(
     if area.height < 2 || area.width < LABELS + 2 {
         return;
     }
+    let has_innovations = snapshot
+        .innovations
+        .iter()
+        .any(|p| p.speed_rad_s.is_finite());
     let charts: &[Chart] = match (area.height - 1) / SMALLEST {
         0 | 1 => &[Chart::Speed],
         2 => &[Chart::Current, Chart::Speed],
-        3..=5 => &[Chart::Voltage, Chart::Current, Chart::Speed],
+        _ if !has_innovations || area.height <= WITH_INNOVATION => {
+            &[Chart::Voltage, Chart::Current, Chart::Speed]
+        }
         _ => &[
             Chart::Voltage,
             Chart::Current,
@@ -152,7 +160,7 @@ fn draw(
     };
     value_axis(low, high, plot_area, buffer);
     let line = |points: Vec<(f64, f64)>, stroke, style| Trace {
-        longest_s: longest_step_s(points.iter().map(|point| point.0)),
+        longest_s: longest_step_s(points.len(), |k| points[k].0),
         points,
         stroke,
         style,

@@ -316,7 +316,7 @@ fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
     let run = leaning(running());
     let shown = text(&run, 80, 24);
     assert!(
-        shown.contains("provisional, after 8 s: the torque residual leans on"),
+        shown.contains("provisional, 8 s: torque residual leans on"),
         "{shown}"
     );
     let shown = text(&finished(leaning(done())), 80, 24);

@@ -239,15 +239,21 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         _ => 4,
     };
     // What is provisional while the run goes on is no result when it is over.
-    let leans = !model.is_finished() && model.leaning.seconds > 0.0;
-    let lean_rows = u16::from(leans && area.height >= WITH_LEANING);
+    let goes_on = !model.is_finished();
+    let lean_rows = u16::from(goes_on && area.height >= WITH_LEANING);
     let [body, lean, bottom] = Layout::vertical([
         Constraint::Fill(1),
         Constraint::Length(lean_rows),
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    Line::styled(format!(" {}", model.leaning.line()), theme::CAREFUL).render(lean, buffer);
+    if model.leaning.seconds > 0.0 {
+        let text = cut(
+            &model.leaning.line(),
+            usize::from(lean.width).saturating_sub(1),
+        );
+        Line::styled(format!(" {text}"), theme::CAREFUL).render(lean, buffer);
+    }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
         scope(snapshot, model.window_s(), frozen, body, buffer);

@@ -105,7 +105,7 @@ impl TracesPage {
     fn signal_before(&self, signal: &SignalTrace) -> Option<&SignalTrace> {
         let run = self.before.as_ref()?.runs.get(self.run)?;
         let mut signals = run.signals.iter();
-        let same = |own: &&SignalTrace| own.channel == signal.channel && own.has_model();
+        let same = |own: &&SignalTrace| own.quantity == signal.quantity && own.has_model();
         signals.find(same)
     }
 

@@ -5,6 +5,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::{FRAMES, Shows, TracesPage, view};
+use crate::diagnosis::Quantity;
 use crate::sample::Channel;
 use crate::tui::keys::Press;
 use crate::tui::testing::{self, fan_traces};
@@ -114,8 +115,8 @@ fn signals_are_chosen_freely_and_another_run_has_its_own() {
     );
     page.press(Press::Signals);
     let place = page.panels().iter().position(|(place, shows)| {
-        let channel = page.run().unwrap().signals[*place].channel;
-        channel == Channel::VoltageCmd && *shows == Shows::Both
+        let quantity = page.run().unwrap().signals[*place].quantity;
+        quantity == Quantity::Channel(Channel::VoltageCmd) && *shows == Shows::Both
     });
     page.press(Press::Move(i32::try_from(place.unwrap()).unwrap()));
     page.press(Press::Open);

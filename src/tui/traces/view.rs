@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Clear, Paragraph, Widget};
 
 use super::{Panel, Shows, TracesPage, first_panels};
-use crate::diagnosis::{RunTraces, SignalTrace};
+use crate::diagnosis::{Quantity, RunTraces, SignalTrace};
 use crate::sample::Channel;
 use crate::text::lines::cut;
 use crate::text::number::{MISSING, significant};
@@ -172,11 +172,12 @@ fn reading(value: f64) -> String {
     }
 }
 
-const fn style_of(channel: Channel) -> Style {
-    match channel {
-        Channel::Current | Channel::Torque => theme::CURRENT,
-        Channel::Speed | Channel::Reference | Channel::Angle => theme::SPEED,
-        _ => theme::VOLTAGE,
+const fn style_of(quantity: Quantity) -> Style {
+    match quantity {
+        Quantity::Channel(Channel::Current | Channel::Torque) => theme::CURRENT,
+        Quantity::Channel(Channel::Speed | Channel::Reference | Channel::Angle) => theme::SPEED,
+        Quantity::Channel(_) => theme::VOLTAGE,
+        Quantity::Estimate(_) => theme::PLAIN,
     }
 }
 
@@ -214,7 +215,7 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
     let longest_s = if signal.is_held {
         f64::INFINITY
     } else {
-        longest_step_s(signal.time_s.iter().copied())
+        longest_step_s(signal.time_s.len(), |k| signal.time_s[k])
     };
     let line = |points, stroke, style| Trace {
         points,
@@ -232,6 +233,12 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
     if page.is_moving() {
         model.retain(|point| point.0 <= border_s);
     }
+    let edge = |sigmas: f64| {
+        let pairs = signal.measured.iter().zip(&signal.std);
+        let mut edge = pairs.map(|(value, std)| value + sigmas * std);
+        seen(signal, &mut edge, window_s)
+    };
+    let edges = [edge(-BAND_SIGMAS), edge(BAND_SIGMAS)];
     let values = [&measured, &model, &before].map(|points| range(points.iter().map(|p| p.1)));
     let (low, high) = values
         .into_iter()
@@ -240,8 +247,8 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
         .unwrap_or((0.0, 1.0));
     let (low, high) = round(low, high);
 
-    let style = style_of(signal.channel);
-    let head = format!(" {}, {}", signal.channel.name(), signal.channel.unit());
+    let style = style_of(signal.quantity);
+    let head = format!(" {}, {}", signal.quantity.name(), signal.quantity.unit());
     let mut title = Line::from(Span::styled(head, theme::BOLD));
     let cursor = |values: &[f64]| {
         page.cursor_s.map_or_else(String::new, |at_s| {
@@ -254,12 +261,16 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
         let text = format!("  {} {name}{}", stroke.sample(), cursor(values));
         title.push_span(Span::styled(text, style));
     };
-    let measured_word = if signal.channel.is_commanded() {
-        word("commanded", "cmd")
-    } else {
-        word("measured", "meas")
+    let measured_word = match signal.quantity {
+        Quantity::Channel(channel) if channel.is_commanded() => word("commanded", "cmd"),
+        Quantity::Channel(_) => word("measured", "meas"),
+        Quantity::Estimate(_) => word("estimated on line", "est"),
     };
     legend(Stroke::Solid, measured_word, &signal.measured, style);
+    if !signal.std.is_empty() {
+        let half: Vec<f64> = signal.std.iter().map(|std| BAND_SIGMAS * std).collect();
+        legend(Stroke::Dotted, "± 2 std", &half, theme::DIM);
+    }
     if signal.has_model() {
         legend(Stroke::Dashed, "model", &signal.model, theme::MODEL);
         if let Some(before) = page.signal_before(signal) {
@@ -278,7 +289,10 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
         high,
     };
     marks(page, run, bounds, inner, buffer);
+    let [below, above] = edges;
     let traces = [
+        line(below, Stroke::Dotted, theme::DIM),
+        line(above, Stroke::Dotted, theme::DIM),
         line(before, Stroke::Dotted, theme::DIM),
         line(measured, Stroke::Solid, style),
         line(model, Stroke::Dashed, theme::MODEL),
@@ -304,7 +318,7 @@ fn residual(
         let old = seen(before, &mut before.residual(), window_s);
         points.extend(old.into_iter().filter(|point| point.0 > border_s));
     }
-    let longest_s = longest_step_s(signal.time_s.iter().copied());
+    let longest_s = longest_step_s(signal.time_s.len(), |k| signal.time_s[k]);
     let band = signal.noise.map_or(0.0, |noise| BAND_SIGMAS * noise);
     let (least, most) = range(points.iter().map(|point| point.1)).unwrap_or((-1.0, 1.0));
     // Of both models, so that the axis stands still while a change is drawn.
@@ -317,12 +331,12 @@ fn residual(
     let known = points.iter().map(|point| point.1).filter(|r| r.is_finite());
     let (squares, count) = known.fold((0.0, 0.0), |(sum, n), r| (sum + r * r, n + 1.0));
     let rms = f64::sqrt(squares / count);
-    let unit = signal.channel.unit();
+    let unit = signal.quantity.unit();
     let is_wide = area.width >= WIDE;
     let head = if is_wide {
-        format!(" {}: measured - model, {unit}", signal.channel.name())
+        format!(" {}: measured - model, {unit}", signal.quantity.name())
     } else {
-        format!(" {} residual, {unit}", signal.channel.name())
+        format!(" {} residual, {unit}", signal.quantity.name())
     };
     let mut title = Line::from(Span::styled(head, theme::BOLD));
     if let Some(at_s) = page.cursor_s {
@@ -380,9 +394,15 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
     let all = page.panels();
     let shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
     let name = |(place, shows): &Panel| {
-        let name = run.signals.get(*place).map_or("", |own| own.channel.name());
+        let name = run
+            .signals
+            .get(*place)
+            .map_or("", |own| own.quantity.name());
         match shows {
-            Shows::Both => name.to_owned(),
+            Shows::Both => match run.signals.get(*place).map(|own| own.quantity) {
+                Some(Quantity::Estimate(_)) => format!("estimate: {name}"),
+                _ => name.to_owned(),
+            },
             Shows::Residual => format!("{name}: residual"),
         }
     };

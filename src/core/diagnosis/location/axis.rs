@@ -613,7 +613,7 @@ pub(super) fn name_of_variable(variable: &str) -> Option<&'static str> {
     Some(name_and_unit(variable).0).filter(|name| !name.is_empty())
 }
 
-pub(super) const fn name_of(key: MotorKey) -> &'static str {
+pub(in crate::diagnosis) const fn name_of(key: MotorKey) -> &'static str {
     match key {
         MotorKey::Resistance => "resistance",
         MotorKey::Inductance => "inductance",

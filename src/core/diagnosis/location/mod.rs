@@ -29,7 +29,8 @@ pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
 pub use self::leaning::{Leaning, lean};
 
-use self::axis::{figure, name_of, name_of_variable};
+pub(super) use self::axis::name_of;
+use self::axis::{figure, name_of_variable};
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
