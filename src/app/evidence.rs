@@ -65,17 +65,25 @@ pub(crate) struct ChosenModel {
     pub(crate) from: String,
 }
 
+/// What asks for the baseline where the run folder has a model, unless a file is called so.
+const BASELINE: &str = "baseline";
+
 /// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
 pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel, Failure> {
+    let is_asked = path.is_some_and(|path| path == Path::new(BASELINE) && !path.exists());
     let in_folder = run.folder.as_ref().map(|folder| folder.join("model.toml"));
     let in_folder = in_folder.filter(|file| file.exists());
-    let Some(path) = path.map(Path::to_owned).or(in_folder) else {
-        output::message("no model given: the five-parameter baseline is fitted to the run first");
+    let path = path.map(Path::to_owned).or(in_folder);
+    let Some(path) = path.filter(|_| !is_asked) else {
+        let given = if is_asked { "" } else { "no model given: " };
+        output::message(&format!(
+            "{given}the five-parameter baseline is fitted to the run first"
+        ));
         let file = ModelFile {
             model: Model::baseline(Motor::new("fitted")),
             ..ModelFile::default()
         };
-        let from = "baseline".to_owned();
+        let from = BASELINE.to_owned();
         return Ok(ChosenModel { file, from });
     };
     Ok(ChosenModel {
@@ -137,7 +145,7 @@ pub(crate) fn prepare(
     let mut run = load(files.run, false)?;
     let mut model = model(files.model, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
-    let judging = if model.from == "baseline" {
+    let judging = if model.from == BASELINE {
         Judging::FitsFirst
     } else {
         judging

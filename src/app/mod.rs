@@ -11,17 +11,20 @@
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`: the order of work of each
 //!   command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
+//! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders.
+//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
 mod controls;
 mod ending;
 pub(crate) mod evidence;
+pub(crate) mod export;
 pub(crate) mod failure;
 pub(crate) mod files;
 pub(crate) mod forecast;
+pub(crate) mod guided;
 pub(crate) mod identify;
 pub(crate) mod opening;
 pub(crate) mod output;
@@ -34,6 +37,7 @@ pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;
 pub(crate) mod survey;
+pub(crate) mod tune;
 
 pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};

@@ -10,7 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::Plan;
-use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, compare};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -103,6 +103,22 @@ impl<'a> FreeRuns<'a> {
         })
     }
 
+    /// The curve of each effect that was found, on the run that is shown; where none was found, that of the error.
+    fn curves(&self, found: &Diagnosis) -> Result<Vec<EffectCurve>, Failure> {
+        let Some(run) = self.scenario else {
+            return Ok(Vec::new());
+        };
+        let found_ones: Vec<Option<&str>> = match found.effects.as_slice() {
+            [] => vec![None],
+            effects => effects.iter().map(|id| Some(id.as_ref())).collect(),
+        };
+        let mut curves = Vec::new();
+        for id in found_ones {
+            curves.extend(found.curve_of(id, run, &self.noise)?);
+        }
+        Ok(curves)
+    }
+
     fn series(&self) -> Option<ConfirmRun<'_>> {
         Some(ConfirmRun {
             scenario: self.scenario?,
@@ -145,6 +161,7 @@ pub(crate) fn commission(
         ladder: &result.ladder,
         confirm: Some(&result.confirmed),
         series: free_runs.series(),
+        curves: &free_runs.curves(diagnosis)?,
         truth: &truth,
     };
     let (html, text) = (report.html(), report.text());
@@ -194,6 +211,7 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String
         ladder: &found.ladder,
         confirm: confirm.as_ref(),
         series: free_runs.series(),
+        curves: &free_runs.curves(found)?,
         truth: &[],
     };
     Ok(report.html())
@@ -252,6 +270,8 @@ fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
             Some(false) => Target::Hardware,
             None => Target::Unknown,
         },
+        date: date(&manifest.stamp),
+        motor: motor(manifest),
         run_folders: folders.collect(),
         identity: table(&manifest.identity),
         plan: Facts::new(),
@@ -260,6 +280,25 @@ fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
         versions: vec![fact("drivebench", manifest.program_version.clone())],
         ..Context::default()
     }
+}
+
+/// A folder's stamp as people write it; one that is none as it stands.
+fn date(stamp: &str) -> String {
+    let parsed = jiff::civil::DateTime::strptime("%Y%m%dT%H%M%SZ", stamp);
+    parsed.map_or_else(
+        |_| stamp.to_owned(),
+        |date| date.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+    )
+}
+
+/// What the bench file of a run calls its motor.
+fn motor(manifest: &Manifest) -> String {
+    let bench = manifest.configs.get("bench");
+    let bench = bench.and_then(|text| text.parse::<toml::Table>().ok());
+    let name = bench
+        .as_ref()
+        .and_then(|bench| bench.get("motor")?.get("name")?.as_str());
+    name.unwrap_or_default().to_owned()
 }
 
 fn plan_facts(plan: &Plan) -> Facts {

@@ -3,6 +3,7 @@
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -13,7 +14,7 @@ use super::files::Recorded;
 use super::files::model_file;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
-use crate::bench::{CheckReport, Plan, RunSummary, burst_part};
+use crate::bench::{CheckReport, Plan, RunSummary, Snapshot, burst_part};
 use crate::drive::offer::Purpose;
 use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
@@ -21,8 +22,8 @@ use crate::plant::{FileHistory, FittedValue, Model, ModelFile, Motor, MotorKey, 
 use crate::recording::RunFile;
 use crate::sample::Verdict;
 use crate::workflow::{
-    Commission, CommissionResult, Discovery, Escalate, EscalationResult, Progress, Role, RunRecord,
-    Task, compared, scaled_sentence,
+    Called, Commission, CommissionResult, Discovery, Escalate, EscalationResult, Progress, Role,
+    RunRecord, Task, compared, scaled_sentence,
 };
 
 /// An end between two runs.
@@ -251,17 +252,22 @@ fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
 pub struct CommissionDone {
     pub result: CommissionResult,
     pub text: String,
+    /// As the screen has it at the end: the steps that can follow among it.
+    pub progress: Progress,
+    /// What the screen saw last of the bench.
+    pub last: Arc<Snapshot>,
     pub discovery: Option<Discovery>,
     /// Why the record of a run could not be kept, where that is so.
     pub unkept: Option<Failure>,
 }
 
-/// Carries the loop's tasks out until it is finished.
+/// Carries the loop's tasks out until it is finished; `called` is for the commands of its steps.
 ///
 /// # Errors
 /// What stood in the way; a trip, a lost drive or an interruption of a run among it.
 pub fn commission(
     options: RigOptions,
+    called: Called,
     open: OpenRig,
     controls: &Controls,
     mut publish: impl FnMut(&Progress),
@@ -272,7 +278,7 @@ pub fn commission(
         hidden.map(|effect| effect.id().to_owned()).collect()
     });
     let (plate, bench) = (Model::baseline(rig.plate.clone()), rig.bench.clone());
-    let mut workflow = Commission::new(plate, rig.escalates, bench, truth);
+    let mut workflow = Commission::new(plate, rig.escalates, bench, truth, called);
     let mut records: Vec<Recorded> = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
@@ -314,6 +320,8 @@ pub fn commission(
     Ok(CommissionDone {
         result,
         text,
+        progress,
+        last: controls.snapshots.latest(),
         discovery: workflow.discovery().cloned(),
         unkept: records.iter().find_map(Recorded::record_failure),
     })

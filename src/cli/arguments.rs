@@ -11,7 +11,7 @@ use super::output;
 use crate::app::evidence::{EvidenceFiles, Judging, Prepared, prepare};
 use crate::app::files::{load, read_text};
 use crate::app::{Audience, MYSTERY, RigOptions, Tap};
-use crate::bench::{BenchFile, Port, Waivers};
+use crate::bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
 use crate::drive::{Framing, RawClient, RawSettings, Target, standard_gap_s};
 use crate::identification::sanity;
 use crate::recording::{ColumnMap, LoadedRun};
@@ -302,7 +302,7 @@ pub(super) struct LiveArguments {
     pub(super) bench: Option<PathBuf>,
     /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time) or emulator; overrides the bench file
     #[arg(long, value_name = "PORT")]
-    port: Option<String>,
+    pub(super) port: Option<String>,
     /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
     /// only, which it does not choose
     #[arg(long, value_name = "EMULATOR")]
@@ -369,6 +369,14 @@ impl LiveArguments {
             reopen_s: self.reopen_s,
             tap: self.tap.clone(),
             mystery: self.mystery.is_some(),
+        })
+    }
+
+    /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.
+    pub(super) fn source(&self) -> Result<(String, String), Failure> {
+        Ok(match &self.bench {
+            Some(path) => (path.display().to_string(), read_text(path)?),
+            None => (EMBEDDED_NAME.to_owned(), String::new()),
         })
     }
 

@@ -11,6 +11,7 @@ mod diagnose;
 mod doctor;
 mod effects;
 mod emulate;
+mod export;
 mod identify;
 mod init;
 mod plan;
@@ -73,6 +74,7 @@ enum Command {
     Remove(add::Arguments),
     Effects(effects::Arguments),
     Tune(tune::Arguments),
+    Export(export::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
 }
@@ -118,6 +120,7 @@ pub fn main() -> ExitCode {
         Command::Remove(arguments) => add::execute_remove(&arguments),
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Tune(arguments) => tune::execute(&arguments),
+        Command::Export(arguments) => export::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),
     };

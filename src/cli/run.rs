@@ -10,17 +10,16 @@ use super::diagnose::parameter_text;
 use super::failure::Failure;
 use super::output::{self, lines};
 use super::progress;
-use crate::app::by_hand::{self, Shown};
-use crate::app::files::read_text;
+use crate::app::guided;
 use crate::app::{
-    Left, Recorded, Rig, RunDone, SpeedRequest, SpeedResult, commission, conduct,
-    escalation_failure, run, run_result, speed, speed_result,
+    Recorded, Rig, RunDone, SpeedRequest, SpeedResult, commission, conduct, escalation_failure,
+    run, run_result, speed, speed_result,
 };
-use crate::bench::{ControllerKind, EMBEDDED_NAME, ForwardUse, RunSummary};
+use crate::bench::{ControllerKind, ForwardUse, RunSummary};
 use crate::control::Actuator;
-use crate::plant::FileHistory;
-use crate::tui::{Exit, Opens};
-use crate::workflow::{CommissionResult, EscalationResult, Progress, ProgressCell, StepState};
+use crate::workflow::{
+    Called, CommissionResult, EscalationResult, Progress, ProgressCell, StepState,
+};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]
@@ -107,12 +106,16 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     let live = arguments.live;
     let json = live.json;
     let options = live.options(arguments.unknown.escalate)?;
+    let source = live.source()?;
+    let file = live.bench.as_ref().map(|_| source.0.as_str());
+    let called = Called::new(&options.bench, file, live.port.as_deref());
     let cell = ProgressCell::default();
     let shown = live.is_headless().then(|| progress::begin("commission"));
     let mut told = shown.is_some().then(StepLog::default);
     let audience = live.audience(Some(cell.clone()));
+    let asked = options.clone();
     let done = conduct(audience, move |strings| {
-        commission(options, Box::new(Rig::open), strings, |latest| {
+        commission(asked, called, Box::new(Rig::open), strings, |latest| {
             cell.publish(latest.clone());
             if let Some(told) = &mut told {
                 told.tell(latest);
@@ -120,29 +123,12 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
         })
     })?;
     drop(shown);
-    let (done, left) = (done.work, done.left);
-    let sees = matches!(left, Left::Screen(Exit::Traces));
-    let by_hand = sees || matches!(left, Left::Screen(Exit::Diagnosis));
-    if let Some(discovery) = done.discovery.filter(|_| by_hand) {
-        let first = done.result.runs.first();
-        let shown = Shown {
-            title: "the runs of this commissioning".to_owned(),
-            guess_first: false,
-            opens: if sees { Opens::Traces } else { Opens::Search },
-            fitted_on: first.and_then(|run| run.folder.clone()).unwrap_or_default(),
-            history: FileHistory::default(),
-            output: None,
-        };
-        let seen = by_hand::show(discovery, shown);
-        // However it was left: the result of the loop is there all the same.
-        finish(json, &done.result, &done.text)?;
-        if seen?.is_interrupted() {
-            return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-        }
-        return done.unkept.map_or(Ok(()), Err);
-    }
-    finish(json, &done.result, &done.text)?;
-    left.conclude(done.unkept)
+    let followed = guided::follow(done.work, done.left, &options, &source);
+    // However it was left: the result of the loop is there all the same.
+    let mut text = followed.done.text;
+    lines(&mut text, "", &followed.said);
+    finish(json, &followed.done.result, &text)?;
+    followed.outcome
 }
 
 fn finish(json: bool, result: &CommissionResult, text: &str) -> Result<(), Failure> {
@@ -165,12 +151,12 @@ impl StepLog {
             if now == self.lines[index] {
                 continue;
             }
-            let head = format!("[{:>2}/{total}] {}", index + 1, step.title);
+            let head = format!("[{:>2}/{total}] {}", index + 1, step.step.title());
             match step.state {
-                StepState::Waiting => {}
+                StepState::Waiting | StepState::Offered => {}
                 StepState::Active => {
                     output::message(&format!("{head} ..."));
-                    progress::stage(&step.title, 0);
+                    progress::stage(step.step.title(), 0);
                 }
                 StepState::Done => output::message(&format!("{head}: {}", step.line)),
                 StepState::Failed => output::message(&format!("{head} failed")),
@@ -235,10 +221,7 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
         ));
     }
     let json = arguments.live.json;
-    let source = match &arguments.live.bench {
-        Some(path) => (path.display().to_string(), read_text(path)?),
-        None => (EMBEDDED_NAME.to_owned(), String::new()),
-    };
+    let source = arguments.live.source()?;
     let request = SpeedRequest {
         rig: arguments.live.options(false)?,
         source,

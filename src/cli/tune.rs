@@ -1,23 +1,13 @@
 //! `tune`: from a model and the link's timing to the gains of a speed regulator, with reasons, before the motor moves.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use serde::Serialize;
-
 use super::failure::Failure;
-use super::output::{self, lines};
+use super::output;
 use crate::app::files::read_model;
-use crate::control::tuning::{Request, Rule, Tuning, tune};
-use crate::control::{LinearPlant, LoopShape, LoopTiming, Margins, Schedule, StepPoint};
-use crate::plant::{Model, ModelError, ModelFile, MotorKey};
-
-/// Standard deviations of the inertia at whose ends the loop is looked at.
-const DOUBT: f64 = 2.0;
-/// Lines of the predicted step response.
-const LINES: usize = 16;
-/// Width of the bars behind them.
-const BAR: f64 = 40.0;
+use crate::app::tune::TuneResult;
+use crate::control::LoopTiming;
+use crate::control::tuning::{Request, Rule};
 
 /// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
 #[derive(clap::Args)]
@@ -69,41 +59,15 @@ impl From<RuleName> for Rule {
     }
 }
 
-/// The same gains on a motor whose inertia is at an end of its interval.
-#[derive(Serialize)]
-struct Corner {
-    inertia_kg_m2: f64,
-    margins: Margins,
-}
-
-#[derive(Serialize)]
-struct TuneResult<'a> {
-    #[serde(flatten)]
-    tuning: &'a Tuning,
-    step: &'a [StepPoint],
-    /// At the ends of the inertia's interval, where the model file gives its standard deviation.
-    corners: Vec<Corner>,
-    /// Inertia over the model's between which gains can follow it on line.
-    adaptation_range: (f64, f64),
-}
-
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let file = read_model(&arguments.model)?;
-    let plant = LinearPlant::voltage(&file.model, viscous_n_m_s_per_rad(&file.model)?)?;
     let timing = timing(arguments)?;
     let request = Request {
         rule: arguments.rule.into(),
         bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
     };
-    let tuning = tune(&plant, &timing, &request)?;
-    let corners = corners(&file, &plant, &tuning);
-    let result = TuneResult {
-        step: &tuning.step,
-        corners,
-        adaptation_range: Schedule::new(&plant, &timing, &request)?.range(),
-        tuning: &tuning,
-    };
-    output::result(&result, arguments.json, text)
+    let result = TuneResult::of(&file, &timing, &request)?;
+    output::result(&result, arguments.json, TuneResult::text)
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
@@ -125,118 +89,4 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
         delay_s: arguments.delay_cycles * period_s,
         filter_s: 1e-3 * arguments.filter_ms,
     })
-}
-
-/// Slope of the friction as the model has it.
-fn viscous_n_m_s_per_rad(model: &Model) -> Result<f64, ModelError> {
-    let mut effects = model.effects.iter();
-    let Some(viscous) = effects.find(|active| active.id() == "viscous_friction") else {
-        return Ok(0.0);
-    };
-    viscous.values[0].ok_or_else(|| ModelError::Unset {
-        key: format!("{}.{}", viscous.id(), viscous.effect.parameters()[0].key),
-    })
-}
-
-fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner> {
-    let key = MotorKey::Inertia.key();
-    let std = file.history.fitted.iter().find(|fitted| fitted.key == key);
-    let (Some(std), Some(inertia)) = (std, file.model.motor.get(MotorKey::Inertia)) else {
-        return Vec::new();
-    };
-    let ends = [-DOUBT, DOUBT].map(|doubt| inertia + doubt * std.std);
-    let corners = ends.into_iter().filter(|value| *value > 0.0).map(|value| {
-        let plant = plant.with_inertia_ratio(value / inertia);
-        Corner {
-            inertia_kg_m2: value,
-            margins: LoopShape::new(&plant, &tuning.timing, &tuning.gains).margins(),
-        }
-    });
-    corners.collect()
-}
-
-fn text(result: &TuneResult<'_>) -> String {
-    let Tuning {
-        rule,
-        gains,
-        margins,
-        response,
-        reasons,
-        ..
-    } = result.tuning;
-    let (rule, kp, tn_s) = (rule.name(), gains.proportional, gains.integral_time_s);
-    let mut text = format!("{rule}: Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
-    if gains.reference_filter_s > 0.0 {
-        let _ = write!(text, ", reference filter {:.4} s", gains.reference_filter_s);
-    }
-    text.push('\n');
-    lines(&mut text, "why        ", reasons);
-    let _ = writeln!(text, "margins    {}", margins_text(margins));
-    for corner in &result.corners {
-        let (inertia, margins) = (corner.inertia_kg_m2, margins_text(&corner.margins));
-        let _ = writeln!(text, "           at {inertia:.5} kg.m2: {margins}");
-    }
-    let (low, high) = result.adaptation_range;
-    let _ = writeln!(
-        text,
-        "adaptation gains can follow an inertia of {low:.2} to {high:.1} times the model's"
-    );
-    let settling = match response.settling_s {
-        None => "does not settle".to_owned(),
-        Some(s) => format!("settles within 5 % in {s:.3} s"),
-    };
-    let overshoot = response.overshoot_percent;
-    let _ = writeln!(
-        text,
-        "step       overshoot {overshoot:.1} %, {settling}; linear, no limit is met"
-    );
-    let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
-    let shown = result.step.partition_point(|point| point.time_s <= shown_s);
-    let last = shown.max(2);
-    for n in 0..LINES {
-        let point = &result.step[n * (last - 1) / (LINES - 1)];
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "a length between 0 and 80"
-        )]
-        let bar = (BAR * point.speed.clamp(0.0, 2.0)) as usize;
-        let (time_s, speed, bar) = (point.time_s, point.speed, "#".repeat(bar));
-        let _ = writeln!(text, "{time_s:>8.3} s {speed:>6.3} {bar}");
-    }
-    text
-}
-
-fn margins_text(margins: &Margins) -> String {
-    let bandwidth_rad_s = margins.bandwidth_rad_s;
-    let bandwidth = if bandwidth_rad_s.is_finite() {
-        let hertz = bandwidth_rad_s / std::f64::consts::TAU;
-        format!("bandwidth {bandwidth_rad_s:.2} rad/s ({hertz:.2} Hz)")
-    } else {
-        "no bandwidth (it never falls by 3 dB)".to_owned()
-    };
-    format!(
-        "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, {bandwidth}, radius {:.4}",
-        margins.phase_margin_deg, margins.gain_margin, margins.crossover_rad_s, margins.radius
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plant::Motor;
-
-    #[test]
-    fn a_friction_without_a_value_is_none_to_tune_for() {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(0.0));
-        model = model.with_effect("viscous_friction").unwrap();
-        let key = "viscous_friction.viscous_n_m_s_per_rad".to_owned();
-        assert_eq!(
-            viscous_n_m_s_per_rad(&model),
-            Err(ModelError::Unset { key })
-        );
-        model.effects[0].values[0] = Some(2e-4);
-        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(2e-4));
-    }
 }

@@ -1,9 +1,9 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
 use super::page::{Page, Table, Tone};
-use super::plot::{Panel, Style, TIME, bars, stacked};
+use super::plot::{MOST_POINTS, Panel, Style, TIME, bars, stacked};
 use super::{Context, Target, comparison, findings, tables};
-use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Rung};
+use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, EffectCurve, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
 use crate::sample::ParameterEstimate;
@@ -45,6 +45,8 @@ pub struct CommissionReport<'a> {
     /// Errors before and after on the run that neither fitted nor selected: the headline.
     pub confirm: Option<&'a [Rung; 2]>,
     pub series: Option<ConfirmRun<'a>>,
+    /// The curve of each effect that was found; without one, that of the error.
+    pub curves: &'a [EffectCurve],
     /// What the emulator really had, as sentences. Left out for hardware whatever is given.
     pub truth: &'a [String],
 }
@@ -63,6 +65,7 @@ impl CommissionReport<'_> {
     /// The page itself, for callers that have more to add.
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
+        tables::about(&mut page, self.context);
         let sufficient = self.diagnosis.sufficient;
         let (tone, word) = match self.diagnosis.verdict {
             DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
@@ -87,7 +90,7 @@ impl CommissionReport<'_> {
             (&[][..], self.parameters_before)
         };
         tables::parameter_section(&mut page, self.nameplate, before, after);
-        findings::effects(&mut page, self.diagnosis);
+        findings::effects(&mut page, self.diagnosis, self.curves);
         self.comparison_section(&mut page);
         comparison::places(&mut page, &self.comparisons());
         findings::curves(&mut page, self.diagnosis);
@@ -203,9 +206,9 @@ impl CommissionReport<'_> {
         page.section("Model beside measurement");
         if let Some(run) = self.series {
             page.figure(
-                stacked("measured and simulated current and speed over time", TIME, &panels(run)),
+                stacked("measured and simulated current and speed over time", TIME, &panels(run), MOST_POINTS),
                 format!(
-                    "Free run of the model over {:?} from its {} alone. A line is broken where samples are missing.",
+                    "Free run of the model over {:?} from its {} alone; time counts from the start of that run. A line is broken where samples are missing.",
                     run.scenario.name,
                     input_name(run.scenario.input).0,
                 ),
@@ -242,24 +245,32 @@ const fn input_name(input: Input) -> (&'static str, &'static str) {
 /// Input, both signals and both residuals over one time axis.
 fn panels(run: ConfirmRun<'_>) -> [Panel; 5] {
     let (scenario, noise) = (run.scenario, run.noise);
-    let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
+    let start_s = scenario.begin_s();
+    let since = |time: f64| time - start_s;
+    let events: Vec<_> = (scenario.events.iter())
+        .map(|(time, value)| (since(*time), *value))
+        .collect();
+    let time_s: Vec<f64> = scenario.sample_time_s.iter().copied().map(since).collect();
+    let end_s = time_s.last().copied().unwrap_or(0.0);
     let (name, unit) = input_name(scenario.input);
     let input = Panel::new(name, unit).with_height(90.0);
     let r_min = |panel: Panel| panel.with_second_unit("r/min", rpm_from_rad_s(1.0));
     let [current, current_left] = signal_panels(
         run,
+        &time_s,
         ("current", "A", noise.current_a),
         &scenario.current_a,
         |t| &t.current_a,
     );
     let [speed, speed_left] = signal_panels(
         run,
+        &time_s,
         ("speed", "rad/s", noise.speed_rad_s),
         &scenario.speed_rad_s,
         |t| &t.speed_rad_s,
     );
     [
-        input.held("command", &scenario.events, end_s),
+        input.held("command", &events, end_s),
         current,
         r_min(speed),
         current_left,
@@ -270,13 +281,13 @@ fn panels(run: ConfirmRun<'_>) -> [Panel; 5] {
 /// A signal (name, unit, noise) with its models, and what they leave over.
 fn signal_panels(
     run: ConfirmRun<'_>,
+    time_s: &[f64],
     (name, unit, noise): (&str, &str, f64),
     measured: &[f64],
     simulated: fn(&Trajectory) -> &Vec<f64>,
 ) -> [Panel; 2] {
-    let time_s = &run.scenario.sample_time_s;
     let mut signal = Panel::new(name, unit).sampled("measured", Style::Measured, time_s, measured);
-    let mut residual = Panel::new(format!("{name}, simulated - measured"), unit).with_height(110.0);
+    let mut residual = Panel::new(format!("{name}, measured - model"), unit).with_height(110.0);
     // A signal that was not measured has nothing to be compared with.
     let seen = measured.iter().any(|value| value.is_finite());
     let [before, after] = model_names(run.after.is_some());
@@ -296,7 +307,7 @@ fn signal_panels(
         let values = simulated(trajectory);
         signal = signal.sampled(label, style, time_s, values);
         let both = values.iter().zip(measured);
-        let error: Vec<f64> = both.map(|(model, truth)| model - truth).collect();
+        let error: Vec<f64> = both.map(|(model, measured)| measured - model).collect();
         residual = residual.sampled(label, style, time_s, &error);
     }
     if run.noise.source != FloorSource::None {

@@ -36,6 +36,7 @@ impl ComparisonReport<'_> {
     pub fn page(&self) -> Page {
         let found = self.comparison;
         let mut page = Page::new(self.title, "Comparison of a model with a run");
+        tables::about(&mut page, self.context);
         let from = match found.holdout_from {
             HoldoutFrom::Run if self.holdout_objected => {
                 "the run that was named to judge by, against which something speaks (see below),"

@@ -1,8 +1,8 @@
 //! Findings of a diagnosis as blocks of a page: cards, curves, candidates, the next run.
 
 use super::page::{Cell, Page, Table};
-use super::plot::AxisChart;
-use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Reached, Status};
+use super::plot::{AxisChart, PointSet, Style};
+use crate::diagnosis::{AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, Reached, Status};
 use crate::plant::effect;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::capitalised;
@@ -11,11 +11,15 @@ use crate::text::number::{fixed, probability, share, significant};
 /// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;
 
-/// Card of each effect that was named, and what it cannot be told from.
-pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
+/// Card and curve of each effect that was named, and what it cannot be told from; where none was, the curve of the error.
+pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis, curves: &[EffectCurve]) {
     let named = diagnosis.effects.iter();
     let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
+        if let Some(curve) = curves.first() {
+            page.section("What the equations lack");
+            effect_curve(page, curve);
+        }
         return;
     }
     page.section("What was found");
@@ -32,6 +36,10 @@ pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
             format!("Looks like: {}.", card.looks_like),
             format!("Remedy: {}.", card.remedy),
         ]);
+        let mut own = curves.iter();
+        if let Some(curve) = own.find(|curve| curve.effect == Some(card.id)) {
+            effect_curve(page, curve);
+        }
     }
     let mut rivals: Vec<String> = diagnosis
         .confusable
@@ -41,6 +49,42 @@ pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
     let never = diagnosis.equivalences.iter();
     rivals.extend(never.map(|sentence| format!("{}.", capitalised(sentence))));
     page.list(rivals);
+}
+
+/// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
+fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+    let axis = curve.axis_label();
+    let of = |label, style, points: &[CurvePoint]| PointSet {
+        label,
+        style,
+        points: points.iter().map(|p| (p.at, p.mean, p.std)).collect(),
+        is_joined: false,
+    };
+    let (label, line) = match curve.effect {
+        Some(effect) => (format!("{effect} at its size"), curve.line.as_slice()),
+        None => (String::new(), &[][..]),
+    };
+    let chart = AxisChart {
+        title: curve.title(),
+        axis: &axis,
+        sets: vec![
+            of("without the effect", Style::Before, &curve.points),
+            of("with it", Style::After, &curve.with_it),
+        ],
+        line: (&label, line),
+    };
+    let why = curve
+        .why_axis
+        .iter()
+        .map(|why| format!(" {}.", capitalised(why)));
+    page.figure(
+        chart.svg(&format!("{} error over {axis}", curve.equation)),
+        format!(
+            "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
+            capitalised(&curve.sentence()),
+            why.collect::<String>()
+        ),
+    );
 }
 
 /// The curves that an unexplained error follows.
@@ -55,12 +99,19 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let is_any = !followed.is_empty();
     for map in followed.iter().take(MOST_CURVES) {
         let axis = map.axis_label();
+        let stds = map.std.iter().copied().chain(std::iter::repeat(f64::NAN));
+        let points = map.knots.iter().zip(&map.values).zip(stds);
+        let points = points.map(|((knot, value), std)| (*knot, *value, std));
         let chart = AxisChart {
             title: map.title(),
             axis: &axis,
-            knots: &map.knots,
-            values: &map.values,
-            std: &map.std,
+            sets: vec![PointSet {
+                label: "",
+                style: Style::After,
+                points: points.collect(),
+                is_joined: true,
+            }],
+            line: ("", &[]),
         };
         page.figure(
             chart.svg(&format!("{} error over {axis}", map.equation)),

@@ -14,6 +14,7 @@
 pub mod commission;
 pub mod comparison;
 pub mod conventions;
+pub mod export;
 mod findings;
 pub mod page;
 pub mod plot;
@@ -56,6 +57,9 @@ pub type Facts = Vec<(String, String)>;
 #[derive(Clone, Debug)]
 pub struct Context {
     pub target: Target,
+    /// When the (first) run began, as a date in UTC; which motor it was of. Empty where nobody says.
+    pub date: String,
+    pub motor: String,
     /// Names of the run folders, in the order of recording.
     pub run_folders: Vec<String>,
     /// What the drive says it is.
@@ -76,6 +80,8 @@ impl Default for Context {
     fn default() -> Self {
         Self {
             target: Target::Unknown,
+            date: String::new(),
+            motor: String::new(),
             run_folders: Vec::new(),
             identity: Facts::new(),
             plan: Facts::new(),

@@ -2,11 +2,12 @@
 
 use std::fmt::Write;
 
+use super::plot::Plot;
 use crate::text::columns;
 
 /// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
 pub(super) const STYLE: &str = include_str!("page.css");
-/// A cursor with values over the plots; the page is complete without it.
+/// Zoom, pan, legend and a cursor with values for the plots; the page is complete without it.
 const SCRIPT: &str = include_str!("page.js");
 
 /// Text made safe inside HTML and SVG, in content and in quoted attributes alike; control characters, which no HTML may
@@ -159,7 +160,7 @@ enum Block {
     Table(Table),
     /// SVG from this room, already escaped; the caption is the plain-text form.
     Figure {
-        svg: String,
+        plot: Plot,
         caption: String,
     },
     Notice(String),
@@ -170,6 +171,7 @@ enum Block {
 pub struct Page {
     title: String,
     subtitle: String,
+    about: Vec<(String, String)>,
     lead: Option<(Tone, String, String)>,
     blocks: Vec<Block>,
 }
@@ -179,9 +181,15 @@ impl Page {
         Self {
             title: title.into(),
             subtitle: subtitle.into(),
+            about: Vec::new(),
             lead: None,
             blocks: Vec::new(),
         }
+    }
+
+    /// What it is about, above everything else: labels and values.
+    pub fn about(&mut self, facts: Vec<(String, String)>) {
+        self.about = facts;
     }
 
     /// The sentence that answers the reader's question, with its one-word verdict.
@@ -219,10 +227,11 @@ impl Page {
     }
 
     /// A picture made by [`super::plot`]; nothing where it is empty.
-    pub fn figure(&mut self, svg: String, caption: impl Into<String>) {
-        if !svg.is_empty() {
+    pub fn figure(&mut self, plot: impl Into<Plot>, caption: impl Into<String>) {
+        let plot = plot.into();
+        if !plot.svg.is_empty() {
             let caption = caption.into();
-            self.blocks.push(Block::Figure { svg, caption });
+            self.blocks.push(Block::Figure { plot, caption });
         }
     }
 
@@ -230,15 +239,16 @@ impl Page {
         self.blocks.push(Block::Notice(text.into()));
     }
 
-    /// The whole page: one file without external resources. The script only adds a cursor to the plots.
+    /// The whole page: one file without external resources. The script only lets one look closer at the plots.
     pub fn html(&self) -> String {
         let mut out = format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
              <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
-             <p class=\"subtitle\">{}</p>\n</header>\n",
+             <p class=\"subtitle\">{}</p>\n{}</header>\n",
             escape(&self.subtitle),
+            facts_html(&self.about),
             title = escape(&self.title),
         );
         if let Some((tone, word, sentence)) = &self.lead {
@@ -281,6 +291,13 @@ impl Page {
             let _ = writeln!(out, "{}: {sentence}\n", word.to_uppercase());
         }
         let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
+        if !self.about.is_empty() {
+            let facts = self.about.iter();
+            let facts: Vec<_> = facts
+                .map(|(label, value)| format!("{label}: {value}"))
+                .collect();
+            let _ = writeln!(out, "\n{}", facts.join("; "));
+        }
         for block in &self.blocks {
             let item = |line: String| format!("- {line}\n");
             let each = |lines: &mut dyn Iterator<Item = String>| {
@@ -305,6 +322,20 @@ impl Page {
     }
 }
 
+fn facts_html(facts: &[(String, String)]) -> String {
+    if facts.is_empty() {
+        return String::new();
+    }
+    let fact = |(label, value): &(String, String)| {
+        let (label, value) = (escape(label), escape(value));
+        format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
+    };
+    format!(
+        "<dl>\n{}</dl>\n",
+        facts.iter().map(fact).collect::<String>()
+    )
+}
+
 fn block_html(out: &mut String, block: &Block) {
     let piece = match block {
         Block::Heading(_) => String::new(),
@@ -320,21 +351,21 @@ fn block_html(out: &mut String, block: &Block) {
                 items.iter().map(item).collect::<String>()
             )
         }
-        Block::Facts(facts) => {
-            let fact = |(label, value): &(String, String)| {
-                let (label, value) = (escape(label), escape(value));
-                format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
+        Block::Facts(facts) => facts_html(facts),
+        Block::Table(table) => return table_html(out, table),
+        Block::Figure { plot, caption } => {
+            let points = match plot.points.as_str() {
+                "" => String::new(),
+                points => {
+                    format!("<script type=\"text/plain\" class=\"points\">{points}</script>")
+                }
             };
             format!(
-                "<dl>\n{}</dl>\n",
-                facts.iter().map(fact).collect::<String>()
+                "<figure><div class=\"scroll\">{}</div>{points}<figcaption>{}</figcaption></figure>\n",
+                plot.svg,
+                escape(caption)
             )
         }
-        Block::Table(table) => return table_html(out, table),
-        Block::Figure { svg, caption } => format!(
-            "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>\n",
-            escape(caption)
-        ),
     };
     out.push_str(&piece);
 }

@@ -3,13 +3,16 @@
 use std::fmt::{Display, Write as _};
 
 use super::page::{Cell, Page, Table, Tone};
-use super::plot::{Panel, Style, TIME, stacked, standalone};
+use super::plot::{Panel, Plot, Style, TIME, stacked, standalone};
+
+/// Points behind a picture that its page keeps; a page of a paper has ten of them.
+const MOST_POINTS: usize = 20_000;
 
 /// A picture with the name of its file, without ending.
 #[derive(Clone, Debug)]
 pub struct Picture {
     pub name: &'static str,
-    pub svg: String,
+    pub plot: Plot,
     pub caption: String,
 }
 
@@ -130,9 +133,17 @@ impl Section {
     }
 
     #[must_use]
-    pub fn picture(mut self, name: &'static str, svg: String, caption: impl Into<String>) -> Self {
-        let caption = caption.into();
-        self.pictures.push(Picture { name, svg, caption });
+    pub fn picture(
+        mut self,
+        name: &'static str,
+        plot: impl Into<Plot>,
+        caption: impl Into<String>,
+    ) -> Self {
+        self.pictures.push(Picture {
+            name,
+            plot: plot.into(),
+            caption: caption.into(),
+        });
         self
     }
 
@@ -145,8 +156,8 @@ impl Section {
         caption: impl Into<String>,
         figure: &Figure,
     ) -> Self {
-        let svg = stacked(description, figure.axis, &figure.panels);
-        let section = self.picture(name, svg, caption);
+        let plot = stacked(description, figure.axis, &figure.panels, MOST_POINTS);
+        let section = self.picture(name, plot, caption);
         if figure.columns.is_empty() {
             return section;
         }
@@ -222,7 +233,7 @@ impl Reproduction {
         page.paragraph(&self.lead.1);
         let mut beside = self.clone();
         for section in &mut beside.sections {
-            let pictures = section.pictures.iter().filter(|p| !p.svg.is_empty());
+            let pictures = section.pictures.iter().filter(|p| !p.plot.svg.is_empty());
             let links = pictures
                 .map(|p| format!("![{}]({}.svg)\n\n{}", section.heading, p.name, p.caption));
             section.paragraphs.extend(links);
@@ -243,7 +254,7 @@ impl Reproduction {
                 page.paragraph(paragraph);
             }
             for picture in &section.pictures {
-                page.figure(picture.svg.clone(), &picture.caption);
+                page.figure(picture.plot.clone(), &picture.caption);
             }
             for named in &section.tables {
                 page.paragraph(&named.sentence);
@@ -257,8 +268,8 @@ impl Reproduction {
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![("report.html".to_owned(), self.html())];
         for section in &self.sections {
-            let pictures = section.pictures.iter().filter(|p| !p.svg.is_empty());
-            files.extend(pictures.map(|p| (format!("{}.svg", p.name), standalone(&p.svg))));
+            let pictures = section.pictures.iter().filter(|p| !p.plot.svg.is_empty());
+            files.extend(pictures.map(|p| (format!("{}.svg", p.name), standalone(&p.plot.svg))));
             let tables = section.tables.iter();
             files.extend(tables.map(|t| (format!("{}.csv", t.name), t.table.csv())));
             files.extend(section.data.iter().cloned());

@@ -1,7 +1,7 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
 use super::page::{Cell, Page, Table, Tone};
-use super::plot::{Panel, Style, TIME, stacked};
+use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
 use super::{Context, Facts, tables};
 use crate::plant::Model;
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
@@ -61,6 +61,7 @@ impl RunReport<'_> {
             self.title,
             format!("Run {}, {}", run.name, self.context.target.name()),
         );
+        tables::about(&mut page, self.context);
         let time_s = run.time_s();
         let duration_s =
             time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
@@ -83,8 +84,13 @@ impl RunReport<'_> {
         }
         page.section("Signals");
         page.figure(
-            stacked("recorded signals over time", TIME, &panels(run)),
-            "A line is broken where samples are missing.",
+            stacked(
+                "recorded signals over time",
+                TIME,
+                &panels(run),
+                MOST_POINTS,
+            ),
+            "Time counts from the start of the run. A line is broken where samples are missing.",
         );
         if let Some(speed_loop) = self.speed_loop {
             page.section("Speed loop");
@@ -155,7 +161,9 @@ const fn origin(origin: Origin) -> &'static str {
 
 /// One panel per quantity; a command shares the panel of what it commands.
 fn panels(run: &Run) -> [Panel; 7] {
-    let end_s = run.time_s().last().copied().unwrap_or(0.0);
+    let start_s = run.time_s().first().copied().unwrap_or(0.0);
+    let time_s: Vec<f64> = run.time_s().iter().map(|time| time - start_s).collect();
+    let end_s = time_s.last().copied().unwrap_or(0.0);
     let groups: [&[Channel]; 7] = [
         &[Channel::VoltageCmd, Channel::Voltage],
         &[Channel::Current],
@@ -169,12 +177,17 @@ fn panels(run: &Run) -> [Panel; 7] {
         let shown = group[group.len() - 1];
         let mut panel = Panel::new(shown.name(), shown.unit()).with_height(120.0);
         for &channel in group {
-            let events: Vec<(f64, f64)> = run.points(channel).collect();
-            let values = run.column(channel).unwrap_or_default();
-            panel = match events.is_empty() {
-                true => panel,
-                false if channel.is_commanded() => panel.held("command", &events, end_s),
-                false => panel.sampled(channel.name(), Style::After, run.time_s(), values),
+            let Some(values) = run.column(channel) else {
+                continue;
+            };
+            panel = if channel.is_commanded() {
+                let points = run.points(channel);
+                let events: Vec<_> = points
+                    .map(|(time, value)| (time - start_s, value))
+                    .collect();
+                panel.held("command", &events, end_s)
+            } else {
+                panel.sampled(channel.name(), Style::After, &time_s, values)
             };
         }
         if shown == Channel::Speed {

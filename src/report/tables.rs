@@ -89,6 +89,28 @@ pub(super) fn parameter_section(
     page.list(old.chain(new).collect());
 }
 
+/// Date, drive, serial number and motor, at the start of every report; what is not told is said to be so.
+pub(super) fn about(page: &mut Page, context: &Context) {
+    let identity = |key: &str| {
+        let mut facts = context.identity.iter();
+        let fact = facts.find(|(label, _)| label == key);
+        fact.map(|(_, value)| value.trim()).unwrap_or_default()
+    };
+    let drive = format!("{} {}", identity("vendor"), identity("product"));
+    let told = |text: &str| if text.is_empty() { "not told" } else { text }.to_owned();
+    let facts = [
+        ("date", context.date.as_str()),
+        ("drive", drive.trim()),
+        ("serial number", identity("serial number")),
+        ("motor", &context.motor),
+    ];
+    page.about(
+        facts
+            .map(|(label, value)| (label.to_owned(), told(value)))
+            .into(),
+    );
+}
+
 /// What is to be known of the data before any figure is believed; nothing where there is nothing.
 pub(super) fn data_notes(page: &mut Page, context: &Context) {
     let mut notes = context.notes.clone();

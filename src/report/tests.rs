@@ -57,6 +57,8 @@ fn markup_becomes_text() {
 fn context() -> Context {
     Context {
         target: Target::Emulator,
+        date: "2026-01-02 03:04:05 UTC".into(),
+        motor: "ZK-22FC".into(),
         run_folders: vec![
             "20260102T030405Z-fit".into(),
             "20260102T030420Z-select".into(),
@@ -120,6 +122,7 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
         ladder: &[rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.03)],
         confirm: Some(&[rung(vec![], 5.0), rung(vec!["stribeck_friction"], 1.04)]),
         series: None,
+        curves: &[],
         truth: &["stribeck_friction of 0.12 N.m".to_owned()],
     };
     insta::assert_snapshot!(report.text());
@@ -180,6 +183,8 @@ fn commission(truth: &Model, name: &str) -> String {
     let named = !found.effects.is_empty();
     let (before, after) = (compare(baseline), named.then(|| compare(model)));
     let (old, new) = (free_run(baseline), named.then(|| free_run(model)));
+    let curve = |id: &str| found.curve_of(Some(id), confirm, &evidence.noise).unwrap();
+    let curves: Vec<_> = (found.effects.iter()).filter_map(|id| curve(id)).collect();
     let confirmed = found.rungs_on(confirm, &evidence.noise).unwrap();
     let report = CommissionReport {
         kind: "Commission",
@@ -199,6 +204,7 @@ fn commission(truth: &Model, name: &str) -> String {
             after: new.as_ref(),
             noise: &evidence.noise,
         }),
+        curves: &curves,
         truth: &["stribeck_friction 0.12 N.m".to_owned()],
     };
     let html = report.html();

@@ -36,6 +36,12 @@ pub enum Exit {
     Diagnosis,
     /// `v` then: the same, measured and model over time first.
     Traces,
+    /// The same, and no name is to be shown before the person has given one.
+    Guess,
+    /// The run that would tell more is to be made.
+    Experiment,
+    /// The speed loop is to be run with what was found.
+    SpeedLoop,
     /// `q` before the end; the worker has been told to stop.
     Quit,
     /// Ctrl-C or a signal; the worker has stopped.

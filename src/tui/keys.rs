@@ -17,6 +17,9 @@ pub enum Press {
     Zoom,
     Mark,
     ResetFault,
+    /// The run that would tell more.
+    Experiment,
+    SpeedLoop,
     Diagnose,
     NextScreen,
     PreviousScreen,
@@ -49,7 +52,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 27] = [
+pub(super) const CHARACTERS: [(char, Press); 29] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -57,7 +60,9 @@ pub(super) const CHARACTERS: [(char, Press); 27] = [
     ('f', Press::Freeze),
     ('z', Press::Zoom),
     ('m', Press::Mark),
-    ('x', Press::ResetFault),
+    ('k', Press::ResetFault),
+    ('x', Press::Experiment),
+    ('l', Press::SpeedLoop),
     ('d', Press::Diagnose),
     ('1', Press::Page(0)),
     ('2', Press::Page(1)),
@@ -88,7 +93,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 26] = [
+const HELP: [(On, &str, &str); 30] = [
     (
         On::Every,
         "Space Esc",
@@ -101,13 +106,33 @@ const HELP: [(On, &str, &str); 26] = [
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
     (On::Live, "m", "mark this moment in the record"),
-    (On::Live, "x", "reset a fault of the drive"),
+    (On::Live, "k", "acknowledge (reset) a fault of the drive"),
     (On::Every, "Up Down", "scroll a page; select an effect"),
+    (
+        On::Live,
+        "Enter",
+        "what each step needs, unlocks, and its command",
+    ),
     (On::Live, "d", "diagnosis by hand, after the report"),
     (
         On::Live,
         "v",
         "measured and model over time, after the report",
+    ),
+    (
+        On::Live,
+        "x",
+        "the run that would tell more, after the report",
+    ),
+    (
+        On::Live,
+        "l",
+        "the speed loop with what was found, after the report",
+    ),
+    (
+        On::Live,
+        "g",
+        "guess first: no names until you have given one",
     ),
     (
         On::Diagnosis,

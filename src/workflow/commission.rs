@@ -7,11 +7,13 @@ use serde::Serialize;
 
 use super::burst::BurstResult;
 use super::discovery::Discovery;
+use super::guide::{Called, Step};
 use super::keyed::with_keys;
 use crate::bench::{
-    BenchFile, CheckReport, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
-    next_bench, scale,
+    BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
+    loop_timing, next_bench, scale,
 };
+use crate::control::Actuator;
 use crate::diagnosis::{
     self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, compare, diagnose_with, recommend,
 };
@@ -63,14 +65,8 @@ pub enum Task {
     Finished,
 }
 
-const CHECK: usize = 0;
-const PLAN: usize = 1;
-const FIRST_RUN: usize = 2;
-const IDENTIFY: usize = 6;
-const COMPARE: usize = 7;
-const DIAGNOSE: usize = 8;
-const ADD: usize = 9;
-const SAVE: usize = 10;
+/// Begin of the line of a tuning that came to nothing.
+const NO_GAINS: &str = "no gains";
 
 /// The loop with everything that it has gathered so far.
 pub struct Commission {
@@ -91,48 +87,27 @@ pub struct Commission {
     escalation: Option<EscalationResult>,
     /// A burst of the first run, and where it is kept.
     burst: Option<(Scenario, String)>,
-    /// Steps before the plan that only an unknown motor needs.
-    extra: usize,
+    called: Called,
 }
 
 impl Commission {
     /// `nameplate` is where the fits start; what it leaves out is found from the data. An `unknown` motor is found from
     /// small steps before the plan. A run that tells more is recommended for the `bench` of the loop, where one would; the
-    /// answer is scored by the `truth` of an emulator.
+    /// answer is scored by the `truth` of an emulator. `called` is for the commands of the single steps.
     pub fn new(
         nameplate: Model,
         unknown: bool,
         bench: BenchFile,
         truth: Option<Vec<String>>,
+        called: Called,
     ) -> Self {
-        let mut titles = vec![
-            "connect and check",
-            "plan",
-            "record: fit",
-            "record: select",
-            "record: confirm",
-            "record: repeat",
-            "identify",
-            "compare",
-            "diagnose",
-            "add the effect",
-            "report",
-        ];
-        if unknown {
-            titles.insert(PLAN, "find the motor");
-        }
-        let steps = titles.iter().map(|title| StepView {
-            title: (*title).to_owned(),
-            state: StepState::Waiting,
-            line: String::new(),
-        });
+        let steps = Step::all(unknown);
         let mut commission = Self {
             plate: nameplate.motor.clone(),
             escalation: None,
             burst: None,
-            extra: usize::from(unknown),
             nameplate,
-            steps: steps.collect(),
+            steps: steps.into_iter().map(StepView::new).collect(),
             task: Task::Check,
             scenarios: Vec::new(),
             runs: Vec::new(),
@@ -141,8 +116,9 @@ impl Commission {
             truth,
             bench,
             discovery: None,
+            called,
         };
-        commission.steps[CHECK].state = StepState::Active;
+        commission.begins(Step::Connect);
         commission
     }
 
@@ -151,8 +127,12 @@ impl Commission {
     }
 
     pub fn progress(&self) -> Progress {
+        let steps = self.steps.iter().map(|step| StepView {
+            command: step.step.command(&self.called),
+            ..step.clone()
+        });
         Progress {
-            steps: self.steps.clone(),
+            steps: steps.collect(),
             report: Vec::new(),
             finished: self.task == Task::Finished,
         }
@@ -184,23 +164,30 @@ impl Commission {
             format!(", WAIVED: {}", report.waived.join(", "))
         };
         let line = format!(
-            "{} {}, round trip {:.1} ms, {:.0} Hz reachable, {watchdog}{waived}",
+            "{} {}, round trip {:.1} ms, {:.0} Hz reachable",
             report.identity.vendor,
             report.identity.product,
             1e3 * report.round_trip_p50_s,
             report.reachable_rate_hz,
         );
-        let unknown = self.extra > 0;
-        self.step_done(
-            CHECK,
-            line,
-            if unknown { Task::Escalate } else { Task::Plan },
+        self.step_done(Step::Connect, line, Task::Check);
+        let passed = report.items.len() - report.waived.len();
+        let line = format!(
+            "{passed} of {} passed, {watchdog}{waived}",
+            report.items.len()
         );
+        let is_unknown = self.steps.iter().any(|step| step.step == Step::Find);
+        let next = if is_unknown {
+            Task::Escalate
+        } else {
+            Task::Plan
+        };
+        self.step_done(Step::Safety, line, next);
     }
 
     /// What the escalation is doing.
     pub fn escalating(&mut self, line: &str) {
-        line.clone_into(&mut self.steps[PLAN].line);
+        line.clone_into(&mut self.step(Step::Find).line);
     }
 
     /// The motor was found: the rest starts from it.
@@ -208,9 +195,7 @@ impl Commission {
         self.nameplate = Model::baseline(found);
         let line = result.sentence.clone();
         self.escalation = Some(result);
-        self.extra = 0;
-        self.step_done(PLAN, line, Task::Plan);
-        self.extra = 1;
+        self.step_done(Step::Find, line, Task::Plan);
     }
 
     /// The plan was accepted.
@@ -223,7 +208,7 @@ impl Commission {
             crate::units::turns_from_rad(plan.travel_rad),
             plan.duration_s,
         );
-        self.step_done(PLAN, line, Task::Record(Role::Fit));
+        self.step_done(Step::Plan, line, Task::Record(Role::Fit));
     }
 
     /// A run was recorded to its end.
@@ -243,11 +228,12 @@ impl Commission {
             self.online = online;
         }
         self.scenarios.push(scenario);
+        self.called.runs.extend(run.folder.clone());
         self.runs.push(run);
         let next = Role::ALL
             .get(index + 1)
             .map_or(Task::Analyse, |role| Task::Record(*role));
-        self.step_done(FIRST_RUN + index, line, next);
+        self.step_done(Step::Record(role), line, next);
     }
 
     /// The drive recorded a burst within a run; `capture` is where it is kept.
@@ -289,11 +275,11 @@ impl Commission {
             baseline.parameters.len(),
             baseline.iterations
         );
-        self.step_done(IDENTIFY, line, Task::Analyse);
+        self.step_done(Step::Identify, line, Task::Analyse);
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        self.step_done(COMPARE, before.headline(), Task::Analyse);
+        self.step_done(Step::Compare, before.headline(), Task::Analyse);
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
@@ -308,7 +294,8 @@ impl Commission {
         // Whoever goes on by hand begins with this answer.
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(discovery.with_limits(limits));
-        self.step_done(DIAGNOSE, diagnosis.sentence.clone(), Task::Analyse);
+        self.called.effect = diagnosis.effect;
+        self.step_done(Step::Diagnose, diagnosis.sentence.clone(), Task::Analyse);
         publish(self.progress());
 
         let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
@@ -323,7 +310,15 @@ impl Commission {
                 diagnosis.noise_floor_from.times()
             )
         };
-        self.step_done(ADD, line, Task::Save);
+        self.step_done(Step::Ladder, line, Task::Analyse);
+        publish(self.progress());
+
+        let tuned = self.tuned(&diagnosis);
+        let line = match &tuned {
+            Ok(reasons) => reasons.first().cloned().unwrap_or_default(),
+            Err(reason) => format!("{NO_GAINS}: {reason}"),
+        };
+        self.step_done(Step::Tune, line, Task::Save);
         publish(self.progress());
         self.result = Some(CommissionResult {
             sentence: diagnosis.sentence.clone(),
@@ -344,9 +339,58 @@ impl Commission {
         Ok(())
     }
 
-    /// Everything is written.
+    /// Gains of the bench's speed loop for the model that was found, with one cycle of delay: why they are what they are.
+    fn tuned(&self, diagnosis: &Diagnosis) -> Result<Vec<String>, String> {
+        let section = self.bench.speed.as_ref();
+        let section = section.ok_or("the bench file has no [speed]")?;
+        let reference = self.bench.reference(section);
+        let reference = reference.map_err(|error| error.to_string())?;
+        let model = &diagnosis.model.model;
+        let plate = self.bench.motor.with_found(&model.motor);
+        let motor = plate.ok_or("the model lacks a value")?;
+        let period_s = self.bench.period_s();
+        let limits = self.bench.limits();
+        let design = Design {
+            model,
+            motor: &motor,
+            limits: &limits,
+            section,
+            actuator: section.actuator.unwrap_or(Actuator::Voltage),
+            timing: loop_timing(model, period_s, period_s + limits.dead_time_s),
+            noise_rad_s: Some(diagnosis.model.noise.speed_rad_s)
+                .filter(|noise| noise.is_finite())
+                .unwrap_or_default(),
+            peak_reference_rad_s: reference.peak_rad_s(),
+        };
+        let regulator = design.regulator();
+        regulator.map_or_else(|error| Err(error.to_string()), |found| Ok(found.reasons))
+    }
+
+    /// Everything is written. What can follow on request is offered.
     pub fn saved(&mut self, line: String) {
-        self.step_done(SAVE, line, Task::Finished);
+        self.step_done(Step::Report, line, Task::Finished);
+        let next = self.result.as_ref().and_then(|result| {
+            let next = result.diagnosis.next_experiment.as_ref()?;
+            next.bench.as_ref().map(|_| next.sentence.clone())
+        });
+        let none = "none would tell more";
+        self.offered(Step::Experiment, next.as_deref().ok_or(none));
+        let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
+        let is_unknown = self.bench.motor.is_unknown();
+        let offer = match tuned {
+            _ if is_unknown => Err("put what was found into [motor] first"),
+            Some(step) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
+            _ => Ok("with the model that was found"),
+        };
+        self.offered(Step::SpeedLoop, offer);
+    }
+
+    fn offered(&mut self, step: Step, offer: Result<&str, &str>) {
+        let own = self.step(step);
+        (own.state, own.line) = match offer {
+            Ok(line) => (StepState::Offered, line.to_owned()),
+            Err(reason) => (StepState::Waiting, reason.to_owned()),
+        };
     }
 
     /// The active step failed; nothing follows.
@@ -359,12 +403,24 @@ impl Commission {
         self.task = Task::Finished;
     }
 
-    /// `index` counts the steps of a known motor.
-    fn step_done(&mut self, index: usize, line: String, next: Task) {
-        let index = index + if index == CHECK { 0 } else { self.extra };
-        self.steps[index].state = StepState::Done;
-        self.steps[index].line = line;
-        if let Some(following) = self.steps.get_mut(index + 1) {
+    /// # Panics
+    /// Never: the loop has each step that it comes to.
+    fn step(&mut self, step: Step) -> &mut StepView {
+        let mut steps = self.steps.iter_mut();
+        steps
+            .find(|own| own.step == step)
+            .expect("a step of the loop")
+    }
+
+    fn begins(&mut self, step: Step) {
+        self.step(step).state = StepState::Active;
+    }
+
+    fn step_done(&mut self, step: Step, line: String, next: Task) {
+        let own = self.step(step);
+        (own.state, own.line) = (StepState::Done, line);
+        let index = self.steps.iter().position(|own| own.step == step);
+        if let Some(following) = index.and_then(|index| self.steps.get_mut(index + 1)) {
             following.state = StepState::Active;
         }
         self.task = next;
@@ -388,14 +444,29 @@ pub enum StepState {
     Active,
     Done,
     Failed,
+    /// It can follow, on request.
+    Offered,
 }
 
 /// One step of the loop with its figure, or its reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StepView {
-    pub title: String,
+    pub step: Step,
     pub state: StepState,
     pub line: String,
+    /// The command that does the same by itself.
+    pub command: Option<String>,
+}
+
+impl StepView {
+    pub const fn new(step: Step) -> Self {
+        Self {
+            step,
+            state: StepState::Waiting,
+            line: String::new(),
+            command: None,
+        }
+    }
 }
 
 /// The loop so far, and the report once it is over.
@@ -404,6 +475,29 @@ pub struct Progress {
     pub steps: Vec<StepView>,
     pub report: Vec<String>,
     pub finished: bool,
+}
+
+impl Progress {
+    /// Whether this step can follow now; what is said of it where not.
+    pub fn is_offered(&self, step: Step) -> Result<(), &str> {
+        match self.steps.iter().find(|own| own.step == step) {
+            Some(own) if own.state == StepState::Offered => Ok(()),
+            // Once more: a loop is often run again.
+            Some(own) if own.state == StepState::Done && step.is_on_request() => Ok(()),
+            Some(own) if self.finished && !own.line.is_empty() => Err(&own.line),
+            _ => Err("not yet: it follows the report"),
+        }
+    }
+
+    /// What came of a step that was done on request.
+    pub fn done_on_request(&mut self, step: Step, outcome: Result<String, String>) {
+        if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
+            (own.state, own.line) = match outcome {
+                Ok(line) => (StepState::Done, line),
+                Err(reason) => (StepState::Failed, reason),
+            };
+        }
+    }
 }
 
 /// The latest progress, shared between the worker and the screen; neither waits for the other.

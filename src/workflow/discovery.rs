@@ -14,7 +14,7 @@ use crate::diagnosis::{
 };
 use crate::identification::output_error::FitError;
 use crate::plant::effect::{self, Axis, DefinitionError, ParameterRole};
-use crate::plant::{Effect, Input, Model, Slot};
+use crate::plant::{Effect, Input, Model, Scenario, Slot};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,6 +106,22 @@ impl Discovery {
     pub fn with_answer(mut self, diagnosis: Diagnosis) -> Self {
         self.known = Some(Box::new(diagnosis));
         self
+    }
+
+    /// The same question with one run more: it is fitted, and what was fitted before is held out.
+    #[must_use]
+    pub fn with_run(&self, run: Scenario) -> Self {
+        let (before, confirm) = (
+            self.evidence.training.clone(),
+            self.evidence.confirm.clone(),
+        );
+        Self {
+            limits: self.limits.clone(),
+            ..Self::new(
+                self.model.clone(),
+                Evidence::new(run, Some(before), confirm),
+            )
+        }
     }
 
     /// Recommends runs within these limits.

@@ -1,11 +1,12 @@
 //! The order of the loop, as a pure state machine that screens and headless runs drive alike.
 //!
 //! ```text
-//! connect -> check -> [escalate: an unknown motor from small steps] -> plan -> record fit, select, confirm, repeat -> identify -> compare -> diagnose -> add -> report
+//! connect -> check -> [escalate: an unknown motor from small steps] -> plan -> record fit, select, confirm, repeat -> identify -> compare -> diagnose -> add -> tune -> report
 //!    \________ Task out: what is to be done next _____________/
 //!     '------- Done in: what came of it; a failed task ends the loop with its reason
 //! ```
 //!
+//! guide.rs says of each step what it needs, what it unlocks and which command does the same.
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
 //! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
@@ -15,6 +16,7 @@
 mod burst;
 mod commission;
 mod discovery;
+mod guide;
 mod keyed;
 mod leaning;
 pub mod reproduce;
@@ -28,5 +30,6 @@ pub use commission::{
 pub use discovery::{
     Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
 };
+pub use guide::{Called, Step};
 pub use leaning::{LeaningCell, LeaningWatch, Provisional};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

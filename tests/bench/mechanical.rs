@@ -744,10 +744,14 @@ mod real {
                 );
                 assert!(first.r2 > least, "{set} {part}: {first:?}");
                 if set == 12 {
-                    let peak = (0..first.values.len())
-                        .max_by(|a, b| first.values[*a].abs().total_cmp(&first.values[*b].abs()))
-                        .unwrap();
-                    assert!((first.knots[peak].abs() - 118.1).abs() < 5.0, "{first:?}");
+                    // One knot of a bump of 20 rad/s is not told from the next where the run was seldom.
+                    let (place, _) = first.largest().unwrap();
+                    let (low, high) = (place.start().abs(), place.end().abs());
+                    let wide = (low - high).abs();
+                    assert!(wide < 50.0, "{place:?}: {first:?}");
+                    let middle = 0.5 * (low + high);
+                    let off = (middle - 118.1).abs();
+                    assert!(off < (0.5 * wide).max(5.0), "{place:?}: {first:?}");
                 }
             }
         }

@@ -41,16 +41,17 @@ pub fn variance(values: &[f64]) -> f64 {
 
 /// Median of the finite values; NaN where there are none.
 pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = finite(values);
-    if sorted.is_empty() {
+    let mut values = finite(values);
+    let count = values.len();
+    if count == 0 {
         return f64::NAN;
     }
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    if sorted.len().is_multiple_of(2) {
-        0.5 * (sorted[middle - 1] + sorted[middle])
+    let (below, &mut middle, _) = values.select_nth_unstable_by(count / 2, f64::total_cmp);
+    if count.is_multiple_of(2) {
+        let before = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        0.5 * (before + middle)
     } else {
-        sorted[middle]
+        middle
     }
 }
 

@@ -245,8 +245,8 @@ impl Run {
         if gaps.is_empty() {
             return None;
         }
-        gaps.sort_by(f64::total_cmp);
-        Some(gaps[gaps.len() / 2])
+        let middle = gaps.len() / 2;
+        Some(*gaps.select_nth_unstable_by(middle, f64::total_cmp).1)
     }
 }
 

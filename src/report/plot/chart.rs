@@ -114,16 +114,35 @@ impl Svg {
         ));
     }
 
-    pub(super) fn dot(&mut self, (x, y): (f64, f64), radius: u8) {
+    pub(super) fn dot(&mut self, class: &str, (x, y): (f64, f64), radius: u8) {
         let (x, y) = (px(x), px(y));
         self.write(format_args!(
-            "<circle class=\"knot\" cx=\"{x}\" cy=\"{y}\" r=\"{radius}\"/>"
+            "<circle class=\"knot {class}\" cx=\"{x}\" cy=\"{y}\" r=\"{radius}\"/>"
         ));
+    }
+
+    /// A label with a sample of its line, the label's end at `right`; returns where the next one on the left ends.
+    pub(super) fn legend_entry(&mut self, right: f64, base: f64, class: &str, label: &str) -> f64 {
+        const SAMPLE: f64 = 26.0;
+        self.text("legend end", right, base, label);
+        let (right, at) = (right - width(label) - 5.0, base - 4.0);
+        self.line(&format!("key {class}"), (right - SAMPLE, at), (right, at));
+        right - SAMPLE - 13.0
     }
 
     pub(super) fn frame(&mut self, x: &Scale, upper: f64, lower: f64) {
         let width = x.to_px - x.from_px;
         self.rectangle("frame", x.from_px, upper, width, lower - upper);
+    }
+
+    /// What is drawn until the closing `</svg>` is cut off at the frame; its coordinates stay those of the picture.
+    pub(super) fn open_clipped(&mut self, class: &str, x: &Scale, upper: f64, lower: f64) {
+        let (left, top) = (px(x.from_px), px(upper));
+        let (width, height) = (px(x.to_px - x.from_px), px(lower - upper));
+        self.write(format_args!(
+            "<svg class=\"{class}\" x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"{left} {top} {width} {height}\">"
+        ));
     }
 
     pub(super) fn grid_across(&mut self, x: &Scale, at: &[f64], upper: f64, lower: f64) {

@@ -2,6 +2,7 @@
 
 use super::axis::{Domain, labels, ticks};
 use super::chart::{Along, FOOT, HEAD, LEFT, RIGHT, Scale, Svg, WIDTH, polyline, px, width};
+use super::panels::Style;
 use crate::sample::TWO_SIDED_95;
 use crate::text::number::significant;
 
@@ -55,34 +56,53 @@ pub fn bars(
     svg.close("plot", base + FOOT, description, "")
 }
 
-/// A curve with its 95 % band along one axis: what an equation lacks over speed, current, angle or time.
+/// Values along one axis with their 95 % intervals: what an equation lacks over speed, current, angle or time; and a line
+/// drawn through them, the effect that is to explain it.
 #[derive(Clone, Debug)]
 pub struct AxisChart<'a> {
     pub title: String,
     pub axis: &'a str,
-    /// Rising.
-    pub knots: &'a [f64],
-    /// What is not finite is left out.
-    pub values: &'a [f64],
-    /// Standard deviation of each value; may be shorter.
-    pub std: &'a [f64],
+    pub sets: Vec<PointSet<'a>>,
+    /// Its label and points, all finite; may be empty.
+    pub line: (&'a str, &'a [(f64, f64)]),
 }
+
+/// Points of one kind.
+#[derive(Clone, Debug)]
+pub struct PointSet<'a> {
+    /// In the legend; empty: none.
+    pub label: &'a str,
+    pub style: Style,
+    /// Place on the axis, rising; value; its standard deviation. What is not finite is left out, a deviation taken for none.
+    pub points: Vec<(f64, f64, f64)>,
+    /// Joined by a curve with a band about it, not points with intervals of their own.
+    pub is_joined: bool,
+}
+
+/// Share of the axis over which a line is drawn without a point of it.
+const WIDEST_GAP: f64 = 0.1;
 
 impl AxisChart<'_> {
     /// Empty where there are not two points.
     pub fn svg(&self, description: &str) -> String {
-        let stds = self.std.iter().copied().chain(std::iter::repeat(f64::NAN));
-        let points: Vec<(f64, f64, f64)> = (self.knots.iter().zip(self.values).zip(stds))
-            .filter(|((knot, value), _)| knot.is_finite() && value.is_finite())
-            .map(|((knot, value), std)| {
-                let std = if std.is_finite() { std } else { 0.0 };
-                (*knot, *value, TWO_SIDED_95 * std)
-            })
-            .collect();
-        let edge = |sign: f64| points.iter().map(move |(_, v, half)| v + sign * half);
-        let across = Domain::of(points.iter().map(|point| point.0));
-        let upwards = Domain::of(edge(-1.0).chain(edge(1.0)).chain([0.0]));
-        let (Some(across), Some(upwards), true) = (across, upwards, points.len() > 1) else {
+        let known = |set: &PointSet<'_>| -> Vec<(f64, f64, f64)> {
+            let points = set.points.iter().copied();
+            let known = points.filter(|(place, value, _)| place.is_finite() && value.is_finite());
+            known
+                .map(|(place, value, std)| {
+                    let std = if std.is_finite() { std } else { 0.0 };
+                    (place, value, TWO_SIDED_95 * std)
+                })
+                .collect()
+        };
+        let sets: Vec<_> = self.sets.iter().map(|set| (set, known(set))).collect();
+        let (label, line) = self.line;
+        let all = || sets.iter().flat_map(|(_, points)| points);
+        let edges = all().flat_map(|(_, value, half)| [value - half, value + half]);
+        let across = Domain::of(all().map(|point| point.0));
+        let upwards = edges.chain(line.iter().map(|point| point.1)).chain([0.0]);
+        let (Some(across), Some(upwards), true) = (across, Domain::of(upwards), all().count() > 1)
+        else {
             return String::new();
         };
         let base = HEAD + 210.0;
@@ -95,13 +115,39 @@ impl AxisChart<'_> {
         let at = ticks(x.domain, 10);
         svg.axis_across(&x, &at, HEAD, base);
         svg.frame(&x, HEAD, base);
-        let place = |knot: f64, value: f64| (x.px(knot), y.px(value));
-        let above = points.iter().map(|(knot, v, half)| place(*knot, v + half));
-        let below = points.iter().map(|(knot, v, half)| place(*knot, v - half));
-        svg.path("spread", &(polyline(above.chain(below.rev())) + "Z"));
-        let line = || points.iter().map(|(knot, value, _)| place(*knot, *value));
-        svg.path("series after", &polyline(line()));
-        line().for_each(|point| svg.dot(point, 3));
+        let place = |place: f64, value: f64| (x.px(place), y.px(value));
+        let mut right = x.to_px;
+        if !line.is_empty() {
+            right = svg.legend_entry(right, HEAD - 9.0, "command", label);
+        }
+        for (set, points) in &sets {
+            let class = set.style.class();
+            if set.is_joined {
+                let above = points.iter().map(|(at, v, half)| place(*at, v + half));
+                let below = points.iter().map(|(at, v, half)| place(*at, v - half));
+                svg.path("spread", &(polyline(above.chain(below.rev())) + "Z"));
+                let curve = points.iter().map(|(at, value, _)| place(*at, *value));
+                svg.path(&format!("series {class}"), &polyline(curve));
+            } else {
+                for (at, value, half) in points.iter().filter(|point| point.2 > 0.0) {
+                    let ends = (place(*at, value - half), place(*at, value + half));
+                    svg.line(&format!("interval {class}"), ends.0, ends.1);
+                }
+            }
+            for (at, value, _) in points {
+                svg.dot(class, place(*at, *value), 3);
+            }
+            if !set.label.is_empty() && !points.is_empty() {
+                right = svg.legend_entry(right, HEAD - 9.0, class, set.label);
+            }
+        }
+        // Where the run never was the line says nothing.
+        let widest = WIDEST_GAP * (across.to - across.from);
+        let pieces = line.chunk_by(|a, b| b.0 - a.0 <= widest);
+        let path: String = pieces
+            .map(|piece| polyline(piece.iter().map(|(at, value)| place(*at, *value))) + "h0")
+            .collect();
+        svg.path("series command", &path);
         svg.unit_across(&x, base + 34.0, self.axis);
         svg.close("plot", base + FOOT, description, "")
     }
@@ -341,7 +387,7 @@ pub fn reliability(description: &str, title: &str, across: &str, claims: &[Claim
         for end in ends {
             svg.line("key after", (at - 5.0, end), (at + 5.0, end));
         }
-        svg.dot((at, share), 4);
+        svg.dot("after", (at, share), 4);
         // Beside the diagonal, not on it, where the frame leaves room.
         let place = (at - x.from_px) / (x.to_px - x.from_px);
         let is_left = place > 0.9 || (place > 0.1 && found.share > found.given);
@@ -386,25 +432,32 @@ mod tests {
     fn knots_stand_at_their_place_and_a_missing_one_is_left_out() {
         let chart = |values: &[f64], std: &[f64]| {
             let (title, axis) = ("what <it> lacks".to_owned(), "speed, rad/s");
-            let knots = &[-100.0, 0.0, 100.0];
+            let stds = std.iter().copied().chain(std::iter::repeat(f64::NAN));
+            let points = [-100.0, 0.0, 100.0].into_iter().zip(values).zip(stds);
+            let points = points.map(|((knot, value), std)| (knot, *value, std));
+            let sets = vec![PointSet {
+                label: "",
+                style: Style::After,
+                points: points.collect(),
+                is_joined: true,
+            }];
             AxisChart {
                 title,
                 axis,
-                knots,
-                values,
-                std,
+                sets,
+                line: ("", &[]),
             }
             .svg("curve")
         };
         let svg = chart(&[0.1, 0.0, -0.1], &[0.01, 0.01, 0.01]);
-        assert_eq!(svg.matches("class=\"knot\"").count(), 3);
+        assert_eq!(svg.matches("class=\"knot").count(), 3);
         assert!(
             svg.contains("cx=\"66\"") && svg.contains("cx=\"876\""),
             "{svg}"
         );
         assert!(svg.contains("what &lt;it&gt; lacks"));
         let svg = chart(&[0.1, f64::NAN, -0.1], &[f64::NAN]);
-        assert_eq!(svg.matches("class=\"knot\"").count(), 2);
+        assert_eq!(svg.matches("class=\"knot").count(), 2);
         assert!(!svg.contains("NaN"));
         assert_eq!(chart(&[f64::NAN, 0.1, f64::INFINITY], &[]), "");
     }

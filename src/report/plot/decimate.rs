@@ -71,9 +71,13 @@ pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> P
             out.push(std::mem::take(&mut line));
         }
         last_time = piece[piece.len() - 1].0;
-        for points in piece.chunk_by(|a, b| same_number(column(a.0), column(b.0))) {
-            let here = column(points[0].0);
-            push_extremes(&mut line, points, |time| same_number(column(time), here));
+        let mut rest = piece.as_slice();
+        while let Some(first) = rest.first() {
+            let here = column(first.0);
+            let same = |time: f64| same_number(column(time), here);
+            let (points, after) = rest.split_at(rest.partition_point(|point| same(point.0)));
+            push_extremes(&mut line, points, same);
+            rest = after;
         }
     }
     if !line.is_empty() {

@@ -3,8 +3,9 @@
 //! ```text
 //! chart: margins, scales (linear, logarithmic, log odds), axes with their ticks, pieces of SVG: the same for all
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
+//!                                '-> detail: the points for zooming in, decimated far less
 //! ratios -> curves        rungs -> bars with the noise floor as the goal    error over speed x current -> map
-//! what an equation lacks over one axis -> curve with its band    given probabilities and what came true -> reliability
+//! what an equation lacks over one axis, the effect through it -> axis chart    given probabilities and what came true -> reliability
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
@@ -14,10 +15,31 @@ mod axis;
 mod chart;
 mod charts;
 mod decimate;
+mod detail;
 mod panels;
 
-pub use charts::{AxisChart, Claims, CurveChart, CurvePanel, MapChart, bars, reliability};
+pub use charts::{
+    AxisChart, Claims, CurveChart, CurvePanel, MapChart, PointSet, bars, reliability,
+};
+pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
+
+/// A picture and, where its lines run over one axis, the points behind them, with which the script of a page zooms.
+#[derive(Clone, Debug, Default)]
+pub struct Plot {
+    pub svg: String,
+    /// One line of text for each line of the picture, in its order; empty where there is nothing to zoom.
+    pub points: String,
+}
+
+impl From<String> for Plot {
+    fn from(svg: String) -> Self {
+        Self {
+            svg,
+            points: String::new(),
+        }
+    }
+}
 
 /// A picture as a file of its own: with the page's style sheet, which every viewer of SVG understands.
 pub fn standalone(svg: &str) -> String {

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use super::axis::{Domain, labels, ticks};
 use super::chart::{Along, LEFT, Scale, Svg, WIDTH, polyline, px, width};
 use super::decimate::{Pieces, decimate, held, pieces};
+use super::{Plot, detail};
 use crate::report::page::escape;
 
 /// Room for a second unit on the right, above each panel, between panels, and below the last one, px.
@@ -27,7 +28,7 @@ pub enum Style {
 }
 
 impl Style {
-    const fn class(self) -> &'static str {
+    pub(super) const fn class(self) -> &'static str {
         match self {
             Self::Measured => "measured",
             Self::Command => "command",
@@ -155,15 +156,15 @@ impl Panel {
         let Some(values) = self.values() else { return };
         let (upper, lower) = (top + HEAD, top + HEAD + self.height);
         let y = Scale::new(Along::Linear, values.padded(0.05), lower, upper);
+        let second = self.second.map_or(0.0, |(_, factor)| factor);
         svg.write(format_args!(
-            "<g class=\"panel\" data-y=\"{:e} {:e} {} {}\" data-unit=\"{}\">",
-            y.domain.from,
-            y.domain.to,
+            "<g class=\"panel\" data-y=\"{} {}\" data-unit=\"{}\" data-second=\"{second}\">",
             px(lower),
             px(upper),
             escape(&self.unit)
         ));
         svg.frame(x, upper, lower);
+        svg.write(format_args!("<g class=\"axes\">"));
         svg.grid_across(x, time_ticks, upper, lower);
         let at = ticks(y.domain, VALUE_TICKS);
         svg.axis_upwards(x, &y, &at, &labels(&at));
@@ -175,9 +176,13 @@ impl Panel {
                 svg.text("tick", x.to_px + 7.0, at + 4.0, label);
             }
         }
+        svg.write(format_args!("</g>"));
+        svg.open_clipped("lines", x, upper, lower);
         if let Some((_, from, to)) = self.band {
             let (a, b) = (y.px(to), y.px(from));
+            svg.write(format_args!("<g data-band=\"{from:e} {to:e}\">"));
             svg.rectangle("band", x.from_px, a, x.to_px - x.from_px, b - a);
+            svg.write(format_args!("</g>"));
         }
         for series in &self.series {
             svg.write(format_args!(
@@ -187,6 +192,7 @@ impl Panel {
                 path(series, x, &y)
             ));
         }
+        svg.write(format_args!("</svg>"));
         self.heading(svg, x, top + HEAD - 8.0);
         svg.write(format_args!("</g>"));
     }
@@ -206,13 +212,10 @@ impl Panel {
             svg.rectangle("band", right - SAMPLE - 5.0, base - 9.0, SAMPLE, 10.0);
             right -= SAMPLE + 18.0;
         }
-        for series in self.series.iter().rev() {
-            svg.text("legend end", right, base, &series.label);
-            right -= width(&series.label);
-            let at = base - 4.0;
-            let class = format!("key {}", series.style.class());
-            svg.line(&class, (right - SAMPLE - 5.0, at), (right - 5.0, at));
-            right -= SAMPLE + 18.0;
+        for (line, series) in self.series.iter().enumerate().rev() {
+            svg.write(format_args!("<g class=\"entry\" data-line=\"{line}\">"));
+            right = svg.legend_entry(right, base, series.style.class(), &series.label);
+            svg.write(format_args!("</g>"));
         }
     }
 }
@@ -230,14 +233,20 @@ fn path(series: &Series, x: &Scale, y: &Scale) -> String {
 }
 
 /// Panels one under the other over `axis`, its name and unit (which may be empty); panels without any value are left out.
-/// The description is read out where the picture cannot be seen; empty where there is no panel.
-pub fn stacked(description: &str, axis: (&str, &str), panels: &[Panel]) -> String {
+/// The description is read out where the picture cannot be seen; empty where there is no panel. Of the points behind it at most
+/// about `most_points` are kept for zooming in.
+pub fn stacked(
+    description: &str,
+    axis: (&str, &str),
+    panels: &[Panel],
+    most_points: usize,
+) -> Plot {
     let panels = || panels.iter().filter(|panel| !panel.is_empty());
     let points = panels()
         .flat_map(|panel| &panel.series)
         .flat_map(Series::points);
     let Some(time) = Domain::of(points.map(|point| point.0)) else {
-        return String::new();
+        return Plot::default();
     };
     let x = Scale::new(Along::Linear, time, LEFT, WIDTH - RIGHT);
     let time_ticks = ticks(time, 12);
@@ -247,7 +256,9 @@ pub fn stacked(description: &str, axis: (&str, &str), panels: &[Panel]) -> Strin
         top += HEAD + panel.height + GAP;
     }
     let base = top - GAP;
+    svg.write(format_args!("<g class=\"axis\">"));
     svg.labels_across(&x, &time_ticks, base);
+    svg.write(format_args!("</g>"));
     let (name, unit) = axis;
     let separator = if unit.is_empty() { "" } else { ", " };
     svg.unit_across(&x, base + 33.0, &format!("{name}{separator}{unit}"));
@@ -258,7 +269,12 @@ pub fn stacked(description: &str, axis: (&str, &str), panels: &[Panel]) -> Strin
         px(x.from_px),
         px(x.to_px)
     );
-    svg.close("plot panels", base + FOOT, description, &more)
+    let lines = panels().flat_map(|panel| &panel.series);
+    let lines: Vec<&Pieces> = lines.map(|series| &series.pieces).collect();
+    Plot {
+        points: detail::encode(&lines, time.from, time.to, most_points),
+        svg: svg.close("plot panels", base + FOOT, description, &more),
+    }
 }
 
 /// What runs across most pictures.
@@ -272,7 +288,7 @@ mod tests {
         let time_s: Vec<f64> = (0..values.len()).map(|k| 0.01 * k as f64).collect();
         let panel = Panel::new("speed", "rad/s").with_second_unit("r/min", 9.549_296_585_513_72);
         let panel = panel.sampled("measured <1>", Style::Measured, &time_s, values);
-        stacked("a \"plot\"", TIME, &[panel])
+        stacked("a \"plot\"", TIME, &[panel], 1000).svg
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::bench::{Intent, Phase, Snapshot, Target};
 use crate::sample::DriveState;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
-use crate::workflow::{Progress, Provisional};
+use crate::workflow::{Progress, Provisional, Step};
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
@@ -62,6 +62,10 @@ pub(super) struct Model {
     pub(super) zoom: usize,
     /// First line shown of the steps.
     pub(super) scroll: usize,
+    /// What each step needs, unlocks and is called, also of those that are not under way.
+    pub(super) explains: bool,
+    /// No name of an effect is shown: the person is to give one first.
+    pub(super) guess_first: bool,
     pub(super) marks: u32,
     /// Answer to the last key.
     pub(super) message: Option<String>,
@@ -72,7 +76,9 @@ pub(super) struct Model {
 
 impl Model {
     pub(super) fn new(workflow: Option<Arc<Progress>>) -> Self {
+        let is_over = workflow.as_ref().is_some_and(|own| !own.report.is_empty());
         Self {
+            page: if is_over { Page::Steps } else { Page::Live },
             workflow,
             ..Self::default()
         }
@@ -142,10 +148,10 @@ impl Model {
                 self.confirm_start &= self.waits_for_start();
             }
             Event::Workflow(workflow) => {
-                if !workflow.report.is_empty() && !self.shows_report() {
+                if !workflow.report.is_empty() && !self.shows_report() && !self.guess_first {
                     // The answer that everything was done for.
                     self.page = Page::Steps;
-                    self.scroll = workflow.steps.len();
+                    self.scroll = 0;
                 }
                 self.workflow = Some(workflow);
             }
@@ -159,6 +165,7 @@ impl Model {
         let has_shown_nothing = self.snapshot.phase.is_none() && !self.shows_report();
         let exit = match (state, self.leaving) {
             (WorkerState::Working, _) => None,
+            (_, None) if self.guess_first && self.shows_report() => Some(Exit::Guess),
             (WorkerState::Finished, None) => has_shown_nothing.then_some(Exit::Finished),
             (WorkerState::Leave, None) => Some(Exit::Finished),
             (_, leaving) => leaving,
@@ -202,6 +209,10 @@ impl Model {
             Press::Traces if self.has_report() => return vec![Effect::Leave(Exit::Traces)],
             Press::Traces => self.say("not yet: the traces are there when the report is"),
             Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
+            Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
+            Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
+            Press::Guess => self.guess(),
+            Press::Open => self.explains = !self.explains,
             Press::Help => self.help = Some(0),
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
@@ -219,6 +230,35 @@ impl Model {
 
     fn say(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
+    }
+
+    /// Leaves for a step that can follow the report; else says why it cannot.
+    fn follow(&mut self, step: Step, exit: Exit) -> Vec<Effect> {
+        let Some(workflow) = self.workflow.clone() else {
+            self.say("only a commissioning goes on from here");
+            return Vec::new();
+        };
+        match workflow.is_offered(step) {
+            Ok(()) if self.has_report() => return vec![Effect::Leave(exit)],
+            Ok(()) => self.say("not yet: it follows the report"),
+            Err(reason) => self.say(format!("{}: {reason}", step.title())),
+        }
+        Vec::new()
+    }
+
+    fn guess(&mut self) {
+        match &self.workflow {
+            None => self.say("only a commissioning names an effect"),
+            Some(_) if self.shows_report() => self.say("the names are on the screen already"),
+            Some(_) if self.guess_first => {
+                self.guess_first = false;
+                self.say("names are shown");
+            }
+            Some(_) => {
+                self.guess_first = true;
+                self.say("guess first: no name is shown before you have given one");
+            }
+        }
     }
 
     fn stop(&mut self) -> Vec<Effect> {

@@ -21,7 +21,7 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Progress, Provisional, StepState, StepView};
+use crate::workflow::{Called, Progress, Provisional, Role, Step, StepState, StepView};
 
 fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
     ParameterEstimate::found(key, unit, value, std, None)
@@ -197,19 +197,20 @@ fn missing() -> Snapshot {
 
 fn workflow(finished: bool) -> Progress {
     use StepState::{Active, Done, Failed, Waiting};
-    let step = |(title, state, line): &(&str, StepState, &str)| StepView {
-        title: (*title).to_owned(),
+    let step = |(step, state, line): &(Step, StepState, &str)| StepView {
         state: *state,
         line: (*line).to_owned(),
+        ..StepView::new(*step)
     };
-    let checked = ("check the drive", Done, "watchdog proven in 98 ms");
+    let checked = (Step::Safety, Done, "watchdog proven in 98 ms");
+    let [fit, confirm] = [Role::Fit, Role::Confirm].map(Step::Record);
     let found = "quadratic_load, probability 0.99";
     let (steps, report) = if finished {
         let steps = [
             checked,
-            ("excite (fit)", Done, "2,400 rows"),
-            ("diagnose", Done, found),
-            ("confirm", Failed, "the third run was stopped"),
+            (fit, Done, "2,400 rows"),
+            (Step::Diagnose, Done, found),
+            (confirm, Failed, "the third run was stopped"),
         ];
         let report = [
             "verdict: quadratic_load (a fan or a pump)",
@@ -219,9 +220,9 @@ fn workflow(finished: bool) -> Progress {
     } else {
         let steps = [
             checked,
-            ("excite (fit)", Active, "8.4 of 24 s"),
-            ("diagnose", Waiting, ""),
-            ("confirm", Waiting, ""),
+            (fit, Active, "8.4 of 24 s"),
+            (Step::Diagnose, Waiting, ""),
+            (confirm, Waiting, ""),
         ];
         (steps, Vec::new())
     };
@@ -286,6 +287,17 @@ fn fixed_snapshots_and_the_other_screens() {
     let steps = with(&run, |own| report(own, false));
     let page = |model: &Model, page| with(model, |own| own.page = page);
     let parameters = page(&run, Page::Parameters);
+    let offers = finished(with(&model(done()), |own| {
+        let mut workflow = workflow(true);
+        workflow
+            .steps
+            .extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
+                state: StepState::Offered,
+                command: step.command(&Called::default()),
+                ..StepView::new(step)
+            }));
+        own.update(Event::Workflow(Arc::new(workflow)));
+    }));
     for (name, model, width, height) in [
         ("running_80x24", &run, 80, 24),
         ("running_120x40", &run, 120, 40),
@@ -306,6 +318,8 @@ fn fixed_snapshots_and_the_other_screens() {
             80,
             24,
         ),
+        ("offers_120x40", &offers, 120, 40),
+        ("offers_40x10", &offers, 40, 10),
     ] {
         assert_snapshot!(name, text(model, width, height));
     }
@@ -321,6 +335,9 @@ fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
     );
     let shown = text(&finished(leaning(done())), 80, 24);
     assert!(!shown.contains("provisional"), "{shown}");
+    let guessing = with(&run, |own| own.guess_first = true);
+    let shown = text(&guessing, 80, 24);
+    assert!(!shown.contains("quadratic_load"), "{shown}");
 }
 
 #[test]
@@ -672,6 +689,68 @@ fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
     assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
     report(&mut model, false);
     assert_eq!(press(&mut model, Press::Diagnose), []);
+}
+
+#[test]
+fn what_follows_the_report_is_left_for_only_where_it_is_offered() {
+    let keys = [
+        (Press::Experiment, Step::Experiment, Exit::Experiment),
+        (Press::SpeedLoop, Step::SpeedLoop, Exit::SpeedLoop),
+    ];
+    for (key, step, exit) in keys {
+        let mut model = model(done());
+        assert_eq!(press(&mut model, key), [], "a plain run");
+        for (state, is_left) in [
+            (StepState::Waiting, false),
+            (StepState::Offered, true),
+            (StepState::Done, true),
+            (StepState::Failed, false),
+        ] {
+            let mut workflow = workflow(true);
+            workflow.steps.push(StepView {
+                state,
+                line: "none would tell more".to_owned(),
+                ..StepView::new(step)
+            });
+            let mut model = model.clone();
+            model.update(Event::Workflow(Arc::new(workflow)));
+            assert_eq!(press(&mut model, key), [], "the work is under way");
+            finish(&mut model);
+            let left = press(&mut model, key);
+            if is_left {
+                assert_eq!(left, [Effect::Leave(exit)], "{state:?}");
+            } else {
+                assert_eq!(left, [], "{state:?}");
+                let said = model.message.unwrap_or_default();
+                assert!(said.contains("none would tell more"), "{state:?}: {said}");
+            }
+        }
+    }
+}
+
+#[test]
+fn whoever_guesses_first_sees_no_name_and_comes_to_the_diagnosis() {
+    let mut model = model(running());
+    report(&mut model, false);
+    press(&mut model, Press::Guess);
+    let mut named = workflow(false);
+    named.steps[2].line = "quadratic_load, probability 0.99".to_owned();
+    model.update(Event::Workflow(Arc::new(named)));
+    model.page = Page::Steps;
+    let shown = text(&model, 120, 40);
+    assert!(!shown.contains("quadratic"), "{shown}");
+    assert!(shown.contains("hidden until you have named it"), "{shown}");
+    report(&mut model, true);
+    assert_eq!(finish(&mut model), [Effect::Leave(Exit::Guess)]);
+    // Taken back in time, everything is shown; afterwards there is nothing to guess.
+    let mut told = self::model(running());
+    report(&mut told, false);
+    press(&mut told, Press::Guess);
+    press(&mut told, Press::Guess);
+    report(&mut told, true);
+    assert_eq!(finish(&mut told), []);
+    press(&mut told, Press::Guess);
+    assert!(!told.guess_first);
 }
 
 #[test]

@@ -16,7 +16,7 @@ use crate::text::number::shortest;
 use crate::tui::frame::{bar_spans, help, hints, is_too_small};
 use crate::tui::keys::On;
 use crate::tui::theme;
-use crate::workflow::{Progress, StepState};
+use crate::workflow::{Progress, Step, StepState, StepView};
 
 const STOP: &str = " Space = STOP ";
 /// Longest bar of the progress.
@@ -65,7 +65,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     top_bar(&model.snapshot, top, buffer);
     progress_bar(&model.snapshot, progress, buffer);
     if let Some(workflow) = model.workflow.as_ref().filter(|_| step_rows > 0) {
-        step_line(workflow).render(step, buffer);
+        step_line(workflow, model.guess_first).render(step, buffer);
     }
     if let Some(banner) = banner {
         banner.render(box_area, buffer);
@@ -77,10 +77,11 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     }
     let next = format!("Tab {}", model.neighbour(1).name());
     let next = next.as_str();
+    let offers = offers(model, next);
     let keys: &[&str] = if model.waits_for_start() {
         &["s start", "Space stop", next]
     } else if model.has_report() {
-        &["v traces", "d diagnosis by hand", next, "Up Down scroll"]
+        &offers
     } else if model.is_finished() {
         &[next, "f freeze", "z zoom"]
     } else {
@@ -190,7 +191,7 @@ fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
 }
 
 /// The step of the workflow that is under way.
-fn step_line(workflow: &Progress) -> Line<'static> {
+fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
     let steps = &workflow.steps;
     let active = steps
         .iter()
@@ -204,10 +205,11 @@ fn step_line(workflow: &Progress) -> Line<'static> {
         return Line::styled(text, theme::DIM);
     };
     let step = &steps[index];
-    let head = format!(" step {} of {}: {} ", index + 1, steps.len(), step.title);
+    let (number, title) = (index + 1, step.step.title());
+    let head = format!(" step {number} of {}: {title} ", steps.len());
     Line::from(vec![
         Span::styled(head, theme::BOLD),
-        Span::raw(format!(" {}", step.line)),
+        Span::raw(format!(" {}", said(step, hides))),
     ])
 }
 
@@ -247,7 +249,8 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    if model.leaning.seconds > 0.0 {
+    // It would give a name before the person has.
+    if model.leaning.seconds > 0.0 && !model.guess_first {
         let text = cut(
             &model.leaning.line(),
             usize::from(lean.width).saturating_sub(1),
@@ -294,37 +297,88 @@ fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     notices(&model.snapshot.notices, bottom, buffer);
 }
 
-/// The steps of a workflow, then what it found; the last page stays full.
+/// What a workflow found, where it is over, and its steps; the last page stays full.
 fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let Some(workflow) = &model.workflow else {
         return;
     };
-    let lines = step_lines(workflow, usize::from(area.width));
+    let lines = step_lines(model, workflow, usize::from(area.width));
     let hidden = lines.len().saturating_sub(usize::from(area.height));
     let shown = lines.into_iter().skip(model.scroll.min(hidden));
     Paragraph::new(shown.collect::<Vec<_>>()).render(area, buffer);
 }
 
-fn step_lines(workflow: &Progress, width: usize) -> Vec<Line<'static>> {
-    let widest = workflow.steps.iter().map(|step| step.title.chars().count());
+/// What is said of a step; nothing that names an effect where the person is to name it.
+fn said(step: &StepView, hides: bool) -> &str {
+    if hides && step.step.names_an_effect() && !step.line.is_empty() {
+        return "hidden until you have named it";
+    }
+    &step.line
+}
+
+/// What a step needs, what it makes possible and which command does the same.
+fn explained(step: &StepView, indent: usize, width: usize) -> Vec<Line<'static>> {
+    let own = step.step;
+    let key = match own {
+        Step::Experiment => "x runs it",
+        Step::SpeedLoop => "l runs it",
+        _ => "",
+    };
+    let command = step.command.as_deref().unwrap_or("part of every run");
+    let facts = [
+        ("press", key),
+        ("needs", own.needs()),
+        ("unlocks", own.unlocks()),
+        ("command", command),
+    ];
+    let facts = facts.into_iter().filter(|(_, text)| !text.is_empty());
+    let room = width.saturating_sub(indent + 9).max(10);
+    let lines = facts.flat_map(|(label, text)| {
+        let rows = wrapped(text, room).into_iter().enumerate();
+        rows.map(move |(row, text)| {
+            let label = if row == 0 { label } else { "" };
+            Line::styled(format!("{:indent$}{label:<8} {text}", ""), theme::DIM)
+        })
+    });
+    lines.collect()
+}
+
+/// The keys at the end of a commissioning: what can follow.
+fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
+    let offered = |step| {
+        let workflow = model.workflow.as_ref();
+        workflow.is_some_and(|workflow| workflow.is_offered(step).is_ok())
+    };
+    let mut keys = vec!["v traces", "d diagnosis by hand"];
+    keys.extend(offered(Step::Experiment).then_some("x next experiment"));
+    keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
+    keys.extend([next, "Up Down scroll"]);
+    keys
+}
+
+fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'static>> {
+    let steps = workflow.steps.iter();
+    let widest = steps.map(|step| step.step.title().chars().count());
     let title_width = widest.max().unwrap_or(0).min(width / 3);
-    let steps = workflow.steps.iter().map(|step| {
+    let steps = workflow.steps.iter().flat_map(|step| {
         let (mark, name, style) = match step.state {
             StepState::Waiting => ("·", "waiting", theme::DIM),
             StepState::Active => ("▶", "active", theme::CAREFUL),
             StepState::Done => ("✓", "done", theme::GOOD),
             StepState::Failed => ("✗", "failed", theme::BAD),
+            StepState::Offered => ("+", "possible", theme::CAREFUL),
         };
-        Line::from(vec![
-            Span::styled(format!(" {mark} {name:<8}"), style),
-            Span::styled(format!("{:<title_width$}  ", step.title), theme::BOLD),
-            Span::raw(step.line.clone()),
-        ])
+        let title = step.step.title();
+        let head = Line::from(vec![
+            Span::styled(format!(" {mark} {name:<8} "), style),
+            Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
+            Span::raw(said(step, model.guess_first).to_owned()),
+        ]);
+        let is_open = matches!(step.state, StepState::Active | StepState::Offered);
+        let more = (is_open || model.explains).then(|| explained(step, title_width + 14, width));
+        std::iter::once(head).chain(more.into_iter().flatten())
     });
-    let mut lines: Vec<Line<'static>> = steps.collect();
-    if !workflow.report.is_empty() {
-        lines.push(Line::default());
-    }
+    let mut lines = Vec::new();
     for text in &workflow.report {
         // Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
         let rows = if text.starts_with('|') {
@@ -334,6 +388,11 @@ fn step_lines(workflow: &Progress, width: usize) -> Vec<Line<'static>> {
         };
         lines.extend(rows.into_iter().map(|row| Line::raw(format!(" {row}"))));
     }
+    // What it came to, then how, and what can follow.
+    if !workflow.report.is_empty() {
+        lines.push(Line::default());
+    }
+    lines.extend(steps);
     lines
 }
 

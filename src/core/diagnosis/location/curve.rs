@@ -7,6 +7,7 @@
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -19,6 +20,7 @@ use crate::numerics::count::whole;
 use crate::numerics::least_squares;
 use crate::plant::effect::Axis;
 use crate::plant::{Balance, Input, Model, Scenario};
+use crate::sample::TWO_SIDED_95;
 use crate::text::number::{share, significant};
 
 /// Hat functions over speed, current or voltage, and over time.
@@ -97,6 +99,21 @@ impl AxisMap {
             .max_by(|a, b| self.values[*a].abs().total_cmp(&self.values[*b].abs()))
     }
 
+    /// Where its largest value may lie, with that value: the knots around the peak that their uncertainty does not tell from
+    /// it.
+    pub fn largest(&self) -> Option<(RangeInclusive<f64>, f64)> {
+        let peak = self.peak()?;
+        let height = self.values[peak];
+        let is_as_large = |knot: &usize| {
+            let uncertainty = self.std[peak].hypot(self.std[*knot]);
+            (height - self.values[*knot]).abs() < TWO_SIDED_95 * uncertainty
+        };
+        let first = (0..peak).rev().take_while(is_as_large).last();
+        let last = (peak + 1..self.knots.len()).take_while(is_as_large).last();
+        let [first, last] = [first, last].map(|knot| self.knots[knot.unwrap_or(peak)]);
+        Some((first..=last, height))
+    }
+
     fn sentence_over(&self, axis: Axis, equation: Balance, scenario: &Scenario) -> String {
         let along = match name_and_unit(self.axis).0 {
             "angle" if scenario.angle.is_empty() => "angle, integrated from the speed",
@@ -107,12 +124,18 @@ impl AxisMap {
             return format!("the {what} error does not follow the {along}");
         }
         let mut sentence = format!("{} of the {what} error follows the {along}", share(self.r2));
-        if let Some(peak) = self.peak() {
-            let [place, height] = [self.knots[peak], self.values[peak]].map(|v| significant(v, 3));
+        if let Some((place, height)) = self.largest() {
+            let [from, to, height] =
+                [*place.start(), *place.end(), height].map(|v| significant(v, 3));
             let (across, upwards) = (axis.unit(), equation.unit());
+            let place = if from == to {
+                format!("near {from}")
+            } else {
+                format!("between {from} and {to}")
+            };
             let _ = write!(
                 sentence,
-                "; it is largest near {place} {across}: {height} {upwards}"
+                "; it is largest {place} {across}: {height} {upwards}"
             );
         }
         sentence

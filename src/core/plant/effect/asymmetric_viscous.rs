@@ -1,6 +1,6 @@
 //! Viscous friction that differs by direction.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "asymmetric_viscous",
@@ -25,6 +25,7 @@ pub(super) const EFFECT: Card = Card {
         "N.m.s/rad",
         2e-4,
     )],
+    formula: &[(Place::Torque, "asymmetry_n_m_s_per_rad*abs(w)")],
     terms: |values| torque(values, |at, [asymmetry]| asymmetry * at.speed_rad_s.abs()),
     ..Card::PLAIN
 };

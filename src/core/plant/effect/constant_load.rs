@@ -1,6 +1,6 @@
 //! Load of one sign, whatever the direction of motion.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "constant_load",
@@ -17,6 +17,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "balance the load, or compensate by a constant feed-forward",
     curve: Some((Balance::Torque, Axis::Speed)),
     parameters: &[ParameterSpec::coefficient("constant_n_m", "N.m", 0.05)],
+    formula: &[(Place::Torque, "constant_n_m")],
     terms: |values| torque(values, |_, [constant_n_m]| constant_n_m),
     ..Card::PLAIN
 };

@@ -1,6 +1,6 @@
 //! Measured current that lags behind the winding's by a first-order filter.
 
-use super::{Card, Enters, ParameterSpec, path};
+use super::{Card, Enters, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "current_filter",
@@ -17,6 +17,10 @@ pub(super) const EFFECT: Card = Card {
     remedy: "read the unfiltered value, or lower the filter; declare it in the profile; count it \
         into the current loop's time constant",
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 2e-3).up_to(0.5)],
+    formula: &[
+        (Place::StateRate, "(i - x)/time_constant_s"),
+        (Place::CurrentReading, "x - i"),
+    ],
     terms: |values| path(values[0], |path| &mut path.current_filter_s),
     ..Card::PLAIN
 };

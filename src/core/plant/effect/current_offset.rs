@@ -1,6 +1,6 @@
 //! Current sensor whose zero is off.
 
-use super::{Card, Enters, ParameterSpec, path};
+use super::{Card, Enters, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "current_offset",
@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "zero the sensor at every start with the bridge off; degauss or replace it when the \
         offset grows",
     parameters: &[ParameterSpec::coefficient("offset_a", "A", 0.1)],
+    formula: &[(Place::CurrentReading, "offset_a")],
     terms: |values| path(values[0], |path| &mut path.current_offset_a),
     ..Card::PLAIN
 };

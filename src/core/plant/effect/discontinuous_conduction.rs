@@ -1,6 +1,6 @@
 //! Extra resistance at small currents, where a converter's current has gaps.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, voltage};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, voltage};
 
 pub(super) const EFFECT: Card = Card {
     id: "discontinuous_conduction",
@@ -30,6 +30,10 @@ pub(super) const EFFECT: Card = Card {
             &[0.3, 0.6, 1.2, 2.5, 5.0],
         ),
     ],
+    formula: &[(
+        Place::Voltage,
+        "extra_ohm*0.5*(abs(i + boundary_a) - abs(i - boundary_a))",
+    )],
     terms: |values| {
         voltage(values, |at, [extra_ohm, boundary_a]| {
             extra_ohm * at.current_a.clamp(-boundary_a, boundary_a)

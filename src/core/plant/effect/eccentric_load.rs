@@ -1,6 +1,6 @@
 //! Load of position, once per turn.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "eccentric_load",
@@ -23,6 +23,7 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),
         ParameterSpec::coefficient("cos_n_m", "N.m", 0.08),
     ],
+    formula: &[(Place::Torque, "sin_n_m*sin(theta) + cos_n_m*cos(theta)")],
     terms: |values| {
         torque(values, |at, [sin_n_m, cos_n_m]| {
             let [sin, cos] = at.angle.wave(1.0);

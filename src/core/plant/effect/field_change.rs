@@ -1,6 +1,6 @@
 //! Flux that drifts in the course of a run: back-EMF and torque constant together.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, voltage_and_torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, voltage_and_torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "field_change",
@@ -23,6 +23,10 @@ pub(super) const EFFECT: Card = Card {
         max: 1.0,
         ..ParameterSpec::coefficient("drift_per_s", "1/s", 1e-3)
     }],
+    formula: &[
+        (Place::Voltage, "Ke*w*drift_per_s*t"),
+        (Place::Torque, "-Kt*i*drift_per_s*t"),
+    ],
     terms: |values| {
         voltage_and_torque(values[0], |at, drift| {
             [

@@ -1,6 +1,6 @@
 //! Flux that falls as the current rises: back-EMF and torque constant fall together.
 
-use super::{Card, Enters, ParameterSpec, voltage_and_torque};
+use super::{Card, Enters, ParameterSpec, Place, voltage_and_torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "flux_saturation",
@@ -18,6 +18,16 @@ pub(super) const EFFECT: Card = Card {
     remedy: "limit the current to where torque still grows; correct the commutation angle; gain \
         schedule over the current",
     parameters: &[ParameterSpec::positive("saturation_per_a2", "1/A2", 5e-4)],
+    formula: &[
+        (
+            Place::Voltage,
+            "-Ke*w*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)",
+        ),
+        (
+            Place::Torque,
+            "Kt*i*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)",
+        ),
+    ],
     terms: |values| {
         voltage_and_torque(values[0], |at, saturation| {
             let excess = saturation * at.current_a * at.current_a;

@@ -1,6 +1,6 @@
 //! Drag in proportion to the speed that is there from some moment on.
 
-use super::{Card, Enters, ParameterSpec, begun, torque};
+use super::{Card, Enters, ParameterSpec, Place, begun, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "friction_onset",
@@ -19,6 +19,10 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("viscous_n_m_s_per_rad", "N.m.s/rad", 8e-4),
         ParameterSpec::EVENT_TIME,
     ],
+    formula: &[(
+        Place::Torque,
+        "viscous_n_m_s_per_rad*w*0.5*(1 + tanh((t - time_s)/0.02))",
+    )],
     terms: |values| {
         torque(values, |at, [viscous, time_s]| {
             viscous * at.speed_rad_s * begun(at, time_s)

@@ -1,6 +1,6 @@
 //! Inductance that falls as the current rises.
 
-use super::{Card, Enters, ParameterSpec, current_rate_gain};
+use super::{Card, Enters, ParameterSpec, Place, current_rate_gain};
 
 pub(super) const EFFECT: Card = Card {
     id: "inductance_saturation",
@@ -18,6 +18,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "lower the current controller's gain with the current (schedule it), or tune it at the \
         highest current; a larger choke",
     parameters: &[ParameterSpec::positive("saturation_per_a2", "1/A2", 3e-3)],
+    formula: &[(Place::CurrentRate, "saturation_per_a2*i^2")],
     terms: |values| {
         current_rate_gain(values, |at, [saturation]| {
             saturation * at.current_a * at.current_a

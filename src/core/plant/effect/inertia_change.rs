@@ -1,6 +1,6 @@
 //! Inertia that is another one from some moment on.
 
-use super::{Card, Enters, ParameterSpec, begun, inertia_gain};
+use super::{Card, Enters, ParameterSpec, Place, begun, inertia_gain};
 
 /// Nothing turns without inertia.
 const LEAST_RATIO: f64 = -0.95;
@@ -25,6 +25,7 @@ pub(super) const EFFECT: Card = Card {
         },
         ParameterSpec::EVENT_TIME,
     ],
+    formula: &[(Place::Inertia, "ratio*0.5*(1 + tanh((t - time_s)/0.02))")],
     terms: |values| {
         inertia_gain(values, |at, [ratio, time_s]| {
             ratio.max(LEAST_RATIO) * begun(at, time_s)

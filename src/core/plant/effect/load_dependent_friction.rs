@@ -1,6 +1,6 @@
 //! Friction in proportion to the torque that passes through the transmission.
 
-use super::{Card, Enters, ParameterSpec, friction};
+use super::{Card, Enters, ParameterSpec, Place, friction};
 
 pub(super) const EFFECT: Card = Card {
     id: "load_dependent_friction",
@@ -21,6 +21,7 @@ pub(super) const EFFECT: Card = Card {
         count the gear's efficiency into the torque limit",
     takes_power: true,
     parameters: &[ParameterSpec::coefficient("ratio", "-", 0.05)],
+    formula: &[(Place::Friction, "ratio*abs(Kt*i)")],
     terms: |values| {
         friction(values, |at, [ratio]| {
             ratio * (at.torque_n_m_per_a * at.current_a).abs()

@@ -1,6 +1,6 @@
 //! Friction-like load that is there from some moment on.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, begun, friction};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, begun, friction};
 
 pub(super) const EFFECT: Card = Card {
     id: "load_step",
@@ -19,6 +19,10 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("step_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,
     ],
+    formula: &[(
+        Place::Friction,
+        "step_n_m*0.5*(1 + tanh((t - time_s)/0.02))",
+    )],
     terms: |values| {
         friction(values, |at, [step_n_m, time_s]| {
             step_n_m * begun(at, time_s)

@@ -24,7 +24,9 @@ mod eccentric_load;
 mod elastic_coupling;
 mod field_change;
 mod flux_saturation;
+mod formula;
 mod friction_onset;
+mod grammar;
 mod inductance_saturation;
 mod inertia_change;
 mod load_dependent_friction;
@@ -50,6 +52,8 @@ mod winding_heating;
 pub use angle::ShaftAngle;
 pub use defined::{FAMILIES, define, family};
 pub use definition::{DefinitionError, Layout};
+pub use formula::{Formula, Place, SYMBOLS};
+pub use grammar::Tree;
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
@@ -181,6 +185,8 @@ pub struct Card {
     pub alternatives: &'static [&'static str],
     /// The first gives the effect its size.
     pub parameters: &'static [ParameterSpec],
+    /// Its law written down, in [`SYMBOLS`] and its parameters; empty where it is more than that.
+    pub formula: &'static [(Place, &'static str)],
     /// What it adds to the equations, for values in the order of the parameters.
     pub terms: fn(&[f64]) -> Box<dyn Terms>,
 }
@@ -201,6 +207,7 @@ impl Card {
         curve: None,
         alternatives: &[],
         parameters: &[],
+        formula: &[],
         terms: |_| Box::new(Path::default()),
     };
 }
@@ -222,6 +229,17 @@ pub trait Effect: Sync {
     /// `values` in the order of [`Effect::parameters`].
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
         (self.card().terms)(values)
+    }
+
+    /// Its law written down; `None` where it is more than terms of the equations, as a delay or a second inertia is.
+    fn formula(&self) -> Option<Vec<Formula>> {
+        let keys: Vec<&str> = self.parameters().iter().map(|spec| spec.key).collect();
+        let stated = self.card().formula;
+        let formulas = stated.iter().map(|&(place, text)| {
+            let tree = formula::read(text, &keys)?;
+            Some(Formula { place, tree })
+        });
+        (!stated.is_empty()).then(|| formulas.collect()).flatten()
     }
 
     /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.

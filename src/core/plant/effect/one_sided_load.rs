@@ -1,6 +1,6 @@
 //! Load that pulls one way whichever way the shaft turns, and is there from some moment on.
 
-use super::{Card, Enters, ParameterSpec, begun, torque};
+use super::{Card, Enters, ParameterSpec, Place, begun, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "one_sided_load",
@@ -19,6 +19,7 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("load_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,
     ],
+    formula: &[(Place::Torque, "load_n_m*0.5*(1 + tanh((t - time_s)/0.02))")],
     terms: |values| {
         torque(values, |at, [load_n_m, time_s]| {
             load_n_m * begun(at, time_s)

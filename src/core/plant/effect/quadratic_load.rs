@@ -1,6 +1,6 @@
 //! Load of a fan, pump or propeller.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "quadratic_load",
@@ -20,6 +20,7 @@ pub(super) const EFFECT: Card = Card {
         "N.m.s2/rad2",
         1.5e-6,
     )],
+    formula: &[(Place::Torque, "quadratic_n_m_s2_per_rad2*w*abs(w)")],
     terms: |values| {
         torque(values, |at, [quadratic]| {
             quadratic * at.speed_rad_s * at.speed_rad_s.abs()

@@ -1,6 +1,6 @@
 //! Speed sensor whose zero is off.
 
-use super::{Card, Enters, ParameterSpec, path};
+use super::{Card, Enters, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "speed_offset",
@@ -15,6 +15,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "some tenths of a second at rest at zero volts, and both directions",
     remedy: "zero the input at rest; take the speed from the angle",
     parameters: &[ParameterSpec::coefficient("offset_rad_s", "rad/s", 0.5)],
+    formula: &[(Place::SpeedReading, "offset_rad_s")],
     terms: |values| path(values[0], |path| &mut path.speed_offset_rad_s),
     ..Card::PLAIN
 };

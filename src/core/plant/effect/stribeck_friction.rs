@@ -1,6 +1,6 @@
 //! Extra friction near standstill.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, friction};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, friction};
 
 pub(super) const EFFECT: Card = Card {
     id: "stribeck_friction",
@@ -26,6 +26,10 @@ pub(super) const EFFECT: Card = Card {
             &[4.0, 8.0, 16.0, 30.0],
         ),
     ],
+    formula: &[(
+        Place::Friction,
+        "stribeck_n_m*exp(-(w/stribeck_speed_rad_s)^2)",
+    )],
     terms: |values| {
         // One over the Stribeck speed, so that no instant divides.
         friction(

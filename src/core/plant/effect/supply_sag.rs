@@ -1,6 +1,6 @@
 //! Supply that gives way under load, before a chopper that sets its share of it.
 
-use super::{Card, Enters, ParameterSpec, voltage};
+use super::{Card, Enters, ParameterSpec, Place, voltage};
 
 pub(super) const EFFECT: Card = Card {
     id: "supply_sag",
@@ -21,6 +21,7 @@ pub(super) const EFFECT: Card = Card {
         voltage forward in the drive's modulator",
     takes_power: true,
     parameters: &[ParameterSpec::coefficient("sag_ohm", "ohm", 0.4)],
+    formula: &[(Place::Voltage, "sag_ohm*(u/U)^2*i")],
     terms: |values| {
         voltage(values, |at, [sag_ohm]| {
             let duty = at.voltage_v / at.supply_v;

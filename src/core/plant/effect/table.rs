@@ -5,7 +5,9 @@ use std::f64::consts::TAU;
 use super::definition::{
     DefinitionError, Layout, balance_of, interned, leaked, number_of, text_of, unknown_key,
 };
-use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Terms};
+use super::{
+    Balance, Card, Effect, Enters, Formula, Instant, ParameterSpec, Place, SYMBOLS, Terms, Tree,
+};
 
 /// The family's card: what `effects table` shows.
 pub(super) const CARD: Card = Card {
@@ -187,6 +189,46 @@ struct Table {
 impl Effect for Table {
     fn card(&self) -> &Card {
         &self.card
+    }
+
+    fn formula(&self) -> Option<Vec<Formula>> {
+        if self.axis.is_periodic() {
+            return None;
+        }
+        // The mean of both ends, and half of each change of the slope times the distance from its knot.
+        let value = |knot: usize| Tree::Name(SYMBOLS.len() + knot);
+        let slope = |knot: usize| {
+            let after = knot + 1;
+            let rise = self.knots.get(after).map(|end| end - self.knots[knot]);
+            rise.map(|length| {
+                value(after)
+                    .both('-', value(knot))
+                    .both('/', Tree::Number(length))
+            })
+        };
+        let axis = Tree::Name(match self.axis {
+            Axis::Voltage => 0,
+            Axis::Current => 1,
+            Axis::Speed => 2,
+            Axis::Angle => 3,
+            Axis::Time => 4,
+        });
+        let last = self.knots.len() - 1;
+        let mut tree = value(0).both('+', value(last));
+        for (knot, place) in self.knots.iter().enumerate() {
+            let zero = || Tree::Number(0.0);
+            let before = knot.checked_sub(1).and_then(slope).unwrap_or_else(zero);
+            let after = slope(knot).unwrap_or_else(zero);
+            let distance = axis.clone().both('-', Tree::Number(*place)).call("abs");
+            tree = tree.both('+', after.both('-', before).both('*', distance));
+        }
+        Some(vec![Formula {
+            place: match self.balance {
+                Balance::Voltage => Place::Voltage,
+                Balance::Torque => Place::Torque,
+            },
+            tree: Tree::Number(0.5).both('*', tree),
+        }])
     }
 
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {

@@ -1,6 +1,6 @@
 //! Torque constant that depends on the position: ripple in proportion to the current.
 
-use super::{Card, Enters, ParameterSpec, WAVE_ORDERS, torque};
+use super::{Card, Enters, ParameterSpec, Place, WAVE_ORDERS, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "torque_ripple",
@@ -25,6 +25,10 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("cos_ratio", "-", 0.03),
         ParameterSpec::choice("order", "1/turn", (1.0, 1000.0), WAVE_ORDERS),
     ],
+    formula: &[(
+        Place::Torque,
+        "Kt*i*(sin_ratio*sin(order*theta) + cos_ratio*cos(order*theta))",
+    )],
     terms: |values| {
         torque(values, |at, [sin_ratio, cos_ratio, order]| {
             let [sin, cos] = at.angle.wave(order);

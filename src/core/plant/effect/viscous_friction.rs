@@ -1,6 +1,6 @@
 //! Drag proportional to speed.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, torque};
+use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "viscous_friction",
@@ -21,6 +21,7 @@ pub(super) const EFFECT: Card = Card {
         "N.m.s/rad",
         4e-4,
     )],
+    formula: &[(Place::Torque, "viscous_n_m_s_per_rad*w")],
     terms: |values| torque(values, |at, [viscous]| viscous * at.speed_rad_s),
     ..Card::PLAIN
 };

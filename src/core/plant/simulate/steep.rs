@@ -31,29 +31,36 @@ pub(super) struct Steep {
     cells: Vec<(f64, f64, f64)>,
 }
 
+/// The rate that effects add, by current; empty where none does.
+fn table(equations: &Equations) -> Vec<(f64, f64, f64)> {
+    // Twice what flows through the resistance alone under the full supply: reversed at full speed.
+    let most_a = 2.0 * equations.stall_current_a();
+    if equations.is_linear() || equations.input != Input::Voltage || !most_a.is_finite() {
+        return Vec::new();
+    }
+    let grid = |place: usize| match place.cmp(&CELLS_ASIDE) {
+        std::cmp::Ordering::Less => -most_a * RATIO.powf(-(place as f64)),
+        std::cmp::Ordering::Equal => 0.0,
+        std::cmp::Ordering::Greater => most_a * RATIO.powf(-((2 * CELLS_ASIDE - place) as f64)),
+    };
+    let cells = (0..2 * CELLS_ASIDE).map(|place| {
+        let (from_a, to_a) = (grid(place), grid(place + 1));
+        (from_a, to_a, equations.added_rate(from_a, to_a))
+    });
+    cells.collect()
+}
+
+/// The fastest rate that effects add at any current, 1/s.
+pub(super) fn fastest(equations: &Equations) -> f64 {
+    let cells = table(equations).into_iter();
+    cells.fold(0.0, |most, (_, _, rate)| most.max(rate))
+}
+
 impl Steep {
     /// The steep places for sub-steps of up to `longest_step_s`.
     pub(super) fn of(equations: &Equations, longest_step_s: f64) -> Self {
-        if equations.is_linear() || equations.input != Input::Voltage {
-            return Self::default();
-        }
-        // Twice what flows through the resistance alone under the full supply: reversed at full speed.
-        let most_a = 2.0 * equations.stall_current_a();
-        if !most_a.is_finite() {
-            return Self::default();
-        }
-        let grid = |place: usize| match place.cmp(&CELLS_ASIDE) {
-            std::cmp::Ordering::Less => -most_a * RATIO.powf(-(place as f64)),
-            std::cmp::Ordering::Equal => 0.0,
-            std::cmp::Ordering::Greater => most_a * RATIO.powf(-((2 * CELLS_ASIDE - place) as f64)),
-        };
-        let cells: Vec<(f64, f64, f64)> = (0..2 * CELLS_ASIDE)
-            .map(|place| {
-                let (from_a, to_a) = (grid(place), grid(place + 1));
-                (from_a, to_a, equations.added_rate(from_a, to_a))
-            })
-            .filter(|(_, _, rate)| rate * longest_step_s > LONGEST)
-            .collect();
+        let mut cells = table(equations);
+        cells.retain(|(_, _, rate)| rate * longest_step_s > LONGEST);
         Self { cells }
     }
 

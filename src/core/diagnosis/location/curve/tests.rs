@@ -110,6 +110,10 @@ fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
     assert!((first.knots[peak] - 118.0).abs() < 8.0, "{first:?}");
     assert!((first.values[peak] - 0.18).abs() < 0.04, "{first:?}");
     assert!(first.std[peak] < 0.02 && first.error_over_noise.unwrap() > 2.0);
+    let (place, height) = first.largest().unwrap();
+    assert!(place.contains(&first.knots[peak]), "{place:?}");
+    assert!((place.end() - place.start()).abs() < 30.0, "{place:?}");
+    assert!((height - first.values[peak]).abs() < 1e-12);
 }
 
 #[test]

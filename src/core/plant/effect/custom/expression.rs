@@ -4,11 +4,12 @@ use std::fmt::Debug;
 
 use exmex::{BinOp, Differentiate, Express, FlatEx, FloatOpsFactory, MakeOperators, Operator};
 
-use super::grammar::{self, Mistake, Written};
 use crate::config_text::help_for_unknown;
+use crate::plant::effect::grammar::{self, Mistake, Written, sign};
 
 /// Variables of every expression, before the parameters.
 pub(super) const VARIABLES: [&str; 5] = ["u", "i", "w", "theta", "t"];
+const SPEED: usize = 2;
 pub(super) const ANGLE: usize = 3;
 /// Index under which `sgn(w)` is handed to the expression.
 pub(super) const DIRECTION: usize = VARIABLES.len();
@@ -45,17 +46,6 @@ fn power(base: f64, exponent: f64) -> f64 {
     }
 }
 
-/// Zero at zero, unlike the library's.
-pub(super) fn sign(value: f64) -> f64 {
-    if value > 0.0 {
-        1.0
-    } else if value < 0.0 {
-        -1.0
-    } else {
-        0.0
-    }
-}
-
 type Compiled = FlatEx<f64, Operators>;
 
 pub(super) struct Expression {
@@ -86,7 +76,7 @@ impl Expression {
                 }
             })
         };
-        let written = grammar::read(text, &names, DIRECTION)?;
+        let written = Written::of(&grammar::read(text, &names)?, SPEED, DIRECTION);
         let compiled = Compiled::parse(&written.value).map_err(|error| Mistake {
             offset: 0,
             message: format!("the expression cannot be compiled: {error}"),

@@ -12,16 +12,19 @@
 //! simulation can only chatter about; the card says so.
 
 mod expression;
-mod grammar;
 mod parameters;
 
-use expression::{ANGLE, DIRECTION, Expression, MOST_NAMES, PARAMETERS, VARIABLES, sign};
+use expression::{ANGLE, DIRECTION, Expression, MOST_NAMES, PARAMETERS, VARIABLES};
 use parameters::Declared;
 
 use super::definition::{
     DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key,
 };
-use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Sums, Terms};
+use super::grammar::sign;
+use super::{
+    Balance, Card, Effect, Enters, Formula, Instant, ParameterSpec, Place, Sums, Terms, Tree,
+    formula,
+};
 
 /// The family's card: what `effects custom` shows.
 pub(super) const CARD: Card = Card {
@@ -173,6 +176,28 @@ impl Effect for Custom {
         })
     }
 
+    fn formula(&self) -> Option<Vec<Formula>> {
+        let keys: Vec<&str> = self.card.parameters.iter().map(|spec| spec.key).collect();
+        let whole = formula::read(self.card.equation, &keys)?;
+        let one = |place, tree| Formula { place, tree };
+        if self.body.balance == Balance::Voltage {
+            return Some(vec![one(Place::Voltage, whole)]);
+        }
+        if !self.body.splits {
+            return Some(vec![one(Place::Torque, whole)]);
+        }
+        // As in `split`: what stands with sgn(w) at rest, where it is positive, is the level of a friction.
+        let jump = at_rest(&whole, 1.0).both('-', at_rest(&whole, 0.0));
+        let level = jump.clone().both('+', jump.call("abs"));
+        let level = Tree::Number(0.5).both('*', level);
+        let direction = Tree::Name(formula::SPEED).call("sgn");
+        let torque = whole.both('-', direction.both('*', level.clone()));
+        Some(vec![
+            one(Place::Torque, torque),
+            one(Place::Friction, level),
+        ])
+    }
+
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
         vec![
             ("equation", self.body.balance.key().into()),
@@ -186,6 +211,21 @@ impl Effect for Custom {
 
     fn written(&self, parameter: usize, value: Option<f64>) -> Option<toml::Value> {
         Some(self.declared[parameter].written(value))
+    }
+}
+
+/// A formula with the speed at zero and its sign as given.
+fn at_rest(tree: &Tree, direction: f64) -> Tree {
+    match tree {
+        Tree::Name(formula::SPEED) => Tree::Number(0.0),
+        Tree::Call("sgn", argument) if **argument == Tree::Name(formula::SPEED) => {
+            Tree::Number(direction)
+        }
+        Tree::Call(function, argument) => at_rest(argument, direction).call(function),
+        Tree::Both(left, operator, right) => {
+            at_rest(left, direction).both(*operator, at_rest(right, direction))
+        }
+        other => other.clone(),
     }
 }
 

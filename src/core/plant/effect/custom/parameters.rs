@@ -4,8 +4,8 @@
 //! whatever is known; `["a", "b"]` a list of names to be fitted.
 
 use super::expression::VARIABLES;
-use super::grammar::{FUNCTIONS, PI};
 use crate::plant::effect::definition::{DefinitionError, leaked, number_of, unknown_key};
+use crate::plant::effect::grammar::{FUNCTIONS, PI};
 use crate::plant::effect::{ParameterRole, ParameterSpec};
 
 /// Unit of a parameter that is declared without one.

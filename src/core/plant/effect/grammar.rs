@@ -1,8 +1,8 @@
 //! Reads an expression as a person means it, names the place of a mistake, and writes it for the evaluator.
 //!
 //! The evaluator binds a sign tighter than a power (`-w^2` is `(-w)^2` there), a division tighter than a product, knows
-//! no `1e-6`, and tells of a mistake without its place. So the usual rules are kept here, and what is handed on carries
-//! all its parentheses:
+//! no `1e-6`, and tells of a mistake without its place. So the usual rules are kept here, and what is handed on (to the
+//! evaluator, or to other programs) carries its order in a tree:
 //!
 //! ```text
 //! sum     = product {("+" | "-") product}
@@ -29,6 +29,77 @@ pub(super) struct Mistake {
     pub(super) help: String,
 }
 
+/// An expression as it was read; names stand by the index that the reader was told.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Tree {
+    Number(f64),
+    Name(usize),
+    /// A function by the name that it is known by first: `sgn` for `sign` and `signum`.
+    Call(&'static str, Box<Self>),
+    /// Left, `+ - * / ^`, right; a sign before a value is a difference from zero.
+    Both(Box<Self>, char, Box<Self>),
+}
+
+impl Tree {
+    pub(super) fn both(self, operator: char, other: Self) -> Self {
+        Self::Both(Box::new(self), operator, Box::new(other))
+    }
+
+    pub(super) fn call(self, function: &'static str) -> Self {
+        Self::Call(function, Box::new(self))
+    }
+
+    /// Value for the values of the names.
+    pub fn value(&self, of: &dyn Fn(usize) -> f64) -> f64 {
+        match self {
+            Self::Number(value) => *value,
+            Self::Name(index) => of(*index),
+            Self::Call(function, argument) => called(function, argument.value(of)),
+            Self::Both(left, operator, right) => {
+                let (left, right) = (left.value(of), right.value(of));
+                match operator {
+                    '+' => left + right,
+                    '-' => left - right,
+                    '*' => left * right,
+                    '/' => left / right,
+                    _ => left.powf(right),
+                }
+            }
+        }
+    }
+}
+
+fn called(function: &str, value: f64) -> f64 {
+    match function {
+        "abs" => value.abs(),
+        "sqrt" => value.sqrt(),
+        "exp" => value.exp(),
+        "ln" => value.ln(),
+        "log10" => value.log10(),
+        "sin" => value.sin(),
+        "cos" => value.cos(),
+        "tan" => value.tan(),
+        "asin" => value.asin(),
+        "acos" => value.acos(),
+        "atan" => value.atan(),
+        "sinh" => value.sinh(),
+        "cosh" => value.cosh(),
+        "tanh" => value.tanh(),
+        _ => sign(value),
+    }
+}
+
+/// Zero at zero.
+pub(super) fn sign(value: f64) -> f64 {
+    if value > 0.0 {
+        1.0
+    } else if value < 0.0 {
+        -1.0
+    } else {
+        0.0
+    }
+}
+
 /// An expression in the evaluator's notation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Written {
@@ -39,28 +110,53 @@ pub(super) struct Written {
 }
 
 impl Written {
+    /// `direction` is the index under which the sign of the name `speed`, written `sgn(w)`, is handed on as a variable of
+    /// its own.
+    pub(super) fn of(tree: &Tree, speed: usize, direction: usize) -> Self {
+        let mut signs = 0;
+        Self::within(tree, (speed, direction), &mut signs)
+    }
+
+    fn within(tree: &Tree, speed: (usize, usize), signs: &mut usize) -> Self {
+        match tree {
+            // Without an exponent, which the evaluator would not read.
+            Tree::Number(value) => Self::plain(format!("{value}")),
+            Tree::Name(index) => Self::named(*index),
+            Tree::Call("sgn", argument) if **argument == Tree::Name(speed.0) => {
+                Self::named(speed.1)
+            }
+            Tree::Call(function, argument) => {
+                let Self { value, smooth } = Self::within(argument, speed, signs);
+                let smooth = match *function {
+                    "abs" => format!("sqrt(({smooth})^2)"),
+                    "sgn" => {
+                        *signs += 1;
+                        Self::named(SIGNS + *signs).smooth
+                    }
+                    other => format!("{other}({smooth})"),
+                };
+                let value = format!("{function}({value})");
+                Self { value, smooth }
+            }
+            Tree::Both(left, operator, right) => {
+                let left = Self::within(left, speed, signs);
+                let right = Self::within(right, speed, signs);
+                Self {
+                    value: format!("({}{operator}{})", left.value, right.value),
+                    smooth: format!("({}{operator}{})", left.smooth, right.smooth),
+                }
+            }
+        }
+    }
+
+    fn named(index: usize) -> Self {
+        Self::plain(format!("{{{}}}", variable(index)))
+    }
+
     fn plain(text: String) -> Self {
         Self {
             smooth: text.clone(),
             value: text,
-        }
-    }
-
-    fn both(self, other: &Self, operator: char) -> Self {
-        Self {
-            value: format!("({}{operator}{})", self.value, other.value),
-            smooth: format!("({}{operator}{})", self.smooth, other.smooth),
-        }
-    }
-
-    fn call(self, function: &str) -> Self {
-        let Self { value, smooth } = self;
-        Self {
-            value: format!("{function}({value})"),
-            smooth: match function {
-                "abs" => format!("sqrt(({smooth})^2)"),
-                other => format!("{other}({smooth})"),
-            },
         }
     }
 }
@@ -73,24 +169,20 @@ pub(super) fn variable(index: usize) -> String {
 /// Index of the variable that stands for the first sign in [`Written::smooth`]: behind all others.
 const SIGNS: usize = 1000;
 
-/// Writes `text` for the evaluator. `names` gives the index of a variable; `direction` is the index under which the
-/// sign of the speed, written `sgn(w)`, is handed on as a variable of its own.
+/// Reads `text`. `names` gives the index of a variable, or which there are.
 pub(super) fn read(
     text: &str,
     names: &dyn Fn(&str) -> Result<usize, String>,
-    direction: usize,
-) -> Result<Written, Mistake> {
+) -> Result<Tree, Mistake> {
     let mut reader = Reader {
         text,
         at: 0,
         depth: 0,
-        signs: 0,
         names,
-        direction,
     };
-    let written = reader.sum()?;
+    let tree = reader.sum()?;
     match reader.peek() {
-        None => Ok(written),
+        None => Ok(tree),
         Some(')') => Err(reader.mistake(
             "`)` closes nothing",
             "take it out, or open a parenthesis before it",
@@ -106,10 +198,7 @@ struct Reader<'a> {
     text: &'a str,
     at: usize,
     depth: usize,
-    /// Signs that have been read.
-    signs: usize,
     names: &'a dyn Fn(&str) -> Result<usize, String>,
-    direction: usize,
 }
 
 impl Reader<'_> {
@@ -139,41 +228,41 @@ impl Reader<'_> {
         Some(next)
     }
 
-    fn sum(&mut self) -> Result<Written, Mistake> {
+    fn sum(&mut self) -> Result<Tree, Mistake> {
         self.depth += 1;
         if self.depth > DEEPEST {
             return Err(self.mistake("too many parentheses within each other", "simplify it"));
         }
         let mut left = self.product()?;
         while let Some(operator) = self.take(&['+', '-']) {
-            left = left.both(&self.product()?, operator);
+            left = left.both(operator, self.product()?);
         }
         self.depth -= 1;
         Ok(left)
     }
 
-    fn product(&mut self) -> Result<Written, Mistake> {
+    fn product(&mut self) -> Result<Tree, Mistake> {
         let mut left = self.signed()?;
         while let Some(operator) = self.take(&['*', '/']) {
-            left = left.both(&self.signed()?, operator);
+            left = left.both(operator, self.signed()?);
         }
         Ok(left)
     }
 
-    fn signed(&mut self) -> Result<Written, Mistake> {
+    fn signed(&mut self) -> Result<Tree, Mistake> {
         let mut negative = false;
         while let Some(sign) = self.take(&['+', '-']) {
             negative ^= sign == '-';
         }
         let power = self.power()?;
         Ok(if negative {
-            Written::plain("0".to_owned()).both(&power, '-')
+            Tree::Number(0.0).both('-', power)
         } else {
             power
         })
     }
 
-    fn power(&mut self) -> Result<Written, Mistake> {
+    fn power(&mut self) -> Result<Tree, Mistake> {
         let base = self.atom()?;
         if self.take(&['^']).is_none() {
             return Ok(base);
@@ -184,10 +273,10 @@ impl Reader<'_> {
         }
         let exponent = self.signed()?;
         self.depth -= 1;
-        Ok(base.both(&exponent, '^'))
+        Ok(base.both('^', exponent))
     }
 
-    fn atom(&mut self) -> Result<Written, Mistake> {
+    fn atom(&mut self) -> Result<Tree, Mistake> {
         match self.peek() {
             None => Err(self.mistake(
                 "the expression ends where a value is expected",
@@ -203,7 +292,7 @@ impl Reader<'_> {
         }
     }
 
-    fn parenthesis(&mut self) -> Result<Written, Mistake> {
+    fn parenthesis(&mut self) -> Result<Tree, Mistake> {
         let open = self.at;
         self.at += 1;
         let inside = self.sum()?;
@@ -224,7 +313,7 @@ impl Reader<'_> {
         }
     }
 
-    fn number(&mut self) -> Result<Written, Mistake> {
+    fn number(&mut self) -> Result<Tree, Mistake> {
         let rest = &self.text.as_bytes()[self.at..];
         let is_digit = |byte: &&u8| byte.is_ascii_digit() || **byte == b'.';
         let digits = |from: usize| from + rest[from..].iter().take_while(is_digit).count();
@@ -237,47 +326,34 @@ impl Reader<'_> {
         }
         let number = &self.text[self.at..self.at + end];
         match number.parse::<f64>() {
-            // Written without an exponent, which the evaluator would not read.
             Ok(value) if value.is_finite() => {
                 self.at += end;
-                Ok(Written::plain(format!("{value}")))
+                Ok(Tree::Number(value))
             }
             _ => Err(self.mistake(&format!("{number:?} is not a number"), "as 12, 0.5 or 1e-6")),
         }
     }
 
-    fn name(&mut self) -> Result<Written, Mistake> {
+    fn name(&mut self) -> Result<Tree, Mistake> {
         let begin = self.at;
         let rest = &self.text[begin..];
         let length = rest
             .find(|c: char| !(c.is_alphanumeric() || c == '_'))
             .unwrap_or(rest.len());
         let name = &rest[..length];
-        if FUNCTIONS.contains(&name) {
+        if let Some(function) = FUNCTIONS.into_iter().find(|known| *known == name) {
             self.at += length;
             if self.peek() != Some('(') {
                 let message = format!("the function `{name}` needs its argument in parentheses");
                 return Err(self.mistake(&message, &format!("as {name}(w)")));
             }
-            let open = self.at;
             let argument = self.parenthesis()?;
-            let is_sign = matches!(name, "sgn" | "sign" | "signum");
-            let inside = self.text[open + 1..self.at - 1].trim();
-            return Ok(if is_sign && inside == "w" {
-                Written::plain(format!("{{{}}}", variable(self.direction)))
-            } else if is_sign {
-                self.signs += 1;
-                Written {
-                    value: format!("sgn({})", argument.value),
-                    smooth: format!("{{{}}}", variable(SIGNS + self.signs)),
-                }
-            } else {
-                argument.call(name)
-            });
+            let is_sign = matches!(function, "sgn" | "sign" | "signum");
+            return Ok(argument.call(if is_sign { "sgn" } else { function }));
         }
         if name == PI {
             self.at += length;
-            return Ok(Written::plain(format!("{}", std::f64::consts::PI)));
+            return Ok(Tree::Number(std::f64::consts::PI));
         }
         match (self.names)(name) {
             Ok(index) => {
@@ -287,7 +363,7 @@ impl Reader<'_> {
                     let help = format!("functions: {}", FUNCTIONS.join(", "));
                     return Err(self.mistake(&format!("`{name}` is not a function"), &help));
                 }
-                Ok(Written::plain(format!("{{{}}}", variable(index))))
+                Ok(Tree::Name(index))
             }
             Err(help) => Err(self.mistake(&format!("unknown name `{name}`"), &help)),
         }
@@ -326,7 +402,7 @@ mod tests {
             ("a*w\u{b2}", 2, "unknown name"),
             ("{a}", 0, "'{'"),
         ] {
-            let mistake = read(text, &names, 9).unwrap_err();
+            let mistake = read(text, &names).unwrap_err();
             assert_eq!(mistake.offset, offset, "{text}: {mistake:?}");
             assert!(mistake.message.contains(part), "{text}: {mistake:?}");
         }
@@ -336,7 +412,7 @@ mod tests {
     fn what_is_handed_on_grows_with_the_text_alone() {
         for function in FUNCTIONS {
             let text = format!("{}a{}", format!("{function}(").repeat(60), ")".repeat(60));
-            let written = read(&text, &names, 9).unwrap();
+            let written = Written::of(&read(&text, &names).unwrap(), 0, 9);
             let length = written.value.len().max(written.smooth.len());
             assert!(length < 16 * text.len(), "{function}: {length}");
         }
@@ -346,10 +422,10 @@ mod tests {
     fn any_text_is_answered_without_a_panic() {
         use proptest::prelude::*;
         proptest!(|(text in "[a-w0-9.e+*/^() -]{0,40}|\\PC{0,20}")| {
-            let _ = read(&text, &names, 9);
+            let _ = read(&text, &names);
         });
-        assert!(read(&"(".repeat(10_000), &names, 9).is_err());
-        assert!(read(&"w^".repeat(10_000), &names, 9).is_err());
-        assert!(read(&"-".repeat(10_000), &names, 9).is_err());
+        assert!(read(&"(".repeat(10_000), &names).is_err());
+        assert!(read(&"w^".repeat(10_000), &names).is_err());
+        assert!(read(&"-".repeat(10_000), &names).is_err());
     }
 }

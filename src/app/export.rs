@@ -1,0 +1,112 @@
+//! A model and the gains of its regulator for other tools: as source text of a language, or as JSON with every effect.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::failure::Failure;
+use super::files::read_model;
+use super::tune::{KeptGains, viscous_n_m_s_per_rad};
+use crate::control::{Actuator, Holding};
+use crate::plant::ModelFile;
+use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
+
+/// What is asked to be exported.
+pub(crate) struct ExportRequest<'a> {
+    pub(crate) model: &'a Path,
+    /// `None` for JSON.
+    pub(crate) target: Option<Target>,
+    /// A tuning, and the voltage that the regulator may give.
+    pub(crate) gains: Option<(&'a Path, f64)>,
+    /// What it is called; without it by its motor.
+    pub(crate) name: Option<&'a str>,
+}
+
+/// The text of the file, and one line that says what is in it.
+pub(crate) fn export(request: &ExportRequest<'_>) -> Result<(String, String), Failure> {
+    let file = read_model(request.model)?;
+    let model = &file.model;
+    model.require_complete()?;
+    let regulator = match request.gains {
+        Some((path, limit_v)) => Some(regulator(&file, path, limit_v)?),
+        None => None,
+    };
+    let title = title(&file, request.model);
+    let text = match request.target {
+        None => as_json(&file, regulator.as_ref(), &title)?,
+        Some(target) => {
+            let name = request.name.unwrap_or(&model.motor.name);
+            Export::new(model, regulator, name, &title)?.written(target)?
+        }
+    };
+    Ok((text, title))
+}
+
+fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, Failure> {
+    if !(limit_v.is_finite() && limit_v > 0.0) {
+        let headline =
+            format!("--limit-v {limit_v} is not allowed (expected a number of volts above 0)");
+        let help = "the largest voltage that the drive may be told to give";
+        return Err(Failure::usage(headline, help));
+    }
+    let kept = KeptGains::read(path, &file.model)?;
+    let viscous = viscous_n_m_s_per_rad(&file.model)?;
+    Ok(Regulator {
+        gains: kept.gains,
+        holding: Holding::of(&file.model, Actuator::Voltage, viscous),
+        period_s: kept.timing.period_s,
+        limit_v,
+    })
+}
+
+/// What it is, with its effects, who wrote it and where it comes from, on one line.
+fn title(file: &ModelFile, path: &Path) -> String {
+    let effects = match file.model.effect_ids().as_slice() {
+        [] => "no effect beyond the baseline".to_owned(),
+        ids => ids.join(", "),
+    };
+    let fitted = match file.history.fitted_on.as_slice() {
+        [] => String::new(),
+        runs => format!(", fitted on {}", runs.join(", ")),
+    };
+    let (motor, version, path) = (
+        &file.model.motor.name,
+        env!("CARGO_PKG_VERSION"),
+        path.display(),
+    );
+    format!("{motor} with {effects}: {path}{fitted}, exported by drivebench {version}")
+}
+
+/// The tables of the model file as they are, the law of every effect, and the regulator.
+fn as_json(
+    file: &ModelFile,
+    regulator: Option<&Regulator>,
+    title: &str,
+) -> Result<String, Failure> {
+    let internal = |error: &dyn std::fmt::Display| Failure::internal(error.to_string());
+    let table: toml::Table = file.to_toml().parse().map_err(|error| internal(&error))?;
+    let mut value = serde_json::to_value(&table).map_err(|error| internal(&error))?;
+    value["title"] = title.into();
+    let laws = file.model.effects.iter().map(|active| {
+        let written = formulas(active).map(|all| {
+            let all = all.into_iter();
+            all.map(|(place, text)| json!({ "adds_to": place, "formula": text }))
+                .collect::<Vec<Value>>()
+        });
+        json!({ "id": active.id(), "equation": active.effect.card().equation, "terms": written })
+    });
+    value["laws"] = laws.collect();
+    if let Some(regulator) = regulator {
+        let values = regulator
+            .values()
+            .map(|(key, value)| (key.to_owned(), Value::from(value)));
+        value["regulator"] = Value::Object(values.into_iter().collect());
+    }
+    serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        Self::usage(error.to_string(), error.help())
+    }
+}

@@ -1,0 +1,393 @@
+//! A model, and the gains of its regulator, as source text of other languages.
+//!
+//! ```text
+//! Model --(formula of each effect, as a tree)--> terms of the equations --.
+//! PiGains, what holds a speed --------------------------------------------+--> template of the language --> one file
+//! ```
+//!
+//! Every target integrates the same equations: the classical Runge-Kutta method in steps that follow the fastest motion,
+//! cut where the speed comes to zero; Modelica leaves that to its tool. What has no formula is refused by its name.
+
+mod notation;
+
+use std::fmt::Write as _;
+
+use notation::{Language, Names};
+use thiserror::Error;
+
+use crate::control::{Holding, PiGains};
+use crate::plant::effect::Place;
+use crate::plant::{
+    ActiveEffect, Enters, Input, Model, ModelError, MotorKey, Path, Plant, REFERENCE_SUPPLY_V,
+};
+
+/// What a model is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    C,
+    Python,
+    Matlab,
+    Modelica,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ExportError {
+    #[error("effect {id:?} cannot be exported: {reason}")]
+    Effect { id: String, reason: String },
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error("gains cannot be exported to modelica")]
+    Gains,
+}
+
+impl ExportError {
+    pub fn help(&self) -> String {
+        match self {
+            Self::Effect { id, .. } => format!(
+                "nothing is left out silently: `drivebench remove {id}` makes a model without it, and --to json has every effect"
+            ),
+            Self::Model(error) => error.help().to_owned(),
+            Self::Gains => {
+                "leave --gains out and take Modelica.Blocks.Continuous.LimPID with them, or export to c, python or matlab"
+                    .to_owned()
+            }
+        }
+    }
+}
+
+/// A speed regulator that goes with the model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Regulator {
+    pub gains: PiGains,
+    pub holding: Holding,
+    pub period_s: f64,
+    pub limit_v: f64,
+}
+
+impl Regulator {
+    /// As targets list them.
+    pub fn values(&self) -> [(&'static str, f64); 7] {
+        [
+            ("proportional_v_s_per_rad", self.gains.proportional),
+            ("integral_time_s", self.gains.integral_time_s),
+            ("reference_filter_s", self.gains.reference_filter_s),
+            ("period_s", self.period_s),
+            ("limit_v", self.limit_v),
+            ("holding_v_s_per_rad", self.holding.per_speed),
+            ("holding_v", self.holding.against),
+        ]
+    }
+}
+
+/// A model made ready to be written.
+pub struct Export {
+    /// What it is called where a language wants a name.
+    name: String,
+    title: String,
+    parameters: Vec<(String, f64, &'static str)>,
+    terms: Vec<Term>,
+    /// Effects with a state, in the order of their states.
+    states: Vec<&'static str>,
+    longest_step_s: f64,
+    regulator: Option<Regulator>,
+}
+
+/// A formula of an effect, which names its parameters and its state.
+struct Term {
+    effect: &'static str,
+    keys: Vec<&'static str>,
+    formula: crate::plant::effect::Formula,
+}
+
+impl Export {
+    /// `title` says what it is and where it comes from.
+    pub fn new(
+        model: &Model,
+        regulator: Option<Regulator>,
+        name: &str,
+        title: &str,
+    ) -> Result<Self, ExportError> {
+        model.require_complete()?;
+        let longest_step_s = Plant::new(model, Input::Voltage)?.runge_kutta_step_s();
+        let mut parameters = Vec::new();
+        for key in MotorKey::ALL {
+            let value = match key {
+                MotorKey::TorqueConstant => model.motor.torque_constant(),
+                other => model.motor.get(other),
+            };
+            let unset = || ModelError::Unset {
+                key: key.key().to_owned(),
+            };
+            parameters.push((key.key().to_owned(), value.ok_or_else(unset)?, key.unit()));
+        }
+        let (mut terms, mut states) = (Vec::new(), Vec::new());
+        for active in &model.effects {
+            let id = active.id();
+            if is_nothing(active) {
+                continue;
+            }
+            let formulas = active.effect.formula().ok_or_else(|| ExportError::Effect {
+                id: id.to_owned(),
+                reason: unwritten(active),
+            })?;
+            let specs = active.effect.parameters().iter();
+            for (spec, value) in specs.clone().zip(active.values_or_guess()) {
+                parameters.push((format!("{id}_{}", spec.key), value, spec.unit));
+            }
+            for formula in formulas {
+                if formula.place == Place::StateRate {
+                    states.push(id);
+                }
+                terms.push(Term {
+                    effect: id,
+                    keys: specs.clone().map(|spec| spec.key).collect(),
+                    formula,
+                });
+            }
+        }
+        Ok(Self {
+            name: identifier(name),
+            title: title.replace("*/", "* /").replace('"', "'"),
+            parameters,
+            terms,
+            states,
+            longest_step_s,
+            regulator,
+        })
+    }
+
+    /// The file of this language.
+    pub fn written(&self, target: Target) -> Result<String, ExportError> {
+        if target == Target::Modelica && self.regulator.is_some() {
+            return Err(ExportError::Gains);
+        }
+        let language = Language::of(target);
+        let (template, regulator) = match target {
+            Target::C => (include_str!("model.h"), include_str!("regulator.h")),
+            Target::Python => (include_str!("model.py"), include_str!("regulator.py")),
+            Target::Matlab => (include_str!("model.m"), include_str!("regulator.m")),
+            Target::Modelica => (include_str!("model.mo"), ""),
+        };
+        let regulator = self.regulator.map_or("", |_| regulator);
+        let mut text = template.replace("{{regulator}}", regulator);
+        let mut fill = |key: &str, value: &str| {
+            let mark = format!("{{{{{key}}}}}");
+            // A line that would be empty is none.
+            if value.is_empty() {
+                text = text.replace(&format!("{mark}\n"), "");
+            }
+            text = text.replace(&mark, value);
+        };
+        for (key, place) in [
+            ("voltage", Place::Voltage),
+            ("torque", Place::Torque),
+            ("friction", Place::Friction),
+            ("current_rate", Place::CurrentRate),
+            ("inertia", Place::Inertia),
+            ("current_reading", Place::CurrentReading),
+            ("speed_reading", Place::SpeedReading),
+        ] {
+            fill(key, &self.sum(place, &language));
+        }
+        let states: Vec<(usize, &str)> = self.states.iter().copied().enumerate().collect();
+        let each = |line: &dyn Fn(usize, &str, String) -> String| {
+            let lines = states.iter().map(|(number, effect)| {
+                let own = self.terms.iter().filter(|term| term.effect == *effect);
+                let rate = own
+                    .filter(|term| term.formula.place == Place::StateRate)
+                    .map(|term| language.written(&term.formula.tree, &self.names(term)))
+                    .collect();
+                line(*number, effect, rate)
+            });
+            lines.collect::<Vec<_>>().join("\n")
+        };
+        let state = |effect: &str| language.state(effect, 0);
+        match target {
+            Target::C => {
+                fill(
+                    "states",
+                    &each(&|_, effect, _| format!("    double {effect};")),
+                );
+                fill(
+                    "state_rates",
+                    &each(&|_, effect, rate| format!("    rate.{effect} = {rate};")),
+                );
+                fill(
+                    "state_moves",
+                    &each(&|_, effect, _| format!("    next.{effect} += h * rate->{effect};")),
+                );
+            }
+            Target::Python => fill(
+                "state_rates",
+                &each(&|_, _, rate| format!("            {rate},")),
+            ),
+            Target::Matlab => fill(
+                "state_rates",
+                &each(&|number, _, rate| format!("  rate({}) = {rate};", 5 + number)),
+            ),
+            Target::Modelica => {
+                fill(
+                    "states",
+                    &each(&|_, effect, _| {
+                        format!("  Real {}(start = 0.0, fixed = true);", state(effect))
+                    }),
+                );
+                fill(
+                    "state_rates",
+                    &each(&|_, effect, rate| format!("  der({}) = {rate};", state(effect))),
+                );
+            }
+        }
+        let names: String = (self.states.iter())
+            .map(|effect| format!(", state of {effect}"))
+            .collect();
+        fill("state_names", &names);
+        fill("state_count", &(4 + states.len()).to_string());
+        fill(
+            "parameters",
+            &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")),
+        );
+        let values = match target {
+            Target::C => self.lines(|key, value, _| format!("    .{key} = {value:?},")),
+            Target::Python => {
+                self.lines(|key, value, unit| format!("        self.{key} = {value:?}  # {unit}"))
+            }
+            Target::Matlab => {
+                self.lines(|key, value, unit| format!("  p.{key} = {value:?}; % {unit}"))
+            }
+            Target::Modelica => self.lines(|key, value, unit| {
+                format!("  parameter Real {key}(unit = \"{unit}\") = {value:?};")
+            }),
+        };
+        fill("values", &values);
+        let (mut gains, mut fields) = (String::new(), String::new());
+        if let Some(regulator) = self.regulator {
+            let values = regulator.values();
+            let listed = values.map(|(_, value)| format!("{value:?}"));
+            gains = match target {
+                Target::Python => format!("({})", listed.join(", ")),
+                _ => listed.join(", "),
+            };
+            for (key, value) in values {
+                let _ = writeln!(fields, "  m.gains.{key} = {value:?};");
+            }
+            fields.push_str("  m.regulate = @regulate;");
+        }
+        fill("gains", &gains);
+        fill("regulator_fields", &fields);
+        fill("longest_s", &format!("{:?}", self.longest_step_s));
+        fill("title", &self.title);
+        fill("name", &self.name);
+        fill("Name", &camel(&self.name));
+        fill("NAME", &self.name.to_uppercase());
+        Ok(text)
+    }
+
+    /// All formulas of a place, zero where there is none.
+    fn sum(&self, place: Place, language: &Language) -> String {
+        let here = self.terms.iter().filter(|term| term.formula.place == place);
+        let texts: Vec<String> = here
+            .map(|term| language.written(&term.formula.tree, &self.names(term)))
+            .collect();
+        match &texts[..] {
+            [] => "0.0".to_owned(),
+            [one] => one.clone(),
+            several => several.join(" + "),
+        }
+    }
+
+    fn names<'a>(&'a self, term: &'a Term) -> Names<'a> {
+        let number = self.states.iter().position(|effect| *effect == term.effect);
+        Names {
+            program: &self.name,
+            effect: term.effect,
+            keys: &term.keys,
+            state: number.unwrap_or(0),
+        }
+    }
+
+    fn lines(&self, line: impl Fn(&str, f64, &str) -> String) -> String {
+        let lines = self.parameters.iter();
+        let lines: Vec<String> = lines
+            .map(|(key, value, unit)| line(key, *value, unit))
+            .collect();
+        lines.join("\n")
+    }
+}
+
+/// The terms of an effect as text in the symbols of the equations and its own parameters, each with what it adds to; `None`
+/// where it has no formula.
+pub fn formulas(active: &ActiveEffect) -> Option<Vec<(&'static str, String)>> {
+    let specs = active.effect.parameters().iter();
+    let keys: Vec<&str> = specs.map(|spec| spec.key).collect();
+    let terms = active.effect.formula()?.into_iter();
+    let written = terms.map(|term| {
+        let text = notation::plain(&term.tree, &keys);
+        let place = match term.place {
+            Place::Voltage => "voltage drop, V",
+            Place::Torque => "torque against positive motion, N.m",
+            Place::Friction => "friction level, N.m",
+            Place::CurrentRate => "relative rate of the current",
+            Place::Inertia => "relative inertia",
+            Place::StateRate => "rate of the state x",
+            Place::CurrentReading => "reading of the current, A",
+            Place::SpeedReading => "reading of the speed, rad/s",
+        };
+        (place, text)
+    });
+    Some(written.collect())
+}
+
+/// Whether it lies on the way of command and measurement with a size of zero: a delay or a filter of no time.
+fn is_nothing(active: &ActiveEffect) -> bool {
+    let terms = active.effect.terms(&active.values_or_guess());
+    active.effect.card().enters == Enters::Path && terms.path() == Path::default()
+}
+
+/// Why an effect has no formula.
+fn unwritten(active: &ActiveEffect) -> String {
+    let terms = active.effect.terms(&active.values_or_guess());
+    let reason = match active.effect.card().enters {
+        Enters::Path => {
+            "it delays the command or the measurement, which needs a memory of the past"
+        }
+        _ if terms.coupling().is_some() => {
+            "it is a second inertia, whose play and friction behind the shaft a step function of one inertia does not hold"
+        }
+        _ => "its curve closes over a turn of the shaft",
+    };
+    reason.to_owned()
+}
+
+/// A name that every language takes: letters, digits and underscores, a letter first.
+pub fn identifier(text: &str) -> String {
+    let mut name = String::new();
+    for here in text.trim().chars() {
+        match here {
+            _ if here.is_ascii_alphanumeric() => name.push(here.to_ascii_lowercase()),
+            _ if name.ends_with('_') || name.is_empty() => {}
+            _ => name.push('_'),
+        }
+    }
+    let name = name.trim_end_matches('_');
+    match name.chars().next() {
+        Some(first) if first.is_ascii_alphabetic() => name.to_owned(),
+        Some(_) => format!("motor_{name}"),
+        None => "motor".to_owned(),
+    }
+}
+
+/// `zk_22fc` as `Zk22fc`.
+fn camel(name: &str) -> String {
+    let words = name.split('_').map(|word| {
+        let (first, rest) = word.split_at(word.len().min(1));
+        first.to_uppercase() + rest
+    });
+    words.collect()
+}
+
+/// Full voltage of the supply, as every target takes it.
+const SUPPLY_V: f64 = REFERENCE_SUPPLY_V;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,256 @@
+//! The guide through the commissioning loop: what each step needs, what it makes possible, and the command that does the
+//! same by itself.
+
+use super::commission::Role;
+use crate::bench::{BenchFile, Port};
+use crate::text::number::shortest;
+
+/// A step of the loop, in the order of the loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    Connect,
+    Safety,
+    /// Only an unknown motor needs it.
+    Find,
+    Plan,
+    Record(Role),
+    Identify,
+    Compare,
+    Diagnose,
+    Ladder,
+    Tune,
+    Report,
+    /// The run that would tell more, where there is one; on request.
+    Experiment,
+    /// On request.
+    SpeedLoop,
+}
+
+impl Step {
+    /// The steps of a loop around a motor that is known, or has to be found first.
+    pub fn all(find: bool) -> Vec<Self> {
+        let mut steps = vec![Self::Connect, Self::Safety];
+        steps.extend(find.then_some(Self::Find));
+        steps.push(Self::Plan);
+        steps.extend(Role::ALL.map(Self::Record));
+        steps.extend([
+            Self::Identify,
+            Self::Compare,
+            Self::Diagnose,
+            Self::Ladder,
+            Self::Tune,
+            Self::Report,
+            Self::Experiment,
+            Self::SpeedLoop,
+        ]);
+        steps
+    }
+
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Connect => "connect",
+            Self::Safety => "safety checks",
+            Self::Find => "find the motor",
+            Self::Plan => "plan",
+            Self::Record(Role::Fit) => "record: fit",
+            Self::Record(Role::Select) => "record: select",
+            Self::Record(Role::Confirm) => "record: confirm",
+            Self::Record(Role::Repeat) => "record: repeat",
+            Self::Identify => "identify",
+            Self::Compare => "compare",
+            Self::Diagnose => "diagnose",
+            Self::Ladder => "ladder",
+            Self::Tune => "tune",
+            Self::Report => "report",
+            Self::Experiment => "next experiment",
+            Self::SpeedLoop => "speed loop",
+        }
+    }
+
+    /// Whether what it shows would give away the name of an effect.
+    pub const fn names_an_effect(self) -> bool {
+        matches!(
+            self,
+            Self::Diagnose | Self::Ladder | Self::Tune | Self::Experiment
+        )
+    }
+
+    /// Whether it follows the report, when a person asks for it.
+    pub const fn is_on_request(self) -> bool {
+        matches!(self, Self::Experiment | Self::SpeedLoop)
+    }
+
+    pub const fn needs(self) -> &'static str {
+        match self {
+            Self::Connect => "a powered drive on the port of the bench file",
+            Self::Safety => "a drive that answers, its shaft free to turn a little",
+            Self::Find => "the rated current and speed of the bench file's limits",
+            Self::Plan => "limits and a nameplate, or the motor that was found",
+            Self::Record(Role::Fit) => "a plan that crosses no limit; the motor turns",
+            Self::Record(_) => "the run before it; the motor turns",
+            Self::Identify => "the fit run",
+            Self::Compare => "an identified model and a run that it was not fitted on",
+            Self::Diagnose => "the fit run, and another one to select by",
+            Self::Ladder => "a named effect",
+            Self::Tune => "a model with inertia and back-EMF",
+            Self::Report => "the runs and what was found",
+            Self::Experiment => "effects that these runs do not tell apart; the motor turns",
+            Self::SpeedLoop => "tuned gains and a [speed] in the bench file; the motor turns",
+        }
+    }
+
+    pub const fn unlocks(self) -> &'static str {
+        match self {
+            Self::Connect => "the safety checks",
+            Self::Safety => "everything that energises the motor",
+            Self::Find => "a plan without a nameplate",
+            Self::Plan => "the runs: what they will do to the motor is known",
+            Self::Record(Role::Fit) => "identification",
+            Self::Record(Role::Select) => "a choice between models on data that no fit has seen",
+            Self::Record(Role::Confirm) => "an error that neither fit nor choice has seen",
+            Self::Record(Role::Repeat) => "what the machine itself does not repeat",
+            Self::Identify => "the comparison",
+            Self::Compare => "where, and by how much, the model fails",
+            Self::Diagnose => "the effect to add, with its cause and remedy",
+            Self::Ladder => "a model at its floor, or how far it stays above it",
+            Self::Tune => "the speed loop",
+            Self::Report => "one file for a colleague",
+            Self::Experiment => "a diagnosis that tells them apart",
+            Self::SpeedLoop => "a loop that adapts to what changes",
+        }
+    }
+
+    /// The command that does the same by itself; none for what is a part of every run.
+    pub fn command(self, called: &Called) -> Option<String> {
+        let live = |command: &str, bench: &str| {
+            let words = ["drivebench", command, bench, &called.port];
+            let words: Vec<&str> = words.into_iter().filter(|word| !word.is_empty()).collect();
+            words.join(" ")
+        };
+        let bench = called.bench.as_str();
+        let [fit, select, confirm] =
+            [Role::Fit, Role::Select, Role::Confirm].map(|role| called.run(role));
+        // The folder's own model has the effect already.
+        let judged = format!("--model baseline --holdout {select} --confirm {confirm}");
+        Some(match self {
+            Self::Safety | Self::Report => return None,
+            Self::Connect => format!("drivebench probe {}", called.line.as_deref()?),
+            Self::Find => live("run", bench) + " --escalate",
+            Self::Plan => format!("drivebench plan {bench}").trim_end().to_owned(),
+            Self::Record(role) => {
+                let seed = called.seed(role);
+                live("run", bench) + &format!(" --run-seed {seed}")
+            }
+            Self::Identify => format!("drivebench identify {fit}"),
+            Self::Compare => {
+                format!("drivebench compare {fit} --model baseline --holdout {confirm}")
+            }
+            Self::Diagnose => format!("drivebench diagnose {fit} {judged}"),
+            Self::Ladder => {
+                let effect = called.effect.unwrap_or("EFFECT");
+                format!("drivebench add {effect} --run {fit} {judged}")
+            }
+            Self::Tune => {
+                let rate_hz = shortest(called.rate_hz, 6);
+                format!("drivebench tune --model {fit}/model.toml --rate-hz {rate_hz}")
+            }
+            Self::Experiment => live("run", &format!("{fit}/next-bench.toml")),
+            Self::SpeedLoop => live("speed", bench) + &format!(" --model {fit}/model.toml"),
+        })
+    }
+}
+
+/// What the commands of single steps are about: how this loop was called, and what it has come to so far.
+#[derive(Clone, Debug, Default)]
+pub struct Called {
+    /// The bench file; empty for the embedded one.
+    bench: String,
+    /// Where the command line gave another port than the bench file: the argument; else empty.
+    port: String,
+    /// How the drive's line is named to commands that only look; none where there is no line.
+    line: Option<String>,
+    rate_hz: f64,
+    seeds: [u64; 4],
+    /// Run folders by role, as far as they are recorded.
+    pub(super) runs: Vec<String>,
+    /// The effect that was named.
+    pub(super) effect: Option<&'static str>,
+}
+
+impl Called {
+    /// `file` is the bench file, `None` for the embedded one; `port` where it was given beside it.
+    pub fn new(bench: &BenchFile, file: Option<&str>, port: Option<&str>) -> Self {
+        let line = match bench.port() {
+            Port::Sim => None,
+            Port::Emulator | Port::Tcp(_) | Port::Serial(_) => Some(format!(
+                "--port {} --drive {}",
+                bench.link.port, bench.drive.profile
+            )),
+        };
+        let runs = bench.runs;
+        Self {
+            bench: file.unwrap_or_default().to_owned(),
+            port: port.map_or_else(String::new, |port| format!("--port {port}")),
+            line,
+            rate_hz: bench.link.rate_hz,
+            seeds: [runs.fit, runs.select, runs.confirm, runs.repeat],
+            ..Self::default()
+        }
+    }
+
+    const fn seed(&self, role: Role) -> u64 {
+        self.seeds[role as usize]
+    }
+
+    fn run(&self, role: Role) -> String {
+        let known = self.runs.get(role as usize).cloned();
+        known.unwrap_or_else(|| role.name().to_uppercase())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn called() -> Called {
+        let bench = BenchFile::embedded_default();
+        Called::new(&bench, Some("bench.toml"), Some("/dev/ttyUSB0"))
+    }
+
+    #[test]
+    fn each_step_says_what_it_needs_and_what_it_makes_possible() {
+        for step in Step::all(true) {
+            for words in [step.title(), step.needs(), step.unlocks()] {
+                assert!(!words.is_empty() && words.len() < 70, "{step:?}: {words}");
+            }
+        }
+        assert_eq!(Step::all(true).len(), Step::all(false).len() + 1);
+    }
+
+    #[test]
+    fn commands_name_what_is_known_and_a_word_for_what_is_not() {
+        let mut called = called();
+        let command = |called: &Called, step: Step| step.command(called).unwrap();
+        assert_eq!(
+            command(&called, Step::Record(Role::Select)),
+            "drivebench run bench.toml --port /dev/ttyUSB0 --run-seed 2"
+        );
+        assert_eq!(
+            command(&called, Step::Ladder),
+            "drivebench add EFFECT --run FIT --model baseline --holdout SELECT --confirm CONFIRM"
+        );
+        called.runs = ["a", "b", "c"].map(str::to_owned).to_vec();
+        called.effect = Some("voltage_drop");
+        assert_eq!(
+            command(&called, Step::Ladder),
+            "drivebench add voltage_drop --run a --model baseline --holdout b --confirm c"
+        );
+        assert_eq!(
+            command(&called, Step::SpeedLoop),
+            "drivebench speed bench.toml --port /dev/ttyUSB0 --model a/model.toml"
+        );
+        assert_eq!(Step::Safety.command(&called), None);
+        let embedded = Called::new(&BenchFile::embedded_default(), None, None);
+        assert_eq!(command(&embedded, Step::Plan), "drivebench plan");
+    }
+}
