@@ -146,7 +146,12 @@ impl LeaningWatch {
         if self.times.len() < FEWEST_SAMPLES || self.events.len() >= MOST_EVENTS {
             return None;
         }
-        let model = Model::baseline(self.motor.clone());
+        let mut motor = self.motor.clone();
+        if motor.get(MotorKey::LoadTorque).is_none() {
+            // Not told yet: what it would explain is taken out of the balance all the same.
+            motor.set(MotorKey::LoadTorque, 0.0);
+        }
+        let model = Model::baseline(motor);
         model.require_complete().ok()?;
         let first = self.times.partition_point(|t| *t < self.events[0].0);
         let times = self.times[first..].to_vec();

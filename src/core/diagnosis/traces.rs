@@ -271,8 +271,11 @@ impl Traces {
             let others: Vec<SignalTrace> = recorded.beside(&run.name, &signals).collect();
             signals.extend(others);
             let begins = run.sample_time_s.get(run.scored.start).map(since);
+            // Of a split run the whole is shown, not the part that its name tells.
+            let whole = run.name.rsplit_once(" (last").map(|(whole, _)| whole);
+            let name = whole.filter(|_| is_split).unwrap_or(&run.name);
             Ok(RunTraces {
-                run: run.name.clone(),
+                run: name.to_owned(),
                 part,
                 held_out_from_s: begins.filter(|_| part == Part::Split),
                 signals,
@@ -474,6 +477,7 @@ mod tests {
         let [run] = traces.runs.as_slice() else {
             panic!("{}", traces.runs.len())
         };
+        assert!(!run.run.contains("last"), "{}", run.run);
         let from_s = run.held_out_from_s.unwrap();
         assert!((from_s / run.span_s().1 - 0.6).abs() < 0.01, "{from_s}");
     }

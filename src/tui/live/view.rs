@@ -241,7 +241,8 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         _ => 4,
     };
     // What is provisional while the run goes on is no result when it is over.
-    let goes_on = !model.is_finished();
+    let phase = model.snapshot.phase;
+    let goes_on = !model.is_finished() && phase.is_some_and(Phase::is_recorded);
     let lean_rows = u16::from(goes_on && area.height >= WITH_LEANING);
     let [body, lean, bottom] = Layout::vertical([
         Constraint::Fill(1),
@@ -349,7 +350,7 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
         let workflow = model.workflow.as_ref();
         workflow.is_some_and(|workflow| workflow.is_offered(step).is_ok())
     };
-    let mut keys = vec!["v traces", "d diagnosis by hand"];
+    let mut keys = vec!["d diagnosis by hand", "v traces"];
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
     keys.extend([next, "Up Down scroll"]);
