@@ -16,13 +16,13 @@ use super::files::{read_model, read_text};
 use super::{output, progress};
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{
-    Diagnosis, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship, NextExperiment,
-    RecordedChannels, fingerprint, matches, recommend, shared_samples,
+    Diagnosis, ErrorOf, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship,
+    NextExperiment, RecordedChannels, fingerprint, matches, recommend, shared_samples,
 };
 use crate::identification::sanity::{self, Finding, Kind};
 use crate::identification::{lost_rows, start};
 use crate::numerics::statistics::median;
-use crate::plant::{Model, ModelFile, Motor, Scenario, Slot};
+use crate::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
@@ -57,6 +57,17 @@ pub(crate) enum Judging {
     Refits,
     /// Has no model but the one that it fits to the data.
     FitsFirst,
+}
+
+impl Judging {
+    /// Of a comparison: what was given is not refitted.
+    pub(crate) const fn of(model: Option<&Path>) -> Self {
+        if model.is_some() {
+            Self::AsGiven
+        } else {
+            Self::Refits
+        }
+    }
 }
 
 /// A model with the place it came from.
@@ -102,6 +113,14 @@ pub(crate) struct About {
     pub(crate) holdout_objected: bool,
 }
 
+/// How a comparison judges its model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Judged {
+    /// The model was fitted to the run.
+    pub(crate) refitted: bool,
+    pub(crate) error_of: ErrorOf,
+}
+
 /// Everything that `compare`, `diagnose`, `add` and `remove` need.
 pub(crate) struct Prepared {
     pub(crate) run: LoadedRun,
@@ -113,16 +132,35 @@ pub(crate) struct Prepared {
 }
 
 impl Prepared {
-    /// Fits the baseline where no model was given, so that there is one to compare.
-    pub(crate) fn fit_where_incomplete(&mut self) -> Result<(), Failure> {
-        if self.model.from == "baseline" {
-            progress::stage("fits the baseline", 0);
+    /// Makes the model the one that is judged. What was given is judged as it is; what the folder of a run keeps is not
+    /// given, and is refitted as `diagnose` refits it; without either the baseline is fitted. Its origin says which.
+    pub(crate) fn judge_as_diagnose(&mut self, is_given: bool) -> Result<Judged, Failure> {
+        let is_baseline = self.model.from == "baseline";
+        let is_electrical = self.evidence.training.input == Input::Voltage;
+        let refitted = is_baseline || !is_given && is_electrical;
+        if refitted {
+            progress::stage("fits the model", 0);
             let evidence = self.evidence.clone();
             let (with_scale, fit) = evidence.with_baseline(&self.model.file.model)?;
             (self.evidence, self.model.file.model) = (with_scale, fit.model);
         }
         self.model.file.model.require_complete()?;
-        Ok(())
+        let from = &self.model.from;
+        self.model.from = match (is_baseline, refitted) {
+            (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
+            (_, true) => format!(
+                "{from}, refitted to this run as diagnose does; --model judges a file as it is"
+            ),
+            (_, false) => format!("{from}, as it is"),
+        };
+        Ok(Judged {
+            refitted,
+            error_of: if refitted && !is_baseline {
+                ErrorOf::Structure
+            } else {
+                ErrorOf::Model
+            },
+        })
     }
 
     /// A result as JSON, with what is to be known of the data.
@@ -322,7 +360,11 @@ fn note(notes: &mut Vec<String>, sentence: String) {
 }
 
 /// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
-fn was_fitted_on(fitted_on: &[String], run: &Path, holdout: Option<&Path>) -> Option<String> {
+pub(crate) fn was_fitted_on(
+    fitted_on: &[String],
+    run: &Path,
+    holdout: Option<&Path>,
+) -> Option<String> {
     let judge = holdout.unwrap_or(run);
     let mut names = fitted_on.iter();
     let name = names.find(|name| is_same(Path::new(name), judge))?;

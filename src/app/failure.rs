@@ -80,14 +80,23 @@ impl Failure {
         &self.headline
     }
 
-    /// Two lines on stderr; where stderr is gone there is nobody left to tell.
+    /// Two lines on stderr, and for a program that asked for JSON the same as one line of it before them; where stderr is
+    /// gone there is nobody left to tell.
     pub(crate) fn print(&self) {
         use std::io::Write;
         super::progress::above(|| {
             let mut stderr = std::io::stderr().lock();
+            if std::env::args_os().any(|word| word == "--json") {
+                let _ = writeln!(stderr, "{}", self.json());
+            }
             let _ = writeln!(stderr, "error: {}", self.headline);
             let _ = writeln!(stderr, "help: {}", self.help());
         });
+    }
+
+    fn json(&self) -> serde_json::Value {
+        let (status, message) = (self.status, &self.headline);
+        serde_json::json!({ "error": { "status": status, "message": message, "help": self.help() } })
     }
 
     /// The next step; where none was given, what the status means for the reader.

@@ -2,6 +2,7 @@
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
@@ -14,7 +15,7 @@ use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
-    ColumnMap, Kept, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
+    ColumnMap, Kept, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
     run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
@@ -151,7 +152,22 @@ impl Recorded {
         if let Some(error) = &kept.error {
             recorded.note(&error.to_string());
         }
+        recorded.link_latest();
         recorded
+    }
+
+    /// The newest run is `latest` beside it; where there can be no link, that is told once.
+    fn link_latest(&self) {
+        static TOLD: AtomicBool = AtomicBool::new(false);
+        if !self.folder.path().is_dir() {
+            return;
+        }
+        if let Err(error) = self.folder.link_latest()
+            && !TOLD.swap(true, Ordering::Relaxed)
+        {
+            let folder = self.folder.path().display();
+            output::message(&format!("no link `{LATEST}` to {folder}: {error}"));
+        }
     }
 
     /// The run as anyone can replay it, read back from the disk; where the record there is damaged, as the memory has it.

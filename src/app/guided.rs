@@ -179,8 +179,10 @@ fn speed_loop(
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;
+    let folder = recorded.folder.path();
+    by_hand::go_on(&ended.left, folder)?;
     ended.left.conclude(recorded.failure())?;
-    let folder = recorded.folder.path().display();
+    let folder = folder.display();
     let report = recorded.summary.speed.as_ref();
     let last = report.and_then(|report| report.tracking.last());
     let tracking = last.map_or_else(

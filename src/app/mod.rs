@@ -7,29 +7,36 @@
 //! ending: whatever returns, fails, panics or hangs up -> zero, disable, the drive's word -> status
 //! ```
 //!
-//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`: drives that are only looked at.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`: the order of work of each
-//!   command; a test of a live run gives a rig of its own.
+//! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
+//!   lines that are only looked at.
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
+//!   order of work of each command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file.
+//! * `files`, `pages`: what is left in folders; `cards`: what is left on the terminal; `report`: the page of a run and its
+//!   pictures once more; `export`: models for other tools; `tune`: gains, and those from a file; `front`: what the program
+//!   says when it is called alone.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
+pub(crate) mod cards;
 mod controls;
+pub(crate) mod doctor;
 mod ending;
 pub(crate) mod evidence;
 pub(crate) mod export;
 pub(crate) mod failure;
 pub(crate) mod files;
 pub(crate) mod forecast;
+pub(crate) mod front;
 pub(crate) mod guided;
 pub(crate) mod identify;
 pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
+pub(crate) mod report;
 mod rig;
 mod run;
 pub(crate) mod screen;
@@ -38,6 +45,7 @@ mod speed;
 pub(crate) mod study;
 pub(crate) mod survey;
 pub(crate) mod tune;
+pub(crate) mod versus;
 
 pub use controls::{Controls, DriveCell, DriveWord, Ends};
 pub use ending::{Audience, Ended, Left, beside_screen, conduct};

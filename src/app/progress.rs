@@ -5,7 +5,8 @@
 //!      '-> a thread that draws the line from the second second on, again and again, and wipes it at the end
 //! ```
 //!
-//! Only where stderr is a terminal; scripts and logs see nothing of it. Messages go above the line (`output::message`).
+//! Where stderr is no terminal it is a line of its own, a few times a minute: a log that is silent for long looks dead.
+//! Beside a screen nothing is written at all. Messages go above the line (`output::message`).
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
@@ -13,11 +14,15 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use super::output;
 use crate::diagnosis::{Event, Stage};
+use crate::text::number::significant;
 
 /// What is over sooner needs no progress.
 const AFTER: Duration = Duration::from_secs(1);
 const REDRAW: Duration = Duration::from_millis(200);
+/// From line to line where there is no terminal.
+const LOGGED: Duration = Duration::from_secs(15);
 const FALLBACK_COLUMNS: u16 = 80;
 /// Back to the first column, and nothing to the right of it.
 const WIPE: &str = "\r\x1b[K";
@@ -43,6 +48,9 @@ struct Work {
     done: usize,
     /// Zero where nothing is counted.
     of: usize,
+    on_terminal: bool,
+    /// When it was told last, where there is no terminal.
+    logged: Instant,
 }
 
 fn lock() -> MutexGuard<'static, Line> {
@@ -59,8 +67,15 @@ impl Line {
     }
 
     fn draw(&mut self, now: Instant) {
-        let Some(work) = &self.work else { return };
-        if now.duration_since(work.begun) < AFTER {
+        let Some(work) = &mut self.work else { return };
+        if output::is_held() || now.duration_since(work.begun) < AFTER {
+            return;
+        }
+        if !work.on_terminal {
+            if now.duration_since(work.logged) >= LOGGED {
+                work.logged = now;
+                let _ = writeln!(std::io::stderr(), "{}", work.text(now));
+            }
             return;
         }
         let columns = crossterm::terminal::size().map_or(FALLBACK_COLUMNS, |size| size.0);
@@ -83,7 +98,11 @@ impl Work {
         let _ = write!(text, ", {elapsed_s:.0} s");
         let stage_s = now.duration_since(self.stage_begun).as_secs_f64();
         if let Some(left_s) = left_s(stage_s, self.done, self.of) {
-            let _ = write!(text, ", about {left_s:.0} s left in this step");
+            let rate = significant(self.done as f64 / stage_s, 2);
+            let _ = write!(
+                text,
+                ", {rate} a second, about {left_s:.0} s left in this step"
+            );
         }
         text
     }
@@ -103,15 +122,12 @@ fn left_s(stage_s: f64, done: usize, of: usize) -> Option<f64> {
 /// The progress of one command; the line goes when it is dropped.
 pub(crate) struct Shown(Option<JoinHandle<()>>);
 
-/// Shows the progress of `command` from now on, where stderr is a terminal.
+/// Shows the progress of `command` from now on.
 #[expect(
     clippy::disallowed_methods,
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
 pub(crate) fn begin(command: &'static str) -> Shown {
-    if !std::io::stderr().is_terminal() {
-        return Shown(None);
-    }
     let now = Instant::now();
     lock().work = Some(Work {
         command,
@@ -120,6 +136,8 @@ pub(crate) fn begin(command: &'static str) -> Shown {
         stage_begun: now,
         done: 0,
         of: 0,
+        on_terminal: std::io::stderr().is_terminal(),
+        logged: now,
     });
     let ticker = || {
         let mut line = lock();
@@ -197,6 +215,31 @@ pub(crate) fn above<T>(write: impl FnOnce() -> T) -> T {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    #[expect(clippy::disallowed_methods, reason = "any instant serves")]
+    fn the_line_says_how_far_how_fast_and_how_long() {
+        let begun = Instant::now();
+        let mut work = Work {
+            command: "reproduce",
+            begun,
+            stage: "excites".to_owned(),
+            stage_begun: begun + Duration::from_secs(10),
+            done: 0,
+            of: 0,
+            on_terminal: false,
+            logged: begun,
+        };
+        let now = begun + Duration::from_secs(30);
+        assert_eq!(work.text(now), "reproduce: excites, 30 s");
+        (work.done, work.of) = (50, 5000);
+        let text = work.text(now);
+        let begins = "reproduce: excites, 50 of 5000, 30 s, 2.5 a second, about ";
+        assert!(
+            text.starts_with(begins) && text.ends_with(" s left in this step"),
+            "{text}"
+        );
+    }
 
     #[test]
     fn the_rest_of_a_stage_is_told_once_something_is_done() {

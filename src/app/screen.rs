@@ -5,7 +5,7 @@ use std::io::IsTerminal as _;
 use super::by_hand::{self, Left, Shown};
 use super::evidence::Prepared;
 use super::failure::Failure;
-use crate::plant::Model;
+use crate::diagnosis::ErrorOf;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
 
@@ -18,14 +18,15 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     Err(Failure::usage(headline, help))
 }
 
-/// Shows a complete model beside its runs until the screen is left; from there a person may search what it misses.
-pub(crate) fn show(prepared: &Prepared, model: Model) -> Result<Left, Failure> {
+/// Shows the complete model beside its runs until the screen is left; from there a person may search what it misses.
+pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failure> {
+    let model = prepared.model.file.model.clone();
     let discovery =
         Discovery::new(model, prepared.evidence.clone()).with_recorded(prepared.recorded.clone());
     let shown = Shown {
         title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
         guess_first: false,
-        opens: Opens::Comparison,
+        opens: Opens::Comparison(error_of),
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
         output: None,

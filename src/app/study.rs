@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::failure::{Failure, INTERRUPTED};
 use super::{output, progress, signals};
-use crate::workflow::reproduce::lines::line_study;
+use crate::workflow::reproduce::lines::{KINDS, line_study};
 use crate::workflow::reproduce::study::{
     self, Answer, MysteryAnswer, Outcome, RecordAnswer, Size, Study, files, records,
 };
@@ -53,8 +53,8 @@ pub(crate) fn study(
     progress::stage("excites and diagnoses machines", size.machines());
     let mut found = study::run(size, &interrupted, tell).ok_or_else(ended)?;
     if size.sets > 0 {
-        progress::stage("asks what lines do to a measurement", 0);
-        found.lines = Some(line_study(LINE_RUNS, size.seed));
+        progress::stage("asks what lines do to a measurement", KINDS);
+        found.lines = Some(line_study(LINE_RUNS, size.seed, progress::at));
     }
     if mysteries > 0 {
         let answers = commission(mysteries, size.seed, &interrupted)?;

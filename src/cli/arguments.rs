@@ -5,6 +5,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::failure::Failure;
 use super::output;
@@ -14,9 +15,14 @@ use crate::app::{Audience, MYSTERY, RigOptions, Tap};
 use crate::bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
 use crate::drive::{Framing, RawClient, RawSettings, Target, standard_gap_s};
 use crate::identification::sanity;
-use crate::recording::{ColumnMap, LoadedRun};
+use crate::recording::{ColumnMap, LoadedRun, resolved};
 use crate::sample::{Channel, Origin, Run, Side};
 use crate::workflow::ProgressCell;
+
+/// A run on the command line; `runs/latest` is the folder that it names now.
+pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(|path| resolved(&path))
+}
 
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
@@ -43,6 +49,17 @@ pub(super) struct MapArguments {
 }
 
 impl MapArguments {
+    /// The maps as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
+        let given = maps
+            .into_iter()
+            .filter_map(|(name, map)| Some((name, map.as_deref()?)));
+        given
+            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
+            .collect()
+    }
+
     /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
     pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
         self.load_with(path, self.map.as_deref())
@@ -130,16 +147,30 @@ impl Provenance {
 #[derive(Args, Clone, Debug)]
 pub(super) struct EvidenceArguments {
     /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
-    #[arg(long, value_name = "RUN2")]
+    #[arg(long, value_name = "RUN2", value_parser = run_path())]
     holdout: Option<PathBuf>,
     /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
-    #[arg(long, value_name = "RUN3")]
+    #[arg(long, value_name = "RUN3", value_parser = run_path())]
     confirm: Option<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
 }
 
 impl EvidenceArguments {
+    /// The options as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let path = |name: &str, path: &Option<PathBuf>| {
+            let path = path.as_deref().map(output::quoted);
+            path.map(|path| format!(" --{name} {path}"))
+        };
+        let words = [
+            path("holdout", &self.holdout),
+            path("confirm", &self.confirm),
+            Some(self.map.words()),
+        ];
+        words.into_iter().flatten().collect()
+    }
+
     /// Opens the runs and the model; data that cannot be judged end the command.
     pub(super) fn prepare(
         &self,
@@ -335,6 +366,9 @@ pub(super) struct LiveArguments {
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    pub(super) full: bool,
     /// Print JSON; as with --headless there is no question before the motor starts
     #[arg(long)]
     pub(super) json: bool,
@@ -369,7 +403,32 @@ impl LiveArguments {
             reopen_s: self.reopen_s,
             tap: self.tap.clone(),
             mystery: self.mystery.is_some(),
+            words: self.words(),
         })
+    }
+
+    /// Bench, link and motor as they are named here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let bench = self.bench.as_deref().map(output::quoted);
+        let option = |name: &str, value: Option<String>| {
+            let value = value.map(|value| output::quoted_word(&value));
+            value.map(|value| format!("--{name} {value}"))
+        };
+        let switch = |name: &str, is_set: bool| is_set.then(|| format!("--{name}"));
+        let number = |number: Option<u64>| number.map(|number| number.to_string());
+        let words = [
+            bench,
+            option("port", self.port.clone()),
+            option("emulator", self.emulator.clone()),
+            option("seed", number(self.seed)),
+            option("mystery", number(self.mystery)),
+            switch("headless", self.headless),
+            switch("hardware", self.hardware),
+        ];
+        words
+            .into_iter()
+            .flatten()
+            .fold(String::new(), |all, word| all + " " + &word)
     }
 
     /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.

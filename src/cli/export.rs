@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::arguments::run_path;
 use super::failure::Failure;
 use super::output;
 use crate::app::export::{ExportRequest, export};
@@ -15,7 +16,7 @@ use crate::report::export::Target;
   drivebench export --model model.toml --to python --gains gains.json --limit-v 110 --output motor.py")]
 pub(super) struct Arguments {
     /// Model file, complete
-    #[arg(long)]
+    #[arg(long, value_parser = run_path())]
     model: PathBuf,
     /// Format
     #[arg(long, value_enum)]

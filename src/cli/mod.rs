@@ -18,19 +18,21 @@ mod plan;
 mod probe;
 mod registers;
 mod replay;
+mod report;
 mod reproduce;
 mod reveal;
 mod run;
+mod shell;
 mod simulate;
 mod tune;
 mod view;
 
+use std::path::Path;
 use std::process::ExitCode;
 
-use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
-use crate::app::{failure, opening, output, progress, signals};
+use crate::app::{failure, front, opening, output, progress, signals};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -49,7 +51,16 @@ Exit status:
 #[command(name = "drivebench", version, after_help = EXIT_STATUSES)]
 struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    /// Colours of screens: the terminal's sixteen, or none (as with NO_COLOR); nothing is said by colour alone
+    #[arg(long, global = true, value_enum, value_name = "THEME")]
+    theme: Option<Theme>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Theme {
+    Colour,
+    Mono,
 }
 
 #[derive(Subcommand)]
@@ -75,8 +86,11 @@ enum Command {
     Effects(effects::Arguments),
     Tune(tune::Arguments),
     Export(export::Arguments),
+    Report(report::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 /// Runs the program with the process's arguments.
@@ -84,22 +98,22 @@ pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
-            // No command at all: the whole help page is the answer.
-            let asked_nothing = ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
-            if error.use_stderr() && error.kind() != asked_nothing {
+            if error.use_stderr() {
                 usage_failure(&error).print();
                 return ExitCode::from(failure::USAGE);
             }
             // Help and version; a broken pipe there is nobody's concern.
             let _ = error.print();
-            return ExitCode::from(if error.use_stderr() {
-                failure::USAGE
-            } else {
-                0
-            });
+            return ExitCode::SUCCESS;
         }
     };
-    let done = match arguments.command {
+    if let Some(theme) = arguments.theme {
+        crossterm::style::force_color_output(theme == Theme::Colour);
+    }
+    let Some(command) = arguments.command else {
+        return ended(output::line(front::page(Path::new(".")).trim_end()));
+    };
+    ended(match command {
         Command::Commission(arguments) => run::execute_commission(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
         Command::Init(arguments) => init::execute(&arguments),
@@ -121,9 +135,15 @@ pub fn main() -> ExitCode {
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Tune(arguments) => tune::execute(&arguments),
         Command::Export(arguments) => export::execute(&arguments),
+        Command::Report(arguments) => report::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),
-    };
+        Command::Completions(arguments) => shell::execute_completions(&arguments),
+        Command::Man(arguments) => shell::execute_man(&arguments),
+    })
+}
+
+fn ended(done: Result<(), failure::Failure>) -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

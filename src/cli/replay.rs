@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
+use super::arguments::run_path;
 use super::failure::{Failure, REFUSED};
-use super::{output, signals};
+use super::{output, progress, signals};
 use crate::app::identify::{Replayed, replayed};
 use crate::bench::Difference;
 use crate::recording::ColumnMap;
@@ -17,6 +18,7 @@ use crate::recording::ColumnMap;
   drivebench replay log.csv --map time_s=t,voltage_cmd_v=u,current_a=i,speed_rad_s=w")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
     run: PathBuf,
     /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
     #[arg(long, value_name = "MAP")]
@@ -33,7 +35,10 @@ pub(super) struct Arguments {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
     let map = arguments.map.as_deref().map(str::parse::<ColumnMap>);
+    let shown = progress::begin("replay");
+    progress::stage("runs the estimators over the record", 0);
     let result = replayed(&arguments.run, map.transpose()?.as_ref())?;
+    drop(shown);
     output::result(&result, arguments.json, text)?;
     let Some(Difference {
         key,

@@ -105,7 +105,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         Paper::Lines => {
             let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
-            let found = reproduce::lines::line_study(runs, seed);
+            progress::stage("records and identifies", reproduce::lines::KINDS);
+            let found = reproduce::lines::line_study(runs, seed, progress::at);
             let page = Some("lines.md");
             finish(arguments, shown, &found, &found.report(), page)
         }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
+use super::arguments::run_path;
 use super::failure::Failure;
 use super::output;
 use crate::app::files::read_text;
@@ -34,7 +35,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "run")]
     diagnosis: Option<PathBuf>,
     /// The answer that a run folder of `commission` holds
-    #[arg(long, value_name = "RUN")]
+    #[arg(long, value_name = "RUN", value_parser = run_path())]
     run: Option<PathBuf>,
     /// What you think it is, before you look; left out at a terminal, it is asked for before anything is shown
     #[arg(long, value_name = "EFFECT")]

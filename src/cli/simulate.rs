@@ -1,8 +1,9 @@
 //! `simulate`: the free run of a model, written as a CSV of the same form as a recorded run.
 
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use super::arguments::MapArguments;
+use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::{output, signals};
 use crate::app::files::read_model;
@@ -15,15 +16,18 @@ use crate::sample::{Channel, Origin, Run, RunError};
 /// Simulate a model under the voltage of a recorded run and print the result as CSV
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  drivebench simulate --model model.toml --run runs/a > simulated.csv"
+    after_help = "Examples:\n  drivebench simulate --model model.toml --run runs/a > simulated.csv\n  drivebench simulate --model model.toml --run runs/latest --measured > both.csv"
 )]
 pub(super) struct Arguments {
     /// Model file, complete
     #[arg(long)]
     model: PathBuf,
     /// The run whose voltage and sample times are used: run folder, samples.csv, or any CSV with --map
-    #[arg(long)]
+    #[arg(long, value_parser = run_path())]
     run: PathBuf,
+    /// Put what was measured beside the model: columns `measured_current_a` and `measured_speed_rad_s`
+    #[arg(long)]
+    measured: bool,
     /// Write here instead of to stdout
     #[arg(long, value_name = "FILE.csv")]
     output: Option<PathBuf>,
@@ -63,7 +67,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let set = run.set_column(channel, values, origin);
         set.map_err(internal)?;
     }
-    let csv = write_run(&run);
+    let mut csv = write_run(&run);
+    if arguments.measured {
+        csv = with_measured(&csv, &scenario);
+    }
     if let Some(path) = &arguments.output {
         output::file(path, &csv)?;
     }
@@ -72,4 +79,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         (None, false) => output::line(csv.trim_end()),
         (_, json) => output::result(&summary, json, |_| format!("{} rows simulated", run.rows())),
     }
+}
+
+/// The lines of a simulated run, which stand at the sample times, each with what was measured then; a missing value is an
+/// empty cell.
+fn with_measured(csv: &str, scenario: &Scenario) -> String {
+    let cell = |values: &[f64], row: usize| {
+        let value = values[row];
+        if value.is_finite() {
+            value.to_string()
+        } else {
+            String::new()
+        }
+    };
+    let mut lines = csv.lines();
+    let header = lines.next().unwrap_or_default();
+    let mut out = format!("{header},measured_current_a,measured_speed_rad_s\n");
+    for (row, line) in lines.enumerate() {
+        let current = cell(&scenario.current_a, row);
+        let speed = cell(&scenario.speed_rad_s, row);
+        let _ = writeln!(out, "{line},{current},{speed}");
+    }
+    out
 }

@@ -32,4 +32,4 @@ pub use manifest::Manifest;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 pub use recorder::{Kept, Recorder};
 pub use row_order::{CommandRow, RowOrder};
-pub use run_folder::{FIRST_CAPTURE, RunFile, RunFolder, utc_stamp};
+pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};

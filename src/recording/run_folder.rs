@@ -34,6 +34,23 @@ const EVENTS: &str = "events.jsonl";
 /// A burst that the drive recorded within the run, the first of them.
 pub const FIRST_CAPTURE: &str = "capture-01.csv";
 
+/// The link to the newest run, beside the folders.
+pub const LATEST: &str = "latest";
+
+/// `path` with every link called `latest` in it replaced by the folder that it names now, so that what is written down of
+/// a run stays true when the next one is recorded.
+pub fn resolved(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        let is_link = part.as_os_str() == LATEST && out.join(part).is_symlink();
+        match fs::read_link(out.join(part)) {
+            Ok(target) if is_link => out.push(target),
+            _ => out.push(part),
+        }
+    }
+    out
+}
+
 /// `runs/<UTC stamp>-<name>/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
@@ -94,6 +111,24 @@ impl RunFolder {
 
     pub fn events(&self) -> PathBuf {
         self.path.join(EVENTS)
+    }
+
+    /// Points the link `latest` beside the folder at it: the old link or the new one is there at any time. Anything else
+    /// of that name is left alone, which is an error.
+    pub fn link_latest(&self) -> std::io::Result<()> {
+        let root = self.path.parent().unwrap_or(Path::new("."));
+        let link = root.join(LATEST);
+        if link
+            .symlink_metadata()
+            .is_ok_and(|found| !found.is_symlink())
+        {
+            let reason = "something else has this name, and is left as it is";
+            return Err(std::io::Error::new(ErrorKind::AlreadyExists, reason));
+        }
+        let name = self.path.file_name().unwrap_or_default();
+        let beside = root.join(format!(".{LATEST}.{}", std::process::id()));
+        std::os::unix::fs::symlink(name, &beside)?;
+        fs::rename(&beside, &link).inspect_err(|_| drop(fs::remove_file(&beside)))
     }
 
     /// Writes a file whole: beside it, synced, then renamed over it. A crash leaves the old file or the new one.
@@ -178,6 +213,28 @@ mod tests {
             let name = format!("20260131T235959Z-my-run-1{number}");
             assert_eq!(folder.path, runs.join(name));
         }
+    }
+
+    #[test]
+    fn latest_is_the_newest_and_nothing_of_that_name_is_replaced_but_a_link() {
+        let root = tempfile::tempdir().unwrap();
+        for name in ["first", "second"] {
+            let folder = RunFolder::create(root.path(), "s", name).unwrap();
+            folder.link_latest().unwrap();
+            let inside = root.path().join("latest/model.toml");
+            assert_eq!(resolved(&inside), folder.path().join("model.toml"));
+        }
+        assert_eq!(
+            fs::read_dir(root.path()).unwrap().count(),
+            3,
+            "no part is left"
+        );
+        assert_eq!(resolved(Path::new("runs/latest")), Path::new("runs/latest"));
+        let other = tempfile::tempdir().unwrap();
+        fs::create_dir(other.path().join(LATEST)).unwrap();
+        let folder = RunFolder::create(other.path(), "s", "n").unwrap();
+        assert!(folder.link_latest().is_err());
+        assert!(other.path().join(LATEST).is_dir());
     }
 
     #[test]

@@ -22,6 +22,7 @@ use crate::identification::nameplate::{self, Comparison};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
 use crate::plant::{Model, ModelError, Motor, Scenario, ScenarioError};
+use crate::report::Card;
 use crate::sample::{ParameterEstimate, Run};
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
@@ -133,7 +134,7 @@ impl Commission {
         });
         Progress {
             steps: steps.collect(),
-            report: Vec::new(),
+            report: None,
             finished: self.task == Task::Finished,
         }
     }
@@ -473,7 +474,7 @@ impl StepView {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
     pub steps: Vec<StepView>,
-    pub report: Vec<String>,
+    pub report: Option<Card>,
     pub finished: bool,
 }
 

@@ -20,7 +20,9 @@ fn run_in(out: &Path) -> PathBuf {
     let mut entries = fs::read_dir(out)
         .unwrap()
         .map(|entry| entry.unwrap().path());
-    entries.find(|path| path.is_dir()).unwrap()
+    entries
+        .find(|path| path.is_dir() && !path.is_symlink())
+        .unwrap()
 }
 
 /// No effect's name, no size and no true value of the motor stands in this text.

@@ -130,7 +130,9 @@ impl Desk {
     pub(crate) fn turns(&self, faster_than_rad_s: f64) -> bool {
         let samples = || {
             let runs = fs::read_dir(self.out()).ok()?;
-            let newest = runs.filter_map(|run| Some(run.ok()?.path())).max()?;
+            let runs = runs.filter_map(|run| Some(run.ok()?.path()));
+            // `latest` is a link to the newest that has ended.
+            let newest = runs.filter(|path| !path.is_symlink()).max()?;
             fs::read_to_string(newest.join("samples.csv")).ok()
         };
         let is_fast = |speed: &f64| *speed > faster_than_rad_s;

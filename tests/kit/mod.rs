@@ -332,6 +332,8 @@ pub(crate) fn only_folder(out: &Path) -> PathBuf {
     let found: Vec<PathBuf> = fs::read_dir(out)
         .expect("the folder of runs is there")
         .map(|entry| entry.expect("an entry can be read").path())
+        // `latest` is a link to one of them.
+        .filter(|path| !path.is_symlink())
         .collect();
     assert_eq!(found.len(), 1, "{found:?}");
     found[0].clone()

@@ -4,6 +4,7 @@
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
 //!    |-> traces       every signal measured and of the model, over the time of its run
+//!    |-> versus       two models on one run: the better, and whether that is more than chance
 //!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
@@ -32,10 +33,11 @@ mod reached;
 mod residual;
 mod score;
 mod traces;
+mod versus;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};
-pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
+pub use diagnose::{Answer, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
@@ -52,6 +54,7 @@ pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
 pub use traces::{Part, Quantity, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
+pub use versus::{Better, SignalVersus, Versus, versus};
 
 #[cfg(test)]
 mod event_tests;

@@ -209,7 +209,7 @@ fn dot(
 /// The signed error of one equation over speed x current: digits, letters and shades that need no colour. `index` 0 is
 /// the equation that fails worse.
 pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
-    let compared = state.comparison.as_ref();
+    let compared = state.compared();
     let Some((comparison, map)) = compared.and_then(|found| Some((found, found.map.as_ref()?)))
     else {
         return;

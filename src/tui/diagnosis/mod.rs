@@ -30,6 +30,7 @@ use ratatui::Frame;
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
+use crate::diagnosis::ErrorOf;
 use crate::workflow::{News, Order};
 use state::{Event, State};
 
@@ -41,7 +42,18 @@ pub enum Opens {
     /// The same, with the traces over it as soon as they are there.
     Traces,
     /// The comparison alone.
-    Comparison,
+    Comparison(ErrorOf),
+}
+
+impl Opens {
+    /// With what it opens where another screen was left like this; `None` where it was left for something else.
+    pub const fn asked_by(exit: Exit) -> Option<Self> {
+        match exit {
+            Exit::Diagnosis => Some(Self::Search),
+            Exit::Traces => Some(Self::Traces),
+            _ => None,
+        }
+    }
 }
 
 /// What the screen is given; the worker holds the other ends.
@@ -70,7 +82,9 @@ impl DiagnosisScreen {
         // A worker that has gone is told of by its news.
         let title = sources.title.clone();
         let (order, mut state) = match sources.opens {
-            Opens::Comparison => (Order::Compare, State::of_a_comparison(title)),
+            Opens::Comparison(error_of) => {
+                (Order::Compare(error_of), State::of_a_comparison(title))
+            }
             _ => (Order::Diagnose, State::new(title, sources.guess_first)),
         };
         state.opens_traces = sources.opens == Opens::Traces;
@@ -114,6 +128,11 @@ impl Screen for DiagnosisScreen {
 
     fn press(&mut self, press: Press) -> Option<Exit> {
         self.act(Event::Press(press))
+    }
+
+    fn may_suspend(&mut self) -> bool {
+        // Nothing is energised here, and an analysis goes on where it was.
+        true
     }
 
     fn ends_with_a_panic(&self) -> bool {

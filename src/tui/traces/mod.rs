@@ -50,6 +50,8 @@ pub(super) struct TracesPage {
     traces: Option<Arc<Traces>>,
     /// Of the model before the last change.
     before: Option<Arc<Traces>>,
+    /// The two have changed places: that of before is the one that is looked at.
+    is_before: bool,
     run: usize,
     /// Panels that the person chose; none before, when there are those that fit.
     chosen: Option<Vec<Panel>>,
@@ -67,6 +69,7 @@ pub(super) struct TracesPage {
 impl TracesPage {
     /// Takes new traces; those of another model are drawn over the old ones.
     pub(super) fn take(&mut self, traces: Traces) {
+        self.see_before(false);
         let traces = Arc::new(traces);
         let old = self.traces.replace(Arc::clone(&traces));
         if let Some(old) = old.filter(|old| old.effects != traces.effects) {
@@ -74,6 +77,15 @@ impl TracesPage {
             self.frames = FRAMES;
         }
         self.run = self.run.min(traces.runs.len().saturating_sub(1));
+    }
+
+    /// Looks at the model before the last change, with the one after it drawn in its place; or back.
+    pub(super) fn see_before(&mut self, before: bool) {
+        if before != self.is_before && self.before.is_some() {
+            std::mem::swap(&mut self.traces, &mut self.before);
+            self.is_before = before;
+            self.frames = 0;
+        }
     }
 
     pub(super) const fn is_empty(&self) -> bool {

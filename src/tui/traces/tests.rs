@@ -149,6 +149,10 @@ fn a_change_is_drawn_from_left_to_right_and_every_dot_is_of_one_of_the_models() 
     assert!(shares[0] < 1e-9 && (shares[shares.len() - 1] - 1.0).abs() < 1e-9);
     let after = text(&page, 100, 30);
     assert!(after.contains("model before the change") && !before.contains("before the change"));
+    page.see_before(true);
+    assert!(text(&page, 100, 30).contains("model after the change"));
+    page.see_before(false);
+    assert_eq!(text(&page, 100, 30), after);
 }
 
 #[test]

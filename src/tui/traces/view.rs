@@ -274,7 +274,11 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
     if signal.has_model() {
         legend(Stroke::Dashed, "model", &signal.model, theme::MODEL);
         if let Some(before) = page.signal_before(signal) {
-            let name = word("model before the change", "before");
+            let name = if page.is_before {
+                word("model after the change", "after")
+            } else {
+                word("model before the change", "before")
+            };
             legend(Stroke::Dotted, name, &before.model, theme::DIM);
         }
     }

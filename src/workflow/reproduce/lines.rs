@@ -97,8 +97,11 @@ pub struct LineStudy {
     pub causes: Vec<LineRow>,
 }
 
-/// `runs` records of each kind.
-pub fn line_study(runs: usize, seed: u64) -> LineStudy {
+/// Kinds of records in the study.
+pub const KINDS: usize = 25;
+
+/// `runs` records of each kind; `tell` hears how many kinds are done.
+pub fn line_study(runs: usize, seed: u64, tell: impl Fn(usize)) -> LineStudy {
     let pace = |rate_hz, request_s, reply_s, drive_cycle_s| Pace {
         rate_hz,
         request_s,
@@ -137,6 +140,7 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
             };
             let name = format!("{name}; {percent:.0} %");
             lines.push(row(name, pace, errors, runs, seed, Told::All));
+            tell(lines.len());
         }
     }
     let believed = Told::StampsBelieved;
@@ -149,15 +153,18 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         ("voltage sampled only, stamps believed", sampled, believed),
         ("voltage sampled only", sampled, Told::All),
     ];
-    let cause = |(name, errors, told): (&str, Errors, Told)| {
-        row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told)
-    };
-    LineStudy {
+    let mut found = LineStudy {
         runs,
         seed,
         lines,
-        causes: causes.map(cause).into(),
+        causes: Vec::new(),
+    };
+    for (name, errors, told) in causes {
+        let row = row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told);
+        found.causes.push(row);
+        tell(found.lines.len() + found.causes.len());
     }
+    found
 }
 
 /// Whether the fit is told how vague the stamps are.

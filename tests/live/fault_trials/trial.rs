@@ -392,7 +392,7 @@ fn documents(runs: &Path) -> Vec<(String, Value)> {
         serde_json::from_str::<Value>(&text).unwrap_or_default()
     };
     folders
-        .filter(|folder| folder.is_dir())
+        .filter(|folder| folder.is_dir() && !folder.is_symlink())
         .map(|folder| {
             let manifest = read(folder.join("manifest.json"));
             let result = read(folder.join("result.json"));

@@ -1,0 +1,278 @@
+//! What the program says when it is called alone: the loop in one picture, what lies in this folder, and the next step.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use crate::bench::BenchFile;
+use crate::plant::ModelFile;
+use crate::recording::{LATEST, RunFile};
+
+/// The commands in the order of the loop, which goes back from `add` until only noise is left.
+const LOOP: &str = "  connect   ports, doctor       what is plugged in; can the line work?
+  prepare   init, plan          the bench file; what will happen, before it does
+  measure   run, identify       the motor turns; its figures, and how sure they are
+  explain   compare, diagnose   where the model fails, and which effect it lacks <-.
+  mend      add                 the effect joins the model: the error falls -------'
+  use       tune, speed         a speed loop that follows the motor
+  hand on   export              the model in other tools; report.html shows it all
+
+`commission` goes the whole way by itself; `drivebench help` lists every command.
+";
+
+/// What lies in a folder.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Found {
+    benches: Vec<String>,
+    /// Model files, with the effects in them.
+    models: Vec<(String, Vec<String>)>,
+    /// Folders of runs, the newest last.
+    runs: Vec<Run>,
+    /// Whether `runs/latest` names the newest.
+    has_latest: bool,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Run {
+    name: String,
+    is_finished: bool,
+    /// The effects of its model, where it has one.
+    model: Option<Vec<String>>,
+    has_report: bool,
+}
+
+/// The page for the folder that the program was called in.
+pub(crate) fn page(folder: &Path) -> String {
+    let found = Found::of(folder);
+    let mut text = format!(
+        "drivebench {}: identify a motor on line, and name the effect that its model lacks\n\n{LOOP}",
+        env!("CARGO_PKG_VERSION")
+    );
+    let _ = writeln!(text, "\nIn this folder");
+    for line in found.lines() {
+        let _ = writeln!(text, "  {line}");
+    }
+    let _ = writeln!(text, "\nNext");
+    for (command, why) in found.next() {
+        let _ = writeln!(text, "  {command}\n      {why}");
+    }
+    text
+}
+
+impl Found {
+    fn of(folder: &Path) -> Self {
+        let mut found = Self::default();
+        for name in names(folder) {
+            if !name.ends_with(".toml") {
+                continue;
+            }
+            let Ok(text) = fs::read_to_string(folder.join(&name)) else {
+                continue;
+            };
+            if BenchFile::parse(&name, &text).is_ok() {
+                found.benches.push(name);
+            } else if let Some(effects) = effects_of(&name, &text) {
+                found.models.push((name, effects));
+            }
+        }
+        let runs = folder.join("runs");
+        for name in names(&runs) {
+            let path = runs.join(&name);
+            let Ok(manifest) = fs::read_to_string(path.join(RunFile::Manifest.name())) else {
+                continue;
+            };
+            if path.is_symlink() {
+                continue;
+            }
+            let manifest = serde_json::from_str::<serde_json::Value>(&manifest).unwrap_or_default();
+            let model = fs::read_to_string(path.join(RunFile::Model.name())).ok();
+            found.runs.push(Run {
+                model: model.and_then(|text| effects_of(RunFile::Model.name(), &text)),
+                is_finished: manifest["finished"] == true,
+                has_report: path.join(RunFile::Report.name()).exists(),
+                name,
+            });
+        }
+        let newest = found.runs.last().map(|run| run.name.as_str());
+        let named = fs::read_link(runs.join(LATEST)).ok();
+        found.has_latest = newest.is_some() && named.as_deref() == newest.map(Path::new);
+        found
+    }
+
+    /// What is there, one kind a line.
+    fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        if !self.benches.is_empty() {
+            lines.push(format!("bench files: {}", self.benches.join(", ")));
+        }
+        for (name, effects) in &self.models {
+            lines.push(format!("model: {name} ({})", with(effects)));
+        }
+        if let Some(newest) = self.runs.last() {
+            let unfinished = if newest.is_finished {
+                ""
+            } else {
+                ", unfinished"
+            };
+            let (count, name) = (self.runs.len(), &newest.name);
+            lines.push(format!("runs: {count}, the newest {name}{unfinished}"));
+            if let Some(effects) = &newest.model {
+                lines.push(format!("its model: {}", with(effects)));
+            }
+        }
+        if let Some(run) = self.runs.iter().rev().find(|run| run.has_report) {
+            lines.push(format!("report: runs/{}/report.html", run.name));
+        }
+        if lines.is_empty() {
+            lines.push("nothing of ours yet".to_owned());
+        }
+        lines
+    }
+
+    /// The sensible next steps, the first of them first: the command and what it is for.
+    fn next(&self) -> Vec<(String, String)> {
+        let step = |command: String, why: &str| (command, why.to_owned());
+        let tuned = |model: String| {
+            let why = "gains of a speed loop from the model, with reasons; then `drivebench speed`";
+            step(format!("drivebench tune --model {model}"), why)
+        };
+        let mut own = self.models.iter().rev();
+        if let Some((name, _)) = own.find(|(_, effects)| !effects.is_empty()) {
+            return vec![tuned(name.clone())];
+        }
+        let modelled = self.runs.iter().rev().find(|run| run.model.is_some());
+        match (modelled, self.runs.last(), self.benches.first()) {
+            (Some(run), ..) => {
+                let path = self.path(run);
+                let effects = run.model.as_deref().unwrap_or_default();
+                let model = format!("{path}/{}", RunFile::Model.name());
+                let mut steps = vec![step(
+                    format!("drivebench diagnose {path}"),
+                    "which effect its model still lacks, and the command that adds it",
+                )];
+                if !effects.is_empty() {
+                    steps.insert(0, tuned(model));
+                }
+                steps
+            }
+            (None, Some(run), _) => vec![step(
+                format!("drivebench identify {} --output model.toml", self.path(run)),
+                "the motor in figures, each with its uncertainty",
+            )],
+            (None, None, Some(bench)) => vec![
+                step(
+                    format!("drivebench plan {bench}"),
+                    "what will happen, and what the guard allows, before anything moves",
+                ),
+                step(
+                    format!("drivebench commission {bench}"),
+                    "the whole loop on this bench",
+                ),
+            ],
+            (None, None, None) => vec![
+                step(
+                    "drivebench commission".to_owned(),
+                    "the whole loop on an emulated motor that hides an effect: nothing real moves",
+                ),
+                step(
+                    "drivebench doctor".to_owned(),
+                    "what is plugged in, and what a real drive needs; nothing is written to it",
+                ),
+            ],
+        }
+    }
+
+    /// A run as a command takes it: by its link where it is the newest.
+    fn path(&self, run: &Run) -> String {
+        let is_newest = self.runs.last() == Some(run);
+        let name = if self.has_latest && is_newest {
+            LATEST
+        } else {
+            &run.name
+        };
+        format!("runs/{name}")
+    }
+}
+
+fn with(effects: &[String]) -> String {
+    match effects {
+        [] => "no effect beyond the baseline".to_owned(),
+        effects => format!("with {}", effects.join(", ")),
+    }
+}
+
+/// The effects of a model file; `None` where it is none.
+fn effects_of(name: &str, text: &str) -> Option<Vec<String>> {
+    // Any table parses as a model that says nothing.
+    let has_motor = text.lines().any(|line| line.trim() == "[motor]");
+    let file = ModelFile::parse(name, text).ok().filter(|_| has_motor)?;
+    let ids = file.model.effect_ids().into_iter();
+    Some(ids.map(str::to_owned).collect())
+}
+
+/// What is in a folder, in the order of the names.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(name: &str, model: Option<&[&str]>) -> Run {
+        Run {
+            name: name.to_owned(),
+            is_finished: true,
+            model: model.map(|ids| ids.iter().map(|id| (*id).to_owned()).collect()),
+            has_report: false,
+        }
+    }
+
+    fn first(found: &Found) -> String {
+        found.next()[0].0.clone()
+    }
+
+    #[test]
+    fn the_next_step_follows_from_what_is_there() {
+        let mut found = Found::default();
+        assert_eq!(first(&found), "drivebench commission");
+        found.benches.push("b.toml".to_owned());
+        assert_eq!(first(&found), "drivebench plan b.toml");
+        found.runs.push(run("1-a", None));
+        assert_eq!(
+            first(&found),
+            "drivebench identify runs/1-a --output model.toml"
+        );
+        found.runs.push(run("2-b", Some(&[])));
+        assert_eq!(first(&found), "drivebench diagnose runs/2-b");
+        found.has_latest = true;
+        assert_eq!(first(&found), "drivebench diagnose runs/latest");
+        found.runs.push(run("3-c", None));
+        assert_eq!(first(&found), "drivebench diagnose runs/2-b");
+        found.runs.push(run("4-d", Some(&["cogging"])));
+        assert_eq!(
+            first(&found),
+            "drivebench tune --model runs/latest/model.toml"
+        );
+        found
+            .models
+            .push(("m.toml".to_owned(), vec!["cogging".to_owned()]));
+        assert_eq!(first(&found), "drivebench tune --model m.toml");
+    }
+
+    #[test]
+    fn the_page_fits_a_terminal() {
+        let folder = tempfile::tempdir().unwrap();
+        let page = page(folder.path());
+        assert!(page.contains("nothing of ours yet"), "{page}");
+        assert!(page.lines().count() <= 24, "{page}");
+        assert!(
+            page.lines().all(|line| line.chars().count() <= 84),
+            "{page}"
+        );
+    }
+}

@@ -1,0 +1,349 @@
+//! In and out of the program as a user meets it: called alone, the link to the newest run, models and runs for other tools,
+//! two models on one run, what a shell and a script get.
+
+use std::process::{Command, Stdio};
+
+use crate::kit::prelude::*;
+
+/// The program called in a folder, as a person does.
+fn call_in(folder: &Path, text: &str) -> Done {
+    let mut command = Command::new(BINARY);
+    command.args(line(text, &[])).current_dir(folder);
+    Done::of(&command.stdin(Stdio::null()).output().unwrap())
+}
+
+/// A model of the motor with these effects, as tables of a model file.
+fn model(desk: &Desk, name: &str, effects: &str) -> PathBuf {
+    let motor = "[motor]\nname = \"ZK-22FC\"\nresistance_ohm = 1.1\ninductance_h = 0.0099\n\
+                 back_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.0045\nload_torque_n_m = 0.455\n";
+    desk.put(name, &format!("{motor}{effects}"))
+}
+
+const STRIBECK: &str =
+    "[[effect]]\nid = \"stribeck_friction\"\nstribeck_n_m = 0.2\nstribeck_speed_rad_s = 8.0\n";
+
+#[test]
+fn called_alone_it_shows_the_loop_and_the_next_step_from_what_lies_there() {
+    let desk = Desk::new();
+    let alone = || call_in(desk.folder(), "").expect(0);
+    let first = alone();
+    assert_eq!(first.stderr, "");
+    has(
+        &first.stdout,
+        &["nothing of ours yet", "Next\n  drivebench commission\n"],
+    );
+    desk.put("bench.toml", BENCH);
+    has(
+        &alone().stdout,
+        &[
+            "bench files: bench.toml",
+            "Next\n  drivebench plan bench.toml\n",
+        ],
+    );
+    call_in(desk.folder(), "run bench.toml --headless --port sim:").expect(0);
+    has(
+        &alone().stdout,
+        &[
+            "runs: 1, the newest ",
+            "Next\n  drivebench diagnose runs/latest\n",
+            "/report.html",
+        ],
+    );
+    model(&desk, "model.toml", STRIBECK);
+    has(
+        &alone().stdout,
+        &[
+            "model: model.toml (with stribeck_friction)",
+            "Next\n  drivebench tune --model model.toml\n",
+        ],
+    );
+    for row in alone().stdout.lines() {
+        assert!(row.chars().count() <= 100, "{row}");
+    }
+}
+
+#[test]
+fn latest_is_the_newest_run_wherever_a_run_is_taken() {
+    let desk = Desk::new();
+    let record = |seed: &str| {
+        let options = format!("--emulator zk-22fc-plain --run-seed {seed}");
+        let done = desk.simulate("run --headless", &options, &[]).expect(0);
+        PathBuf::from(word(&done.json(), "/folder"))
+    };
+    let link = desk.out().join("latest");
+    let first = record("1");
+    assert_eq!(
+        fs::read_link(&link).unwrap(),
+        Path::new(first.file_name().unwrap())
+    );
+    let second = record("2");
+    assert_eq!(
+        fs::read_link(&link).unwrap(),
+        Path::new(second.file_name().unwrap())
+    );
+    for command in ["identify {}", "compare {}", "replay {}"] {
+        let command = format!("{command} --json");
+        let (through, direct) = (json_of(&command, &[&link]), json_of(&command, &[&second]));
+        assert_eq!(through, direct, "{command}");
+    }
+    // What is written down names the run, not the link.
+    let model = desk.path("added.toml");
+    call(
+        "add viscous_friction --run {} --output {}",
+        &[&link, &model],
+    );
+    let identified = desk.path("identified.toml");
+    call("identify {} --output {}", &[&link, &identified]).expect(0);
+    let text = fs::read_to_string(&identified).unwrap();
+    has(&text, &[second.file_name().unwrap().to_str().unwrap()]);
+    lacks(&text, &["latest"]);
+}
+
+#[test]
+fn what_else_is_called_latest_stays_and_the_run_is_kept() {
+    let desk = Desk::new();
+    let own = desk.out().join("latest");
+    fs::create_dir_all(&own).unwrap();
+    fs::write(own.join("mine"), "mine").unwrap();
+    let done = desk
+        .simulate("commission --headless", "--emulator zk-22fc-plain", &[])
+        .expect(0);
+    assert_eq!(fs::read_to_string(own.join("mine")).unwrap(), "mine");
+    assert_eq!(
+        done.stderr.matches("no link `latest`").count(),
+        1,
+        "{}",
+        done.stderr
+    );
+}
+
+#[test]
+fn a_simulation_has_the_measurement_beside_it() {
+    let runs = Runs::plain();
+    let paths: [&Path; 2] = [&runs.model, &runs.fit];
+    let alone = call("simulate --model {} --run {}", &paths)
+        .expect(0)
+        .stdout;
+    let both = call("simulate --model {} --run {} --measured", &paths)
+        .expect(0)
+        .stdout;
+    assert_eq!(column(&alone, "speed_rad_s"), column(&both, "speed_rad_s"));
+    let recorded = fs::read_to_string(runs.fit.join("samples.csv")).unwrap();
+    for (signal, name) in [
+        ("current_a", "measured_current_a"),
+        ("speed_rad_s", "measured_speed_rad_s"),
+    ] {
+        let (there, here) = (column(&recorded, signal), column(&both, name));
+        assert!(here.len() > 1000 && there.len() >= here.len(), "{signal}");
+        let known = here.iter().filter(|value| there.contains(value)).count();
+        assert_eq!(known, here.len(), "{signal}: a value that was not measured");
+        let model = column(&both, signal);
+        let rms = |pairs: &mut dyn Iterator<Item = f64>| {
+            let squares: Vec<f64> = pairs.map(|value| value * value).collect();
+            (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+        };
+        let error = rms(&mut here.iter().zip(&model).map(|(a, b)| a - b));
+        let size = rms(&mut here.iter().copied());
+        assert!(
+            error < 0.1 * size,
+            "{signal}: {error} of {size} between neighbours of a row"
+        );
+    }
+}
+
+#[test]
+fn two_models_are_compared_on_one_run_and_only_beyond_chance_one_is_better() {
+    let runs = Runs::hidden();
+    let desk = Desk::new();
+    let (bare, with) = (runs.model.clone(), desk.path("with.toml"));
+    let add = "add stribeck_friction --run {} --holdout {} --output {}";
+    call(add, &[&runs.fit, &runs.holdout, &with]).expect(0);
+    let text = "compare {} --holdout {} --model {} --model {}";
+    let found = json_of(
+        &format!("{text} --json"),
+        &[&runs.fit, &runs.holdout, &bare, &with],
+    );
+    assert_eq!(found["better"], "second", "{found}");
+    assert_eq!(found["models"][1]["effects"][0], "stribeck_friction");
+    let [before, after] = [0, 1].map(|one| found["holdout_rmse"][one].as_f64().unwrap());
+    assert!(after < 0.5 * before, "{before} {after}");
+    let swapped = json_of(
+        &format!("{text} --json"),
+        &[&runs.fit, &runs.holdout, &with, &bare],
+    );
+    assert_eq!(swapped["better"], "first");
+    let same = call(text, &[&runs.fit, &runs.holdout, &with, &with]).expect(0);
+    has(&same.stdout, &["A  ", "B  ", "both models give the same"]);
+    let error = refusal(
+        &format!("{text} --min-fit 90"),
+        &[&runs.fit, &runs.holdout, &bare, &with],
+    );
+    has(&error, &["--min-fit", "one model"]);
+    let three = format!("{text} --model {{}}");
+    has(
+        &refusal(&three, &[&runs.fit, &runs.holdout, &bare, &with, &bare]),
+        &["more than two"],
+    );
+}
+
+#[test]
+fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
+    let desk = Desk::new();
+    let own = model(&desk, "own.toml", STRIBECK);
+    let tuned = call("tune --model {} --json", &[&own]).expect(0).stdout;
+    let gains = desk.put("gains.json", &tuned);
+    let header = desk.path("pump-1.h");
+    let text = "export --model {} --to c --gains {} --limit-v 110 --output {}";
+    let done = call(text, &[&own, &gains, &header]).expect(0);
+    has(&done.stdout, &["pump-1.h: ZK-22FC with stribeck_friction"]);
+    let written = fs::read_to_string(&header).unwrap();
+    has(
+        &written,
+        &[
+            "pump_1_step(",
+            "pump_1_regulate(",
+            "stribeck_friction_stribeck_n_m = 0.2,",
+        ],
+    );
+    has(
+        &refusal(text, &[&own, &gains, &header]),
+        &["nothing is overwritten"],
+    );
+    // It is a header that a strict compiler takes; where there is none, that is said.
+    let source = desk.put(
+        "main.c",
+        "#include \"pump-1.h\"\nint main(void) { return 0; }\n",
+    );
+    let compiled = Command::new("cc")
+        .args(["-std=c99", "-pedantic", "-Werror", "-Wall", "-fsyntax-only"])
+        .arg(&source)
+        .output();
+    match compiled {
+        Ok(output) => assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        ),
+        Err(error) => eprintln!("SKIPPED: no C compiler: {error}"),
+    }
+    let document = json_of("export --model {} --to json", &[&own]);
+    assert_eq!(document["motor"]["inertia_kg_m2"], 0.0045);
+    assert_eq!(document["effect"][0]["id"], "stribeck_friction");
+    let law = word(&document, "/laws/0/terms/0/formula");
+    assert_eq!(law, "stribeck_n_m * exp(-(w / stribeck_speed_rad_s)^2.0)");
+    let other = desk.put(
+        "other.toml",
+        &fs::read_to_string(&own).unwrap().replace("0.0045", "0.009"),
+    );
+    let text = "export --model {} --to python --gains {} --limit-v 110";
+    has(
+        &refusal(text, &[&other, &gains]),
+        &["gains of another model", "drivebench tune"],
+    );
+    has(
+        &refusal("export --model {} --to c --gains {}", &[&own, &gains]),
+        &["--limit-v"],
+    );
+    let play = "[[effect]]\nid = \"backlash\"\ngap_rad = 0.02\nfrequency_hz = 40.0\ninertia_ratio = 0.5\n\
+                damping_ratio = 0.05\nfriction_split = 0.5\n";
+    let loose = model(&desk, "loose.toml", play);
+    has(
+        &refusal("export --model {} --to matlab", &[&loose]),
+        &["backlash", "second inertia"],
+    );
+    let document = json_of("export --model {} --to json", &[&loose]);
+    assert!(document["laws"][0]["terms"].is_null(), "{document}");
+}
+
+#[test]
+fn completions_are_scripts_that_their_shells_take() {
+    for (shell, part) in [
+        ("bash", "_drivebench"),
+        ("zsh", "#compdef drivebench"),
+        ("fish", "complete -c drivebench"),
+    ] {
+        let text = call(&format!("completions {shell}"), &[]).expect(0).stdout;
+        has(&text, &[part, "commission", "export"]);
+        let desk = Desk::new();
+        let script = desk.put("script", &text);
+        match Command::new(shell).arg("-n").arg(&script).output() {
+            Ok(output) => assert!(
+                output.status.success(),
+                "{shell}: {}",
+                String::from_utf8_lossy(&output.stderr)
+            ),
+            Err(_) => eprintln!("SKIPPED: {shell} is not installed: its script was not read by it"),
+        }
+    }
+}
+
+#[test]
+fn the_manual_has_a_page_for_every_command() {
+    let desk = Desk::new();
+    let folder = desk.path("man/man1");
+    for _ in 0..2 {
+        call("man --out {}", &[&folder]).expect(0);
+    }
+    for page in [
+        "drivebench",
+        "drivebench-diagnose",
+        "drivebench-registers-write",
+        "drivebench-export",
+    ] {
+        let text = fs::read_to_string(folder.join(format!("{page}.1"))).unwrap();
+        has(&text, &[".SH NAME", ".SH SYNOPSIS"]);
+    }
+    let page = call("man", &[]).expect(0).stdout;
+    has(&page, &[".TH drivebench 1", "safety trip"]);
+}
+
+#[test]
+fn with_json_an_error_is_a_document_too() {
+    for (text, status) in [
+        ("compare /nowhere/run --json", 2),
+        ("compare --what --json", 2),
+        ("export --model /nowhere.toml --to c", 2),
+    ] {
+        let done = call(text, &[]).expect(status);
+        assert_eq!(done.stdout, "");
+        let objects: Vec<Value> = done
+            .stderr
+            .lines()
+            .filter(|line| line.starts_with("{\"error\""))
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        let asked = text.contains("--json");
+        assert_eq!(objects.len(), usize::from(asked), "{}", done.stderr);
+        let error = done.error();
+        for object in objects {
+            assert_eq!(object["error"]["status"], status);
+            let [message, help] =
+                ["message", "help"].map(|key| object["error"][key].as_str().unwrap());
+            assert_eq!(error, format!("error: {message}\nhelp: {help}"));
+        }
+    }
+}
+
+#[test]
+fn a_screen_without_colours_has_none() {
+    let is_coloured = |arguments: &str| {
+        let folder = Desk::new();
+        let runs = Runs::hidden();
+        let text = format!("{arguments} diagnose {{}} --holdout {{}} --screen");
+        let arguments = line(&text, &[&runs.fit, &runs.holdout]);
+        let mut session = Session::start(&arguments, folder.folder(), (80, 24));
+        session.wait_for("DIAGNOSIS");
+        session.wait_for("stribeck_friction");
+        session.press("q");
+        session.end();
+        let sent = String::from_utf8_lossy(&session.sent).into_owned();
+        sent.split("\u{1b}[").any(|part| {
+            let end = part.find(|c: char| !c.is_ascii_digit() && c != ';');
+            let (codes, rest) = part.split_at(end.unwrap_or(0));
+            let is_colour = |code: &str| matches!(code.parse(), Ok(30..=37 | 40..=47 | 90..=97));
+            rest.starts_with('m') && (codes.split(';').any(is_colour) || codes.contains("8;5;"))
+        })
+    };
+    assert!(is_coloured("--theme colour"));
+    assert!(!is_coloured("--theme mono"));
+}
