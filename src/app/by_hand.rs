@@ -8,8 +8,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::ending::{Watched, spawn, watched};
+use super::evidence::{EvidenceFiles, Judging, Place, prepare};
 use super::failure::Failure;
-use super::files::model_file;
+use super::files::{load, model_file};
 use super::{output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::FileHistory;
@@ -18,6 +19,9 @@ use crate::workflow::{Discovery, News, Order};
 
 /// Where a model goes for which no name was given.
 const MODEL: &str = "model.toml";
+
+/// Said of a model, before the name of its file.
+const WRITTEN: &str = "model written to ";
 
 /// What the screen and the model file say of the runs.
 pub(crate) struct Shown {
@@ -55,6 +59,12 @@ impl Standing {
                 (self.next, self.since) = (None, 0);
                 return;
             }
+            News::Undone { .. } => {
+                // The answer to the model as it is again follows at once.
+                self.changes.pop();
+                (self.diagnosis, self.next, self.since) = (None, None, 0);
+                return;
+            }
             News::Recommended(next) => return self.next = Some((**next).clone()),
             News::Written(text) => return self.written.push(text.clone()),
             _ => return,
@@ -68,12 +78,15 @@ impl Standing {
         }
     }
 
+    /// Where the model as it stands is, of that which was written last.
+    pub(crate) fn model(&self) -> Option<&str> {
+        self.written.last()?.strip_prefix(WRITTEN)
+    }
+
     /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
     pub(crate) fn heading(&self) -> String {
         let changes = self.changes.iter();
-        let lines: Vec<String> = changes
-            .map(|change| format!("by hand: {change}\n"))
-            .collect();
+        let lines: Vec<String> = changes.map(|change| format!("{change}\n")).collect();
         let mut text = lines.concat();
         if self.since > 0 {
             let last = match self.since {
@@ -101,6 +114,27 @@ impl Left {
     pub(crate) fn is_interrupted(&self) -> bool {
         self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
     }
+}
+
+/// Goes on with a run that was just recorded; its last part is held out.
+pub(crate) fn show_run(folder: &Path) -> Result<Left, Failure> {
+    let files = EvidenceFiles {
+        run: folder,
+        model: None,
+        holdout: None,
+        confirm: None,
+    };
+    let prepared = prepare(files, |path, _| load(path, None), Judging::Refits)?;
+    let place = Place::of(None, &prepared)?;
+    let shown = Shown {
+        title: prepared.about.title.clone(),
+        guess_first: false,
+        fitted_on: prepared.run.run.name.clone(),
+        history: prepared.model.file.history.clone(),
+        output: None,
+    };
+    let discovery = Discovery::new(prepared.model.file.model, prepared.evidence);
+    show(discovery.with_limits(place.limits()), shown)
 }
 
 /// Shows the screen until it is left.
@@ -184,7 +218,7 @@ fn work(
     while let Ok(order) = ordered.recv() {
         if order == Order::Write {
             tell(match write(&discovery, shown, gone) {
-                Ok(path) => News::Written(format!("model written to {}", path.display())),
+                Ok(path) => News::Written(format!("{WRITTEN}{}", path.display())),
                 Err(reason) => News::NotWritten(reason),
             });
         } else {
@@ -291,7 +325,7 @@ mod tests {
         let between = between.into_inner().unwrap().unwrap();
         let heading = between.heading();
         assert!(
-            heading.starts_with("by hand: + quadratic_load: held-out error "),
+            heading.starts_with("+ quadratic_load: held-out error "),
             "{heading}"
         );
         assert!(heading.contains("without the last change"), "{heading}");

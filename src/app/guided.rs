@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use super::by_hand::{self, Shown};
 use super::ending::{Audience, Left, conduct};
-use super::failure::Failure;
+use super::failure::{Failure, USAGE};
 use super::files::read_text;
 use super::rig::{Rig, RigOptions};
 use super::run::{CommissionDone, RunDone, escalation_failure, run};
@@ -58,6 +58,11 @@ pub(crate) fn follow(
             Ok(line) => {
                 said.push(format!("{}: {line}", step.title()));
                 done.progress.done_on_request(step, Ok(line));
+            }
+            // What was asked for too much is said, and nothing was energised; everything else ends the program.
+            Err(failure) if failure.status == USAGE => {
+                let reason = failure.headline().to_owned();
+                done.progress.done_on_request(step, Err(reason));
             }
             Err(failure) => break Err(failure),
         }
@@ -174,8 +179,14 @@ fn speed_loop(
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;
+    let folder = recorded.folder.path();
+    if matches!(ended.left, Left::Screen(Exit::Diagnosis))
+        && by_hand::show_run(folder)?.is_interrupted()
+    {
+        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
+    }
     ended.left.conclude(recorded.failure())?;
-    let folder = recorded.folder.path().display();
+    let folder = folder.display();
     let report = recorded.summary.speed.as_ref();
     let last = report.and_then(|report| report.tracking.last());
     let tracking = last.map_or_else(

@@ -9,16 +9,18 @@
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
 //!   lines that are only looked at.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `versus`: the order of work of each
-//!   command; a test of a live run gives a rig of its own.
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `versus`: the order of
+//!   work of each command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`, `pages`: what is left in folders; `export`: models for other tools; `tune`: gains, and those from a file;
-//!   `front`: what the program says when it is called alone.
+//! * `files`, `pages`: what is left in folders; `cards`: what is left on the terminal; `report`: the page of a run and its
+//!   pictures once more; `export`: models for other tools; `tune`: gains, and those from a file; `front`: what the program
+//!   says when it is called alone.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod by_hand;
+pub(crate) mod cards;
 mod controls;
 pub(crate) mod doctor;
 mod ending;
@@ -34,6 +36,7 @@ pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
+pub(crate) mod report;
 mod rig;
 mod run;
 pub(crate) mod signals;

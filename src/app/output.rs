@@ -12,6 +12,11 @@ use serde::Serialize;
 
 use super::failure::Failure;
 use super::{progress, signals};
+use crate::report::card::{COLUMNS, Card};
+use crate::text::lines::wrapped;
+
+/// Narrower than any terminal that shows a table.
+const FEWEST_COLUMNS: usize = 40;
 
 /// Prints a result as one JSON document, or as the text that `text` makes of it.
 pub(crate) fn result<T: Serialize>(
@@ -25,6 +30,58 @@ pub(crate) fn result<T: Serialize>(
         line(&document)
     } else {
         line(text(value).trim_end())
+    }
+}
+
+/// Prints a result as one JSON document, or as its card, in `full` or as much of it as fits, with what stands above it.
+pub(crate) fn card<T: Serialize>(
+    value: &T,
+    json: bool,
+    full: bool,
+    above: Vec<String>,
+    card: impl FnOnce() -> Card,
+) -> Result<(), Failure> {
+    result(value, json, |_| {
+        let mut rows = above;
+        if !rows.is_empty() {
+            rows.push(String::new());
+        }
+        if full {
+            rows.extend(card().rows(columns()));
+        } else {
+            rows.push(card().text(columns()));
+        }
+        rows.join("\n")
+    })
+}
+
+/// The lines of a text in rows that fit.
+pub(crate) fn fitted(text: &str) -> Vec<String> {
+    wrapped(text, columns())
+}
+
+/// Columns that a result may have.
+pub(crate) fn columns() -> usize {
+    let stdout = std::io::stdout();
+    let own = stdout.is_terminal().then(crossterm::terminal::size);
+    let own = own
+        .and_then(Result::ok)
+        .map(|(columns, _)| usize::from(columns));
+    own.map_or(COLUMNS, |own| own.clamp(FEWEST_COLUMNS, COLUMNS))
+}
+
+/// A path as a shell takes it.
+pub(crate) fn quoted(path: &Path) -> String {
+    quoted_word(&path.display().to_string())
+}
+
+/// A word of a command as a shell takes it.
+pub(crate) fn quoted_word(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./:=,+@%".contains(letter);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
     }
 }
 

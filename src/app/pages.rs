@@ -10,7 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::Plan;
-use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -19,12 +19,6 @@ use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
 use crate::workflow::CommissionResult;
-
-/// A report in both of its forms.
-pub(crate) struct Report {
-    pub(crate) html: String,
-    pub(crate) text: String,
-}
 
 /// Writes the page of one run into its folder; where there is none that is said.
 pub(crate) fn write_run(
@@ -49,15 +43,6 @@ fn run(
     let manifest = &recorded.manifest;
     let mut context = context(manifest, &[recorded.folder.path()]);
     context.plan = plan.map(plan_facts).unwrap_or_default();
-    let timing = &recorded.summary.timing;
-    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
-    let (p50_ms, p99_ms) = (1e3 * timing.lateness_p50_s, 1e3 * timing.lateness_p99_s);
-    let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
-    let facts = vec![
-        fact("rate", format!("{achieved_hz:.1} of {asked_hz:.0} Hz")),
-        fact("missed cycles", timing.missed_cycles.to_string()),
-        fact("lateness, median and 99 %", lateness),
-    ];
     let model = Model::baseline(nameplate.clone());
     let summary = &recorded.summary;
     let ended = early_end(&summary.outcome, summary.stop_error.as_deref());
@@ -67,7 +52,7 @@ fn run(
         run: &loaded.run,
         nameplate: Some(&model),
         parameters: &recorded.summary.estimates,
-        timing: &facts,
+        timing: &timing(manifest),
         early_end: ended.map(|(.., page)| page),
         speed_loop,
     };
@@ -129,13 +114,14 @@ impl<'a> FreeRuns<'a> {
     }
 }
 
-/// The page of a commissioning, with measured and simulated signals of the confirming run.
-pub(crate) fn commission(
+/// What `take` makes of the report of a commissioning, with measured and simulated signals of the confirming run.
+pub(crate) fn commission<T>(
     scenarios: &[Scenario],
     result: &CommissionResult,
     rig: &Rig,
     records: &[Recorded],
-) -> Result<Report, Failure> {
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let runs = result.runs.iter();
     let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
     let manifest = records.first().map(|first| first.manifest.clone());
@@ -164,8 +150,7 @@ pub(crate) fn commission(
         curves: &free_runs.curves(diagnosis)?,
         truth: &truth,
     };
-    let (html, text) = (report.html(), report.text());
-    Ok(Report { html, text })
+    Ok(take(&report))
 }
 
 fn truth_sentence(truth: &crate::workflow::Truth) -> String {
@@ -181,8 +166,12 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
     format!("the emulator carries {carried}: the answer is {verdict}")
 }
 
-/// The page of a diagnosis of recorded runs.
-pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String, Failure> {
+/// What `take` makes of the report of a diagnosis of recorded runs.
+pub(crate) fn diagnosis<T>(
+    prepared: &Prepared,
+    found: &Diagnosis,
+    take: impl FnOnce(&CommissionReport<'_>) -> T,
+) -> Result<T, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
     let mut evidence = prepared.evidence.clone();
     let is_electrical = evidence.training.input == Input::Voltage;
@@ -214,20 +203,43 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<String
         curves: &free_runs.curves(found)?,
         truth: &[],
     };
-    Ok(report.html())
+    Ok(take(&report))
 }
 
-/// The page of a comparison of recorded runs.
-pub(crate) fn comparison(prepared: &Prepared, comparison: &Comparison) -> String {
+/// What `take` makes of the report of a comparison of recorded runs.
+pub(crate) fn comparison<T>(
+    prepared: &Prepared,
+    comparison: &Comparison,
+    take: impl FnOnce(&ComparisonReport<'_>) -> T,
+) -> Result<T, Failure> {
     let about = &prepared.about;
+    let evidence = &prepared.evidence;
+    let (run, noise) = (&evidence.holdout, evidence.noise);
+    let model = &prepared.model.file.model;
+    let free_run = match evidence.training.input {
+        Input::Voltage => Some(output_error::predict(model, run, &noise)?.trajectory),
+        Input::Current | Input::Torque => None,
+    };
+    let curve = match &free_run {
+        Some(_) => error_curve(model, run, &noise)?,
+        None => None,
+    };
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
         comparison,
+        model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
+        series: free_run.as_ref().map(|trajectory| ConfirmRun {
+            scenario: run,
+            before: trajectory,
+            after: None,
+            noise: &noise,
+        }),
+        curve: curve.as_ref(),
     };
-    report.html()
+    Ok(take(&report))
 }
 
 /// Writes a page where none is yet.
@@ -248,22 +260,44 @@ fn of_data(about: &About, run: &LoadedRun) -> Context {
     }
 }
 
-fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
+/// Entries of a JSON object that are a single value, as labels and values.
+pub(crate) fn table(value: &Value) -> Facts {
     let text = |value: &Value| {
         value
             .as_str()
             .map_or_else(|| value.to_string(), str::to_owned)
     };
-    let table = |value: &Value| -> Facts {
-        let entries = value.as_object().into_iter().flatten();
-        let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
-        told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
-            .collect()
-    };
+    let entries = value.as_object().into_iter().flatten();
+    let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
+    told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
+        .collect()
+}
+
+/// Rate and lateness of a run.
+pub(crate) fn timing(manifest: &Manifest) -> Facts {
+    let hz = |period_s: f64| 1.0 / period_s;
+    let achieved = manifest.period_achieved_s.map(hz);
+    let rate = achieved.zip(manifest.period_asked_s.map(hz));
+    let late = manifest.lateness_p50_s.zip(manifest.lateness_p99_s);
+    let facts = [
+        rate.map(|(achieved, asked)| fact("rate", format!("{achieved:.1} of {asked:.0} Hz"))),
+        (manifest.missed_cycles).map(|missed| fact("missed cycles", missed.to_string())),
+        late.map(|(p50_s, p99_s)| {
+            let (p50_ms, p99_ms) = (1e3 * p50_s, 1e3 * p99_s);
+            let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
+            fact("lateness, median and 99 %", lateness)
+        }),
+    ];
+    facts.into_iter().flatten().collect()
+}
+
+pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Context {
     let mut link = vec![fact("link", manifest.link.clone())];
     link.extend(table(&manifest.link_statistics));
     link.extend(table(&manifest.wire));
-    let folders = folders.iter().map(|folder| folder.display().to_string());
+    let folders = folders
+        .iter()
+        .map(|folder| folder.as_ref().display().to_string());
     Context {
         target: match manifest.identity["is_emulator"].as_bool() {
             Some(true) => Target::Emulator,

@@ -67,6 +67,8 @@ pub struct RigOptions {
     pub tap: Option<PathBuf>,
     /// A mystery was asked for, which only our own emulator has.
     pub mystery: bool,
+    /// Bench, link and motor as the command line names them, for the commands that go on.
+    pub words: String,
 }
 
 /// How a rig is come by: [`Rig::open`], or a test's own.

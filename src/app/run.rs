@@ -1,7 +1,6 @@
 //! The order of work of a run: check, find the motor where it is unknown, plan, record, keep what was found; and of a
 //! commissioning: the tasks of its state machine, carried out over a rig until it is finished.
 
-use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,18 +11,24 @@ use super::controls::Controls;
 use super::failure::{Failure, LINK, NOT_IDENTIFIABLE};
 use super::files::Recorded;
 use super::files::model_file;
+use super::output::quoted;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
 use crate::bench::{CheckReport, Plan, RunSummary, Snapshot, burst_part};
+use crate::diagnosis::{Evidence, Score};
 use crate::drive::offer::Purpose;
 use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
+use crate::identification::noise::FloorSource;
+use crate::identification::start;
 use crate::plant::{FileHistory, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use crate::recording::RunFile;
+use crate::report::card::COLUMNS;
+use crate::report::{Card, CommissionReport};
 use crate::sample::Verdict;
 use crate::workflow::{
-    Called, Commission, CommissionResult, Discovery, Escalate, EscalationResult, Progress, Role,
-    RunRecord, Task, compared, scaled_sentence,
+    BurstResult, Called, Commission, CommissionResult, Discovery, Escalate, EscalationResult,
+    Progress, Role, RunRecord, Task, compared, scaled_sentence,
 };
 
 /// An end between two runs.
@@ -59,7 +64,9 @@ pub struct Whole {
     pub recorded: Recorded,
     pub(crate) escalation: Option<EscalationResult>,
     /// What the bench file says about the motor.
-    plate: Motor,
+    pub(super) plate: Motor,
+    /// What was found against it, where it says anything.
+    nameplate: Option<Comparison>,
 }
 
 /// Makes one run over the rig that `open` gives. `run_seed`: that of the sequence's random parts; without it `runs.fit` of the
@@ -101,9 +108,42 @@ pub fn run(
         recorded,
         escalation,
         plate: rig.plate.clone(),
+        nameplate: None,
     };
+    whole.nameplate = match &whole.escalation {
+        // The escalation's fit is the sharper one; where there was none, what was found on line.
+        Some(escalation) => escalation.nameplate.clone(),
+        None => compared(&whole.plate, &whole.recorded.summary.estimates),
+    };
+    judge_plate(&mut whole, &nameplate);
     write_results(&mut whole, &nameplate);
     Ok(RunDone::Run(Box::new(whole)))
+}
+
+/// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
+/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew.
+fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
+    let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
+        return;
+    };
+    let left = || -> Option<f64> {
+        let loaded = whole.recorded.load().ok()?;
+        let run = Scenario::from_run(&loaded.run).ok()?;
+        let start = Model::baseline(nameplate.clone());
+        let start = start::complete(&start, &run).ok()?;
+        let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start).ok()?;
+        let error = Score::of(&fit.model, &evidence.training, &evidence.noise)
+            .ok()?
+            .nrms;
+        let is_explained = evidence.noise.is_at_the_floor(error);
+        (evidence.noise.source != FloorSource::None && !is_explained).then_some(error)
+    };
+    if let Some(times) = left() {
+        comparison.doubt(format!(
+            "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
+             drivebench diagnose names it"
+        ));
+    }
 }
 
 /// Model and result beside the samples: whatever was measured is kept, also after a trip.
@@ -153,11 +193,7 @@ pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
         plan: &whole.plan,
         summary: &recorded.summary,
         escalation: whole.escalation.as_ref(),
-        // The escalation's fit is the sharper one; where there was none, what was found on line.
-        nameplate: match &whole.escalation {
-            Some(escalation) => escalation.nameplate.clone(),
-            None => compared(&whole.plate, &recorded.summary.estimates),
-        },
+        nameplate: whole.nameplate.clone(),
         parameters: estimates
             .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
             .collect(),
@@ -235,23 +271,27 @@ pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
     Some(Failure::with_help(status, ending.sentence(), ending.help()))
 }
 
-/// The run that would tell what these do not, and how to make it.
-fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
-    let next = result.diagnosis.next_experiment.as_ref()?;
-    let mut text = format!("next: {}\n", next.sentence);
-    if let (Some(_), Some(record)) = (&next.bench, records.first()) {
-        let path = record.folder.file(RunFile::NextBench);
-        let _ = writeln!(text, "      drivebench run {}", path.display());
-        let diagnose = next.diagnose_command(record.folder.path());
-        let _ = writeln!(text, "      {diagnose}");
+/// What goes on from a commissioning, and its page.
+fn go_on(card: &mut Card, result: &CommissionResult, rig: &Rig, records: &[Recorded]) {
+    let Some(first) = records.first() else { return };
+    let words = rig.asked.words.as_str();
+    let (folder, file) = (first.folder.path(), |file| quoted(&first.folder.file(file)));
+    let next = result.diagnosis.next_experiment.as_ref();
+    if let Some(next) = next.filter(|next| next.bench.is_some()) {
+        card.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
+        card.go_on(next.diagnose_command(folder));
     }
-    Some(text)
+    let model = file(RunFile::Model);
+    card.go_on(format!("drivebench speed{words} --model {model}"));
+    card.ends_with(first.folder.file(RunFile::Report).display().to_string());
 }
 
 /// What the loop leaves behind.
 pub struct CommissionDone {
     pub result: CommissionResult,
-    pub text: String,
+    pub card: Card,
+    /// What the card has no room for.
+    pub full: Vec<String>,
     /// As the screen has it at the end: the steps that can follow among it.
     pub progress: Progress,
     /// What the screen saw last of the bench.
@@ -302,24 +342,35 @@ pub fn commission(
         .result()
         .cloned()
         .ok_or_else(|| Failure::internal("the loop ended without a result"))?;
-    let mut text = pages::commission(workflow.scenarios(), &result, &rig, &records)?.text;
-    let burst = result.burst.as_ref();
-    let parts = [
-        result.escalation.as_ref().map(EscalationResult::text),
-        burst.map(|burst| format!("burst: {}\n", burst.text())),
-        result.nameplate.as_ref().map(Comparison::text),
-        next_run(&result, &records),
+    let both = |report: &CommissionReport<'_>| (report.card(), report.page().plain(COLUMNS));
+    let scenarios = workflow.scenarios();
+    let (mut card, mut full) = pages::commission(scenarios, &result, &rig, &records, both)?;
+    let (escalation, plate) = (result.escalation.as_ref(), result.nameplate.as_ref());
+    card.say(
+        "found by",
+        escalation.map(|found| found.sentence.as_str()),
+        1,
+    );
+    let burst = result.burst.as_ref().map(BurstResult::text);
+    let samples = burst.as_ref().and_then(|text| text.lines().next());
+    card.say("burst", samples, 0);
+    card.say("plate", plate.into_iter().flat_map(Comparison::in_short), 1);
+    let texts = [
+        escalation.map(EscalationResult::text),
+        plate.map(Comparison::text),
     ];
-    for part in parts.into_iter().flatten() {
-        text.push('\n');
-        text.push_str(&part);
+    for text in texts.iter().flatten() {
+        full.push(String::new());
+        full.extend(output::fitted(text));
     }
+    go_on(&mut card, &result, &rig, &records);
     let mut progress = workflow.progress();
-    progress.report = text.lines().map(str::to_owned).collect();
+    progress.report = Some(card.clone());
     publish(&progress);
     Ok(CommissionDone {
         result,
-        text,
+        card,
+        full,
         progress,
         last: controls.snapshots.latest(),
         discovery: workflow.discovery().cloned(),
@@ -422,7 +473,8 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
         &result.ladder,
         found.noise_floor_from,
     );
-    let page = pages::commission(workflow.scenarios(), result, rig, records)?.html;
+    let html = |report: &CommissionReport<'_>| report.html();
+    let page = pages::commission(workflow.scenarios(), result, rig, records, html)?;
     let next = &result.diagnosis.next_experiment;
     let bench = next.as_ref().and_then(|next| next.bench.as_ref());
     if let (Some(text), Some(record)) = (bench, records.first_mut()) {

@@ -59,6 +59,16 @@ pub struct SpeedResult<'a> {
     pub(crate) summary: &'a RunSummary,
 }
 
+impl SpeedResult<'_> {
+    /// The model's file as a shell takes it; none where the loop was tuned on the nameplate.
+    pub(super) fn model_file(&self) -> Option<String> {
+        (self.model != NAMEPLATE).then(|| output::quoted_word(&self.model))
+    }
+}
+
+/// What the loop was tuned on where no model was given.
+const NAMEPLATE: &str = "nameplate";
+
 /// A loop that was recorded.
 pub struct SpeedDone {
     pub recorded: Recorded,
@@ -191,7 +201,7 @@ pub fn speed(
     reasons.extend(converter(&request.limits));
     let model = match &asked.model {
         Some(path) => path.display().to_string(),
-        None => "nameplate".to_owned(),
+        None => NAMEPLATE.to_owned(),
     };
     if rig.asked.headless {
         tell(&report, delay.as_ref(), &regulator, asked.model.is_none());

@@ -8,17 +8,16 @@ use serde::{Deserialize, Serialize};
 
 use super::failure::Failure;
 use super::files::read_text;
-use super::output::lines;
+use super::output::quoted;
 use crate::control::tuning::{Request, Tuning, tune};
 use crate::control::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains, Schedule, StepPoint};
 use crate::plant::{Model, ModelError, ModelFile, MotorKey};
+use crate::report::{Card, Tone};
 
 /// Standard deviations of the inertia at whose ends the loop is looked at.
 const DOUBT: f64 = 2.0;
 /// Lines of the predicted step response.
 const LINES: usize = 16;
-/// Width of the bars behind them.
-const BAR: f64 = 40.0;
 
 /// The same gains on a motor whose inertia is at an end of its interval.
 #[derive(Serialize)]
@@ -54,8 +53,8 @@ impl TuneResult {
         })
     }
 
-    pub(crate) fn text(&self) -> String {
-        text(self)
+    pub(crate) fn card(&self, model: &Path) -> Card {
+        card(self, model)
     }
 }
 
@@ -139,7 +138,7 @@ fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner
     corners.collect()
 }
 
-fn text(result: &TuneResult) -> String {
+fn card(result: &TuneResult, model: &Path) -> Card {
     let Tuning {
         rule,
         gains,
@@ -148,47 +147,47 @@ fn text(result: &TuneResult) -> String {
         reasons,
         ..
     } = &result.tuning;
-    let (rule, kp, tn_s) = (rule.name(), gains.proportional, gains.integral_time_s);
-    let mut text = format!("{rule}: Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
+    let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
+    let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
     if gains.reference_filter_s > 0.0 {
-        let _ = write!(text, ", reference filter {:.4} s", gains.reference_filter_s);
+        let _ = write!(
+            sentence,
+            ", reference filter {:.4} s",
+            gains.reference_filter_s
+        );
     }
-    text.push('\n');
-    lines(&mut text, "why        ", reasons);
-    let _ = writeln!(text, "margins    {}", margins_text(margins));
-    for corner in &result.corners {
-        let (inertia, margins) = (corner.inertia_kg_m2, margins_text(&corner.margins));
-        let _ = writeln!(text, "           at {inertia:.5} kg.m2: {margins}");
-    }
+    let mut card = Card::new(Tone::Good, rule.name(), &sentence);
+    card.say("why", reasons.iter().map(String::as_str), 1);
+    let corners = result.corners.iter().map(|corner| {
+        let margins = margins_text(&corner.margins);
+        format!("at {:.5} kg.m2: {margins}", corner.inertia_kg_m2)
+    });
+    let margins = [margins_text(margins)].into_iter().chain(corners);
+    card.say("margins", margins.collect::<Vec<_>>(), 3);
     let (low, high) = result.adaptation_range;
-    let _ = writeln!(
-        text,
-        "adaptation gains can follow an inertia of {low:.2} to {high:.1} times the model's"
-    );
+    let range = format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
+    card.say("range", [range], 1);
     let settling = match response.settling_s {
         None => "does not settle".to_owned(),
         Some(s) => format!("settles within 5 % in {s:.3} s"),
     };
     let overshoot = response.overshoot_percent;
-    let _ = writeln!(
-        text,
-        "step       overshoot {overshoot:.1} %, {settling}; linear, no limit is met"
-    );
+    let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
+    card.say("step", [step], 1);
     let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
-    let shown = result.step.partition_point(|point| point.time_s <= shown_s);
-    let last = shown.max(2);
-    for n in 0..LINES {
-        let point = &result.step[n * (last - 1) / (LINES - 1)];
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "a length between 0 and 80"
-        )]
-        let bar = (BAR * point.speed.clamp(0.0, 2.0)) as usize;
-        let (time_s, speed, bar) = (point.time_s, point.speed, "#".repeat(bar));
-        let _ = writeln!(text, "{time_s:>8.3} s {speed:>6.3} {bar}");
-    }
-    text
+    let last = result
+        .step
+        .partition_point(|point| point.time_s <= shown_s)
+        .max(2);
+    let points = (0..LINES).map(|n| &result.step[n * (last - 1) / (LINES - 1)]);
+    let bars = points.map(|point| {
+        let (time_s, speed) = (point.time_s, point.speed);
+        (format!("{time_s:>8.3} s"), speed, format!("{speed:.3}"))
+    });
+    card.bars("", bars.collect(), "speed over its reference");
+    let model = quoted(model);
+    card.go_on(format!("drivebench speed --model {model}"));
+    card
 }
 
 fn margins_text(margins: &Margins) -> String {

@@ -3,13 +3,11 @@
 //! `custom` and `table` are not in the catalogue: an own expression, or a curve whose knots come from the axis map. What they
 //! are comes with the options of `add`.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::arguments::{EvidenceArguments, run_path};
-use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED};
-use super::{compare, output, progress, signals};
+use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::files::model_file;
 use crate::config_text::help_for_unknown;
@@ -17,6 +15,8 @@ use crate::diagnosis::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use crate::identification::output_error;
 use crate::plant::effect::{Axis, DefinitionError};
 use crate::plant::{Effect, Model, ModelError, effect};
+use crate::report::Card;
+use crate::report::comparison::{change_card, change_in_full};
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
 
 /// Refit a model without one of its effects and show the held-out error before and after
@@ -38,6 +38,9 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     evidence: EvidenceArguments,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -53,6 +56,9 @@ pub(super) struct AddArguments {
     common: Arguments,
     #[command(flatten)]
     definition: DefinitionArguments,
+    /// Take the effect although these runs do not ask for it; the result says that it was forced
+    #[arg(long)]
+    force: bool,
 }
 
 /// What defines an effect that is not in the catalogue.
@@ -104,7 +110,7 @@ pub(super) fn execute_add(arguments: &AddArguments) -> Result<(), Failure> {
         refuse(id, &arguments.definition.given())?;
         known(id)?;
     }
-    run(&arguments.common, Some(&arguments.definition))
+    run(&arguments.common, Some(arguments))
 }
 
 pub(super) fn execute_remove(arguments: &Arguments) -> Result<(), Failure> {
@@ -130,7 +136,7 @@ fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
     active.map_or_else(|| known(id), |active| Ok(active.effect))
 }
 
-fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<(), Failure> {
+fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failure> {
     let id = arguments.effect.as_str();
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
@@ -141,7 +147,7 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
     let (mut model, evidence) = (prepared.model.file.model.clone(), &prepared.evidence);
     progress::stage("refits with the effect and without it", 0);
-    let result = if let Some(definition) = adding {
+    let mut result = if let Some(AddArguments { definition, .. }) = adding {
         // Refused here with a clear word rather than as a failed fit.
         if model.has(id) {
             return Err(ModelError::Duplicate { id: id.to_owned() }.into());
@@ -157,6 +163,10 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
         remove(of_model(&model, id)?, &model, evidence.clone())?
     };
     drop(shown);
+    if adding.is_some_and(|adding| adding.force) && !result.accepted {
+        result.force();
+        output::warn(&[format!("{}: {}", result.effect, result.reason)]);
+    }
     let before = &prepared.model.file.history;
     let run = Some(prepared.run.run.name.clone());
     let floor = result.before.noise_floor_from;
@@ -175,7 +185,19 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     let model = result.accepted.then(|| file.to_toml());
     value["model"] = model.clone().into();
     let printed = model.filter(|_| arguments.output.is_none());
-    output::result(&value, arguments.json, |_| text(&result, printed))?;
+    let mut above: Vec<String> = Vec::new();
+    if arguments.full {
+        above.extend(change_in_full(&result));
+    }
+    above.extend(
+        printed
+            .iter()
+            .flat_map(|model| model.lines().map(str::to_owned)),
+    );
+    let full = arguments.full;
+    output::card(&value, arguments.json, full, above, || {
+        card(&result, arguments)
+    })?;
     if result.accepted {
         Ok(())
     } else {
@@ -184,30 +206,26 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     }
 }
 
-fn text(result: &AddResult, model: Option<String>) -> String {
-    let verdict = if result.accepted {
-        "accepted"
-    } else {
-        "refused"
+/// What came of it, and the commands that go on from here; where no file was named, the new model above it.
+fn card(result: &AddResult, arguments: &Arguments) -> Card {
+    let mut card = change_card(result);
+    let run = output::quoted(&arguments.run);
+    let words = arguments.evidence.words();
+    let model = |path: &Option<PathBuf>| {
+        let path = path.as_deref().map(output::quoted);
+        path.map_or_else(String::new, |path| format!(" --model {path}"))
     };
-    let (before, after) = (compare::text(&result.before), compare::text(&result.after));
-    let reason = &result.reason;
-    let mut text = format!("{verdict}: {reason}\n\nbefore\n{before}\nafter\n{after}");
-    for parameter in &result.parameters {
-        let _ = writeln!(text, "{}", parameter_text(parameter));
+    let kept = arguments.output.as_ref().filter(|_| result.accepted);
+    let of = model(if kept.is_some() {
+        &arguments.output
+    } else {
+        &arguments.model
+    });
+    card.go_on(format!("drivebench diagnose {run}{of}{words}"));
+    if kept.is_some() {
+        card.go_on(format!("drivebench speed{of} --feed-forward compare"));
     }
-    if let Some([before, after]) = &result.confirm {
-        let (before, after) = (before.holdout_rmse, after.holdout_rmse);
-        let times = result.before.noise_floor_from.times();
-        let _ = writeln!(
-            text,
-            "on the confirming run: {before:.2} -> {after:.2} {times}"
-        );
-    }
-    if let Some(model) = model {
-        let _ = write!(text, "\n{model}");
-    }
-    text
+    card
 }
 
 fn custom(id: &str, arguments: &DefinitionArguments) -> Result<&'static dyn Effect, Failure> {

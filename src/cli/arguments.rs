@@ -49,6 +49,17 @@ pub(super) struct MapArguments {
 }
 
 impl MapArguments {
+    /// The maps as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
+        let given = maps
+            .into_iter()
+            .filter_map(|(name, map)| Some((name, map.as_deref()?)));
+        given
+            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
+            .collect()
+    }
+
     /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
     pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
         self.load_with(path, self.map.as_deref())
@@ -146,6 +157,25 @@ pub(super) struct EvidenceArguments {
 }
 
 impl EvidenceArguments {
+    /// The maps alone.
+    pub(super) fn map_words(&self) -> String {
+        self.map.words()
+    }
+
+    /// The options as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let path = |name: &str, path: &Option<PathBuf>| {
+            let path = path.as_deref().map(output::quoted);
+            path.map(|path| format!(" --{name} {path}"))
+        };
+        let words = [
+            path("holdout", &self.holdout),
+            path("confirm", &self.confirm),
+            Some(self.map.words()),
+        ];
+        words.into_iter().flatten().collect()
+    }
+
     /// Opens the runs and the model; data that cannot be judged end the command.
     pub(super) fn prepare(
         &self,
@@ -320,6 +350,9 @@ pub(super) struct LiveArguments {
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    pub(super) full: bool,
     /// Print JSON; as with --headless there is no question before the motor starts
     #[arg(long)]
     pub(super) json: bool,
@@ -354,7 +387,32 @@ impl LiveArguments {
             reopen_s: self.reopen_s,
             tap: self.tap.clone(),
             mystery: self.mystery.is_some(),
+            words: self.words(),
         })
+    }
+
+    /// Bench, link and motor as they are named here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let bench = self.bench.as_deref().map(output::quoted);
+        let option = |name: &str, value: Option<String>| {
+            let value = value.map(|value| output::quoted_word(&value));
+            value.map(|value| format!("--{name} {value}"))
+        };
+        let switch = |name: &str, is_set: bool| is_set.then(|| format!("--{name}"));
+        let number = |number: Option<u64>| number.map(|number| number.to_string());
+        let words = [
+            bench,
+            option("port", self.port.clone()),
+            option("emulator", self.emulator.clone()),
+            option("seed", number(self.seed)),
+            option("mystery", number(self.mystery)),
+            switch("headless", self.headless),
+            switch("hardware", self.hardware),
+        ];
+        words
+            .into_iter()
+            .flatten()
+            .fold(String::new(), |all, word| all + " " + &word)
     }
 
     /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.

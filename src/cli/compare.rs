@@ -1,18 +1,17 @@
 //! `compare`: the model as given beside the measurement.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::arguments::{EvidenceArguments, run_path};
 use super::failure::{Failure, REFUSED, USAGE};
-use super::output::{self, lines};
-use super::{progress, signals};
+use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::pages;
 use crate::app::versus::VersusResult;
-use crate::diagnosis::{Comparison, ErrorOf, MapDigits, ResidualLights, compare};
+use crate::diagnosis::{Comparison, ErrorOf, compare};
+use crate::plant::Input;
 use crate::report::SignalFigures;
-use crate::text::number::{percent, significant};
+use crate::text::number::percent;
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
@@ -34,6 +33,9 @@ pub(super) struct Arguments {
     /// Write the page: figures, lights, where the model fails; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -53,29 +55,60 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         models => models.first().map(PathBuf::as_path),
     };
-    let judging = Judging::AsGiven;
+    let judging = if model.is_some() {
+        Judging::AsGiven
+    } else {
+        Judging::Refits
+    };
     let mut prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
-    if prepared.model.from == "baseline" {
-        progress::stage("fits the baseline", 0);
-        let (with_scale, fit) = prepared
-            .evidence
-            .with_baseline(&prepared.model.file.model)?;
+    // What the folder of a run keeps is not given: it is judged as `diagnose` judges it.
+    let is_baseline = prepared.model.from == "baseline";
+    let is_electrical = prepared.evidence.training.input == Input::Voltage;
+    let refits = is_baseline || model.is_none() && is_electrical;
+    let mut error_of = ErrorOf::Model;
+    if refits {
+        progress::stage("fits the model", 0);
+        let evidence = prepared.evidence.clone();
+        let (with_scale, fit) = evidence.with_baseline(&prepared.model.file.model)?;
         (prepared.evidence, prepared.model.file.model) = (with_scale, fit.model);
+        if !is_baseline {
+            error_of = ErrorOf::Structure;
+        }
     }
     prepared.model.file.model.require_complete()?;
+    let from = prepared.model.from.clone();
+    prepared.model.from = match (is_baseline, refits) {
+        (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
+        (_, true) => {
+            format!("{from}, refitted to this run as diagnose does; --model judges a file as it is")
+        }
+        (_, false) => format!("{from}, as it is"),
+    };
     progress::stage("compares", 0);
     let model = &prepared.model.file.model;
-    let comparison = compare(model, &prepared.evidence, ErrorOf::Model)?;
+    let comparison = compare(model, &prepared.evidence, error_of)?;
     drop(shown);
-    if let Some(path) = &arguments.html {
-        pages::write(path, &pages::comparison(&prepared, &comparison))?;
-    }
-    let mut value = prepared.result(&comparison);
-    value["model"] = prepared.model.from.into();
-    value["undecided"] = comparison.undecided().into();
-    output::result(&value, arguments.json, |_| {
-        text(&comparison) + &map(&comparison)
+    let full = arguments.full;
+    let (mut card, above, html) = pages::comparison(&prepared, &comparison, |report| {
+        let above = if full { report.in_full() } else { Vec::new() };
+        let html = arguments.html.as_ref().map(|_| report.html());
+        (report.card(), above, html)
     })?;
+    if let (Some(path), Some(html)) = (&arguments.html, html) {
+        pages::write(path, &html)?;
+        card.ends_with(path.display().to_string());
+    }
+    card.go_on(format!(
+        "drivebench diagnose {}{}{}",
+        output::quoted(&arguments.run),
+        model_words(arguments),
+        arguments.evidence.words()
+    ));
+    let mut value = prepared.result(&comparison);
+    value["model"] = from.into();
+    value["refitted"] = refits.into();
+    value["undecided"] = comparison.undecided().into();
+    output::card(&value, arguments.json, full, above, || card)?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -95,6 +128,12 @@ fn both(
     let result = VersusResult::of(&prepared, second, &arguments.run)?;
     drop(shown);
     output::result(&result, arguments.json, VersusResult::text)
+}
+
+/// The model as it is given, with a space before it.
+fn model_words(arguments: &Arguments) -> String {
+    let model = arguments.model.first().map(|path| output::quoted(path));
+    model.map_or_else(String::new, |model| format!(" --model {model}"))
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
@@ -117,120 +156,4 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
         }
     }
     Ok(())
-}
-
-/// The comparison as a small table, the hold-out first; then one line of lights, then sentences.
-pub(super) fn text(comparison: &Comparison) -> String {
-    let signals = &comparison.signals;
-    let speed = signals.speed_name();
-    let width = speed.len().max(SIGNAL);
-    let mut text = format!(
-        "{:<width$}  held-out fit   held-out rmse   noise floor   times floor | training fit   one-step rmse\n",
-        "signal"
-    );
-    for own in SignalFigures::all(signals) {
-        let or = |text: Option<String>, word: &str| text.unwrap_or(word.to_owned());
-        let digits = |value| significant(value, 3);
-        let (name, unit, rmse) = (&own.name, own.unit, digits(own.holdout.rmse));
-        let (fit, held_fit) = (percent(own.fit_percent), percent(own.holdout.fit_percent));
-        let times = or(own.times_noise(), "unknown");
-        let floor = or(own.noise_floor.map(digits), "unknown");
-        let one_step = or(own.one_step_rmse.map(digits), "-");
-        let _ = writeln!(
-            text,
-            "{name:<width$} {held_fit:>13}  {rmse:>8} {unit:<5} {floor:>13} {times:>13} | {fit:>12} {one_step:>15}"
-        );
-    }
-    for error in signals
-        .torque_n_m
-        .iter()
-        .flat_map(|torque| &torque.processing)
-    {
-        let _ = writeln!(
-            text,
-            "relative torque error {:.2} % held out, {:.2} % in training: {}",
-            error.holdout_relative_error_percent, error.relative_error_percent, error.sentence
-        );
-    }
-    let _ = writeln!(text, "residual {}", lights(&comparison.residual));
-    if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {
-        if comparison.balances.iter().any(|b| b.nres.is_none()) {
-            text.push_str("where    not known: the errors follow nothing that was asked, and no noise is known\n");
-        } else if !comparison.balances.is_empty() {
-            text.push_str("where    nowhere: no equation fails beyond its noise\n");
-        }
-    } else {
-        lines(&mut text, "where    ", comparison.undecided());
-        let places = comparison.locations.iter().take(MOST_PLACES);
-        lines(&mut text, "where    ", places.map(|place| &place.sentence));
-    }
-    // What it follows stands above.
-    let balances = comparison.balances.iter();
-    let balances = balances.map(|b| b.sentence.split("; ").next().unwrap_or_default());
-    lines(&mut text, "balance  ", balances);
-    lines(&mut text, "note     ", &comparison.limits);
-    text
-}
-
-/// Width of a signal's name.
-const SIGNAL: usize = 8;
-/// Sentences about places that are shown; all are in the JSON.
-const MOST_PLACES: usize = 3;
-
-/// One line: whether only noise is left, then each correlation in multiples of its 99 % band, `!` where it is outside.
-fn lights(residual: &ResidualLights) -> String {
-    if !residual.enough_samples {
-        return "too few samples to say whether only noise is left".to_owned();
-    }
-    let mut line = match (residual.white, residual.independent_of_input) {
-        (true, Some(true)) => "white and independent of the input, as noise is".to_owned(),
-        (true, Some(false)) => "white, but it goes with the input".to_owned(),
-        (false, Some(true)) => "not white, but independent of the input".to_owned(),
-        (false, Some(false)) => "not white, and it goes with the input".to_owned(),
-        (white, None) => {
-            let white = if white { "white" } else { "not white" };
-            format!(
-                "{white}; whether it goes with the input this input, which never changes, does not tell"
-            )
-        }
-    };
-    line.push_str(" (times the 99 % band:");
-    for (name, signal) in residual.named() {
-        let _ = write!(line, " {name}");
-        for (light, value) in signal.named() {
-            let mark = if value.passes { "" } else { "!" };
-            let _ = write!(line, " {light} {:.1}{mark}", value.largest_over_band);
-        }
-        line.push(';');
-    }
-    line.pop();
-    line.push(')');
-    line
-}
-
-/// The map of the equation that fails worst, ten shades from nothing to its largest error, a dot where the run never was.
-fn map(comparison: &Comparison) -> String {
-    let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
-        return String::new();
-    };
-    let MapDigits { largest, rows } = map.digits(worst.equation);
-    if largest <= 0.0 {
-        return String::new();
-    }
-    let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
-    let mut text = format!(
-        "\n{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was\n"
-    );
-    for (middle, digits) in rows {
-        let _ = write!(text, "{middle:>8.0} rad/s  ");
-        for digit in digits {
-            let mark = digit.map_or(".".to_owned(), |digit| digit.to_string());
-            let _ = write!(text, " {mark}");
-        }
-        text.push('\n');
-    }
-    let edges = &map.current_edges_a;
-    let (from, to) = (edges[0], edges[edges.len() - 1]);
-    let _ = writeln!(text, "                 {from:<12.1}{to:>12.1} A");
-    text
 }

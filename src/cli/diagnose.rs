@@ -1,20 +1,19 @@
 //! `diagnose`: which physical effect is missing.
 
-use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use super::arguments::{EvidenceArguments, run_path};
 use super::failure::Failure;
-use super::output::{self, lines};
-use super::{progress, signals};
+use super::{output, progress, signals};
 use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
 use crate::app::evidence::Place;
 use crate::app::pages;
-use crate::diagnosis::{Candidate, Diagnosis, Reached, diagnose_with};
+use crate::diagnosis::{Diagnosis, DiagnosisVerdict, diagnose_with};
 use crate::plant::effect::Axis;
-use crate::sample::ParameterEstimate;
+use crate::report::Card;
+use crate::report::card::COLUMNS;
 use crate::workflow::Discovery;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
@@ -50,6 +49,9 @@ pub(super) struct Arguments {
     /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -90,7 +92,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let place = Place::of(arguments.bench.as_deref(), &prepared)?;
     let original = prepared.model.file.model.clone();
     let evidence = prepared.evidence.clone();
-    let mut by_hand = String::new();
+    let (mut by_hand, mut written) = (String::new(), None);
     let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
         // From here on the screen owns the terminal and hears the signals.
@@ -110,6 +112,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             return Err(Failure::interrupted("interrupted"));
         }
         by_hand = left.standing.heading();
+        written = left.standing.model().map(str::to_owned);
         known_next = left.standing.next;
         let no_answer = || Failure::interrupted("left before there was an answer");
         left.standing.diagnosis.ok_or_else(no_answer)?
@@ -126,121 +129,73 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.next_bench {
         place.write(path, &diagnosis, &arguments.run)?;
     }
-    if let Some(path) = &arguments.html {
-        pages::write(path, &pages::diagnosis(&prepared, &diagnosis)?)?;
-    }
-    output::result(&prepared.result(&diagnosis), arguments.json, |_| {
-        format!("{by_hand}{}", text(&diagnosis))
-    })
-}
-
-fn text(diagnosis: &Diagnosis) -> String {
-    let mut text = format!("{}\n", diagnosis.sentence);
-    lines(
-        &mut text,
-        "",
-        diagnosis.confirm.as_ref().map(|run| &run.sentence),
-    );
-    if !diagnosis.sufficient && diagnosis.effect.is_some() {
-        text.push_str("this is not all: much of the error is still unexplained\n");
-    }
-    for candidate in &diagnosis.candidates {
-        let (rank, status) = (candidate.rank, candidate.status.name());
-        let _ = writeln!(text, "{rank:>2} {status:<12} {}", candidate.evidence);
-        if !candidate.parameters.is_empty() {
-            let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
-            for peak in candidate.reached.iter().flat_map(Reached::peaks) {
-                let _ = writeln!(text, "   {:<12} {}", "", peak.text(1.0));
-            }
-        }
-    }
-    let unknown = diagnosis.unknown.iter().map(|part| &part.sentence);
-    lines(&mut text, "unknown: ", unknown);
-    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.is_followed()) {
-        let _ = writeln!(text, "curve: {}", map.sentence);
-        text.push_str("       --html PAGE draws it, --screen shows it under c\n");
-        if Axis::from_key(map.axis).is_some() {
-            let (equation, axis) = (map.equation, map.axis);
-            let _ = writeln!(
-                text,
-                "       `drivebench add table --equation {equation} --axis {axis}` holds it until its cause is known"
-            );
-        }
-    }
-    lines(&mut text, "note: ", &diagnosis.limits);
-    lines(&mut text, "note: ", &diagnosis.equivalences);
-    let next = diagnosis.next_experiment.as_ref();
-    lines(&mut text, "next: ", next.map(|next| &next.sentence));
-    text
-}
-
-fn sizes(candidate: &Candidate) -> String {
-    let sizes = candidate.parameters.iter().map(parameter_text);
-    sizes.collect::<Vec<_>>().join(", ")
-}
-
-/// `key = value ± std unit`, or why there is no value.
-pub(super) fn parameter_text(parameter: &ParameterEstimate) -> String {
-    let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-    if parameter.value.is_none() {
-        let reason = parameter.reason.as_deref().unwrap_or("not observable");
-        return format!("{key}: {reason}");
-    }
-    format!("{key} = {}", parameter.text(1.0))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnosis::Peak;
-    use crate::sample::Verdict;
-
-    #[test]
-    fn numbers_have_the_digits_that_their_uncertainty_carries() {
-        for (key, value, std, unit, text) in [
-            (
-                "supply_sag.sag_ohm",
-                Some(0.484_351),
-                Some(0.002_801),
-                "ohm",
-                "sag_ohm = 0.4844 ± 0.0028 ohm",
-            ),
-            (
-                "cogging.order",
-                Some(7.0),
-                Some(0.0),
-                "-",
-                "order = 7.0000 ± 0",
-            ),
-            (
-                "inductance_h",
-                Some(0.009_042),
-                None,
-                "H",
-                "inductance_h = 0.00904 ± unknown H",
-            ),
-            ("a.b", None, None, "-", "b: not observable"),
-        ] {
-            let estimate = ParameterEstimate {
-                key: key.to_owned(),
-                value,
-                std,
-                unit,
-                verdict: Verdict::Settled,
-                reason: None,
-            };
-            assert_eq!(parameter_text(&estimate), text);
-        }
-        let peak = Peak {
-            value: 2.2051,
-            std: Some(0.0132),
-            interval_95: None,
-            unit: "V",
-            percent_of_largest: Some(2.31),
+    let full = arguments.full;
+    let (mut card, above, html) = pages::diagnosis(&prepared, &diagnosis, |report| {
+        let above = if full {
+            report.page().plain(COLUMNS)
+        } else {
+            Vec::new()
         };
-        assert_eq!(
-            peak.text(1.0),
-            "up to 2.205 ± 0.013 V in this run, 2.3 % of the largest"
-        );
+        let html = arguments.html.as_ref().map(|_| report.html());
+        (report.card(), above, html)
+    })?;
+    card.say("by hand", by_hand.lines(), 1);
+    if by_hand.is_empty() {
+        go_on(&mut card, arguments, &prepared.model.from, &diagnosis);
+    } else if let Some(model) = &written {
+        let model = output::quoted_word(model);
+        card.go_on(format!("drivebench tune --model {model}"));
+    } else {
+        let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
+        card.go_on(format!("drivebench diagnose {run}{words} --screen"));
+    }
+    if let (Some(path), Some(html)) = (&arguments.html, html) {
+        pages::write(path, &html)?;
+        card.ends_with(path.display().to_string());
+    }
+    output::card(
+        &prepared.result(&diagnosis),
+        arguments.json,
+        full,
+        above,
+        || card,
+    )
+}
+
+/// The commands that go on from here: add what was found, or make the run that would tell more.
+fn go_on(card: &mut Card, arguments: &Arguments, from: &str, diagnosis: &Diagnosis) {
+    let run = output::quoted(&arguments.run);
+    let model = arguments.model.as_deref().map(output::quoted);
+    let model = model.map_or_else(String::new, |model| format!(" --model {model}"));
+    let of = format!("{model} --run {run}{}", arguments.evidence.words());
+    let curve = diagnosis.axis_map.first();
+    let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());
+    if let Some(effect) = diagnosis.effect {
+        card.go_on(format!("drivebench add {effect}{of} --output model2.toml"));
+    } else if let Some(map) = curve {
+        let (equation, axis) = (map.equation, map.axis);
+        let table = format!("drivebench add table --equation {equation} --axis {axis}");
+        card.go_on(format!("{table}{of} --output model2.toml"));
+    }
+    if let Some(next) = &diagnosis.next_experiment {
+        if let Some(path) = &arguments.next_bench {
+            card.go_on(format!("drivebench run {}", output::quoted(path)));
+            card.go_on(next.diagnose_command(&arguments.run));
+        } else if diagnosis.effect.is_none() {
+            let words = arguments.evidence.words();
+            card.go_on(format!(
+                "drivebench diagnose {run}{model}{words} --next-bench next.toml"
+            ));
+        }
+    }
+    if diagnosis.effect.is_none() && diagnosis.verdict == DiagnosisVerdict::None {
+        card.go_on(if from == "baseline" {
+            format!(
+                "drivebench identify {run}{} --output model.toml",
+                arguments.evidence.map_words()
+            )
+        } else {
+            format!("drivebench tune --model {}", output::quoted_word(from))
+        });
     }
 }

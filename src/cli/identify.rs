@@ -12,17 +12,18 @@ use super::arguments::{MapArguments, run_path};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output::{self, lines};
 use super::{progress, signals};
+use crate::app::cards;
 use crate::app::evidence::{before_identify, model, name_voltage, signals as signals_of};
 use crate::app::identify::{
     Answer, OneRun, absolute, caution, identify, is_usable, plate, trace_csv,
 };
+use crate::config_text::help_for_unknown;
 use crate::identification::kalman::{LoadTrace, load_torque_trace};
 use crate::identification::{nameplate, repeat, scheme};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
 use crate::report::conventions;
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
-use crate::text::number::with_std;
 
 /// Gearboxes that exist, with room.
 const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
@@ -60,6 +61,9 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -154,7 +158,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
     }
     drop(shown);
-    output::result(&json_of(&answer), arguments.json, |_| text_of(&answer))?;
+    let full = arguments.full;
+    let above = if full {
+        cards::identify_in_full(&answer)
+    } else {
+        Vec::new()
+    };
+    let run = output::quoted(&arguments.runs[0]);
+    let card = || {
+        let mut card = cards::identify(&answer, &schemes(&answer));
+        let model = arguments.output.as_deref().or(arguments.model.as_deref());
+        let model = model.map_or_else(String::new, |path| {
+            format!(" --model {}", output::quoted(path))
+        });
+        card.go_on(format!(
+            "drivebench diagnose {run}{model}{}",
+            arguments.map.words()
+        ));
+        card
+    };
+    output::card(&json_of(&answer), arguments.json, full, above, card)?;
     if let Some(path) = &arguments.output {
         answer.write(path, file)?;
     }
@@ -197,7 +220,12 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
     let missing = |key: &&String| !find(key).is_some_and(is_usable);
     if let Some(key) = require.iter().find(missing) {
         let reason = find(key).and_then(|parameter| parameter.reason.clone());
-        let reason = reason.unwrap_or_else(|| "it is not a parameter of this model".to_owned());
+        let Some(reason) = reason else {
+            let headline =
+                format!("{key} could not be identified: it is not a parameter of this model");
+            let help = help_for_unknown(key, parameters.iter().map(|own| own.key.as_str()));
+            return Err(Failure::not_identifiable(headline, help));
+        };
         let headline = format!("{key} could not be identified: {reason}");
         return Err(Failure::new(NOT_IDENTIFIABLE, headline));
     }
@@ -278,57 +306,6 @@ fn schemes(answer: &Answer) -> String {
     schemes.join(" and ")
 }
 
-fn text_of(answer: &Answer) -> String {
-    let scheme = schemes(answer);
-    let mut text = match answer.runs.len() {
-        1 => format!("scheme {scheme}; ± is one standard deviation, 1.96 of them hold 95 %\n"),
-        runs => {
-            format!("scheme {scheme}, mean of {runs} runs; the spread is that from run to run\n")
-        }
-    };
-    for repeated in &answer.combined {
-        let spread = repeated
-            .run_to_run_std
-            .map_or_else(String::new, |std| format!("  spread {std:.1e}"));
-        line(&mut text, &repeated.estimate, &spread);
-    }
-    if let Some(absolute) = &answer.absolute {
-        text.push_str("absolute, from the added inertia\n");
-        for parameter in absolute {
-            line(&mut text, parameter, "");
-        }
-    }
-    if let Some(ratio) = answer.gear_ratio {
-        let _ = writeln!(
-            text,
-            "on the load's shaft (motor turns {ratio} times per turn; losses of the gearbox are in the load torque)"
-        );
-        for parameter in conventions::on_load_shaft(&answer.parameters(), ratio) {
-            line(&mut text, &parameter, "");
-        }
-    }
-    if let Some(comparison) = &answer.nameplate {
-        let _ = writeln!(text, "{}", comparison.text().trim_end());
-    }
-    conventions_text(answer, &mut text);
-    let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
-    lines(&mut text, "note: ", notes.chain(&answer.caution));
-    text
-}
-
-fn conventions_text(answer: &Answer, text: &mut String) {
-    let converted = conventions::of(&answer.parameters());
-    if converted.is_empty() {
-        return;
-    }
-    text.push_str("in other units\n");
-    for c in converted {
-        let number = with_std(c.value, c.std);
-        let _ = writeln!(text, "  {:<42} {number} {}", c.key, c.unit);
-    }
-    let _ = writeln!(text, "  {}", conventions::RELATION);
-}
-
 /// Median distance of the measurements, s.
 fn period_s(run: &OneRun) -> Option<f64> {
     [Channel::Current, Channel::Speed]
@@ -349,16 +326,6 @@ fn keyed<'a, T: Serialize + 'a>(
             (key.to_owned(), value)
         })
         .collect()
-}
-
-fn line(text: &mut String, parameter: &ParameterEstimate, spread: &str) {
-    let _ = writeln!(
-        text,
-        "  {:<42} {:<32}{spread} {}",
-        parameter.key,
-        parameter.text(1.0),
-        parameter.verdict_text()
-    );
 }
 
 /// Tracks the load torque, writes it to `path` and prints a summary.

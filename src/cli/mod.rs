@@ -18,6 +18,7 @@ mod plan;
 mod probe;
 mod registers;
 mod replay;
+mod report;
 mod reproduce;
 mod reveal;
 mod run;
@@ -83,6 +84,7 @@ enum Command {
     Effects(effects::Arguments),
     Tune(tune::Arguments),
     Export(export::Arguments),
+    Report(report::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
     Completions(shell::Completions),
@@ -130,6 +132,7 @@ pub fn main() -> ExitCode {
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Tune(arguments) => tune::execute(&arguments),
         Command::Export(arguments) => export::execute(&arguments),
+        Command::Report(arguments) => report::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),
         Command::Completions(arguments) => shell::execute_completions(&arguments),

@@ -2,24 +2,21 @@
 //! `commission` (the whole loop, guided; the screen and the headless run drive the same state machine) and `speed` (the
 //! adaptive speed loop over the real link).
 
-use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::arguments::{LiveArguments, UnknownMotor};
-use super::diagnose::parameter_text;
 use super::failure::Failure;
-use super::output::{self, lines};
+use super::output;
 use super::progress;
 use crate::app::guided;
 use crate::app::{
-    Recorded, Rig, RunDone, SpeedRequest, SpeedResult, commission, conduct, escalation_failure,
-    run, run_result, speed, speed_result,
+    Left, Rig, RunDone, SpeedRequest, by_hand, cards, commission, conduct, escalation_failure, run,
+    run_result, speed, speed_result,
 };
-use crate::bench::{ControllerKind, ForwardUse, RunSummary};
+use crate::bench::{ControllerKind, ForwardUse};
 use crate::control::Actuator;
-use crate::workflow::{
-    Called, CommissionResult, EscalationResult, Progress, ProgressCell, StepState,
-};
+use crate::tui::Exit;
+use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]
@@ -39,8 +36,9 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let json = arguments.live.json;
-    let options = arguments.live.options(arguments.unknown.escalate)?;
+    let live = &arguments.live;
+    let json = live.json;
+    let options = live.options(arguments.unknown.escalate)?;
     let run_seed = arguments.run_seed;
     let done = conduct(arguments.live.audience(None), move |controls| {
         run(options, run_seed, Box::new(Rig::open), controls)
@@ -52,41 +50,30 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             left.conclude(escalation_failure(escalation))
         }
         RunDone::Run(whole) => {
-            output::result(&run_result(whole), json, |result| {
-                let mut text = text(&whole.recorded);
-                if let Some(escalation) = &whole.escalation {
-                    text.push_str(&escalation.text());
-                } else if let Some(comparison) = &result.nameplate {
-                    text.push_str(&comparison.text());
-                }
-                text
-            })?;
+            let result = run_result(whole);
+            let plate = result.nameplate.as_ref();
+            let mut above = Vec::new();
+            if live.full {
+                above = cards::run_in_full(whole, plate);
+            }
+            let seen = by_hand(&left, whole.recorded.folder.path());
+            // However it was left: the result of the run is there all the same.
+            output::card(&result, json, live.full, above, || cards::run(whole, plate))?;
+            seen?;
             left.conclude(whole.recorded.failure())
         }
     }
 }
 
-fn text(recorded: &Recorded) -> String {
-    let (summary, timing) = (&recorded.summary, &recorded.summary.timing);
-    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
-    let rate = format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,");
-    let folder = recorded.folder.path().display();
-    let mut text = format!("{folder}\n{}\n", account(summary, &rate));
-    for estimate in &summary.estimates {
-        let verdict = estimate.verdict.name();
-        let _ = writeln!(text, "{verdict:<24} {}", parameter_text(estimate));
+/// The diagnosis of a run, where its screen was left for that.
+fn by_hand(left: &Left, folder: &Path) -> Result<(), Failure> {
+    if !matches!(left, Left::Screen(Exit::Diagnosis)) {
+        return Ok(());
     }
-    text
-}
-
-/// How a run went, in one line.
-pub(super) fn account(summary: &RunSummary, rate: &str) -> String {
-    let (outcome, rows) = (summary.outcome.name(), summary.rows);
-    let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
-    let (lost, sent) = (summary.link.lost(), summary.link.sent);
-    format!(
-        "{outcome}: {rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
-    )
+    if by_hand::show_run(folder)?.is_interrupted() {
+        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
+    }
+    Ok(())
 }
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -104,7 +91,6 @@ pub(super) struct CommissionArguments {
 
 pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), Failure> {
     let live = arguments.live;
-    let json = live.json;
     let options = live.options(arguments.unknown.escalate)?;
     let source = live.source()?;
     let file = live.bench.as_ref().map(|_| source.0.as_str());
@@ -125,14 +111,11 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     drop(shown);
     let followed = guided::follow(done.work, done.left, &options, &source);
     // However it was left: the result of the loop is there all the same.
-    let mut text = followed.done.text;
-    lines(&mut text, "", &followed.said);
-    finish(json, &followed.done.result, &text)?;
+    let mut done = followed.done;
+    done.card.say("then", followed.said, 4);
+    let above = if live.full { done.full } else { Vec::new() };
+    output::card(&done.result, live.json, live.full, above, || done.card)?;
     followed.outcome
-}
-
-fn finish(json: bool, result: &CommissionResult, text: &str) -> Result<(), Failure> {
-    output::result(result, json, |_| text.to_owned())
 }
 
 /// Progress on stderr: each step once when it begins and once with its figure.
@@ -220,7 +203,8 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
             "`drivebench run --escalate` first, then --model with the model.toml of its run folder",
         ));
     }
-    let json = arguments.live.json;
+    let (json, full) = (arguments.live.json, arguments.live.full);
+    let words = arguments.live.words();
     let source = arguments.live.source()?;
     let request = SpeedRequest {
         rig: arguments.live.options(false)?,
@@ -233,56 +217,15 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
     let done = conduct(arguments.live.audience(None), move |strings| {
         speed(request, Box::new(Rig::open), strings)
     })?;
-    output::result(&speed_result(&done.work), json, speed_text)?;
+    let (result, recorded) = (speed_result(&done.work), &done.work.recorded);
+    let mut above = Vec::new();
+    if full {
+        above = cards::speed_in_full(&result);
+    }
+    let seen = by_hand(&done.left, recorded.folder.path());
+    output::card(&result, json, full, above, || {
+        cards::speed(&result, recorded, &words)
+    })?;
+    seen?;
     done.left.conclude(done.work.recorded.failure())
-}
-
-fn speed_text(result: &SpeedResult<'_>) -> String {
-    let summary = result.summary;
-    let mut text = format!("{}\n{}\n", result.folder, account(summary, ""));
-    let Some(report) = &summary.speed else {
-        return text;
-    };
-    if let Some(delay) = &report.delay {
-        let (median, p99) = (delay.median_cycles, delay.p99_cycles);
-        let tuned = report.timing.delay_cycles();
-        let _ = writeln!(
-            text,
-            "loop delay {median:.2} cycles while running, 99 % within {p99:.2}; tuned for {tuned:.2}"
-        );
-    }
-    for change in &report.gain_changes {
-        let _ = writeln!(text, "{:>8.2} s  {}", change.time_s, change.reason);
-    }
-    lines(&mut text, "at the end  ", &report.gains);
-    for pass in &report.tracking {
-        let with = if pass.feed_forward { "with" } else { "without" };
-        let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
-        let _ = writeln!(
-            text,
-            "tracking error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most"
-        );
-    }
-    if !report.steps.is_empty() {
-        let _ = writeln!(
-            text,
-            "{:>8} {:>9} {:>9} {:>11} {:>11} {:>9} {:>9}",
-            "at s", "from", "to rad/s", "overshoot %", "settling s", "IAE rad", "limited %"
-        );
-    }
-    for step in &report.steps {
-        let settling = step.response.settling_s.map(|s| format!("{s:.3}"));
-        let settling = settling.unwrap_or_else(|| "never".to_owned());
-        let (at_s, from, to) = (step.step.at_s, step.speed_rad_s, step.step.to_rad_s);
-        let (overshoot, error) = (
-            step.response.overshoot_percent,
-            step.response.absolute_error_rad,
-        );
-        let limited = 100.0 * step.limited_share;
-        let _ = writeln!(
-            text,
-            "{at_s:>8.2} {from:>9.1} {to:>9.1} {overshoot:>11.1} {settling:>11} {error:>9.2} {limited:>9.0}"
-        );
-    }
-    text
 }

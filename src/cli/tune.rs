@@ -34,6 +34,9 @@ pub(super) struct Arguments {
     /// Bandwidth of the closed loop; without it the rule's own
     #[arg(long, value_name = "HZ")]
     bandwidth_hz: Option<f64>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -67,7 +70,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
     };
     let result = TuneResult::of(&file, &timing, &request)?;
-    output::result(&result, arguments.json, TuneResult::text)
+    let (json, full) = (arguments.json, arguments.full);
+    output::card(&result, json, full, Vec::new(), || {
+        result.card(&arguments.model)
+    })
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {

@@ -216,6 +216,9 @@ pub struct LineConfig {
     pub bits_per_char: u8,
     /// The drive thinks for so long before it answers.
     pub turnaround_ms: f64,
+    /// Share of the answers over a wire that come late, and by how much; the drive in memory is never late.
+    pub late_share: f64,
+    pub late_ms: f64,
     /// Silence between Modbus frames; left out: 3.5 characters, and 1750 us above 19200 baud.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_us: Option<f64>,
@@ -227,6 +230,8 @@ impl Default for LineConfig {
             baud: 115_200,
             bits_per_char: 10,
             turnaround_ms: 0.5,
+            late_share: 0.0,
+            late_ms: 0.0,
             gap_us: None,
         }
     }
@@ -292,11 +297,13 @@ impl EmulatorConfig {
             ("quantisation.speed_rad_s", step.speed_rad_s),
             ("quantisation.angle_rad", step.angle_rad),
             ("line.turnaround_ms", self.line.turnaround_ms),
+            ("line.late_ms", self.line.late_ms),
             ("line.gap_us", self.line.gap_us.unwrap_or(0.0)),
         ];
         let watchdog = [("watchdog_ms", self.watchdog_ms.into())];
         let bits = [("line.bits_per_char", self.line.bits_per_char.into())];
-        let groups: [(&[(&'static str, f64)], _, _); 9] = [
+        let late = [("line.late_share", self.line.late_share)];
+        let groups: [(&[(&'static str, f64)], _, _); 10] = [
             (&[("tolerance", self.tolerance)], 0.0..=0.5, "0 to 0.5"),
             (&watchdog, 20.0..=5000.0, "20 to 5000"),
             (&carried, to(655.0), LIMIT),
@@ -306,6 +313,7 @@ impl EmulatorConfig {
             (&brake, to(10.0), OPTION),
             (&sensors, 0.0..=f64::MAX, "0 or more"),
             (&bits, 10.0..=12.0, "10 to 12"),
+            (&late, 0.0..=1.0, "0 to 1"),
         ];
         groups.into_iter().find_map(|(rows, range, allowed)| {
             let (key, value) = rows.iter().find(|row| !range.contains(&row.1))?;

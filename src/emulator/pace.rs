@@ -21,7 +21,37 @@ pub(super) struct Pace {
     char_s: f64,
     gap_s: f64,
     turnaround_s: f64,
+    late: Late,
     free_from_s: f64,
+}
+
+/// Answers that come late, evenly spread over all of them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Late {
+    share: f64,
+    by_s: f64,
+    /// Part of a late answer that is due.
+    due: f64,
+}
+
+impl Late {
+    fn of(line: &LineConfig) -> Self {
+        Self {
+            share: line.late_share,
+            by_s: line.late_ms * 1e-3,
+            due: 0.0,
+        }
+    }
+
+    /// What the next answer is late by, s.
+    fn next_s(&mut self) -> f64 {
+        self.due += self.share;
+        if self.due < 1.0 {
+            return 0.0;
+        }
+        self.due -= 1.0;
+        self.by_s
+    }
 }
 
 impl Pace {
@@ -42,6 +72,7 @@ impl Pace {
             char_s,
             gap_s: if with_gaps { gap_s } else { 0.0 },
             turnaround_s: line.turnaround_ms * 1e-3,
+            late: Late::of(line),
             free_from_s: f64::NEG_INFINITY,
         }
     }
@@ -52,6 +83,7 @@ impl Pace {
             char_s: 0.0,
             gap_s: 0.0,
             turnaround_s: line.turnaround_ms * 1e-3,
+            late: Late::of(line),
             free_from_s: f64::NEG_INFINITY,
         }
     }
@@ -79,7 +111,8 @@ impl Pace {
 
     /// When an answer of `bytes` to a request that ended at `end_s` has arrived; the line is busy until the gap after it.
     pub(super) fn delivery_s(&mut self, end_s: f64, bytes: usize) -> f64 {
-        let start = self.free_from_s.max(end_s) + self.gap_s + self.turnaround_s;
+        let thinks_s = self.turnaround_s + self.late.next_s();
+        let start = self.free_from_s.max(end_s) + self.gap_s + thinks_s;
         let delivered = start + bytes as f64 * self.char_s;
         self.free_from_s = delivered + self.gap_s;
         delivered
@@ -128,6 +161,23 @@ mod tests {
         let next = pace.arrival_s(0.0);
         assert!((next - delivered - 0.001_75 - 10.0 / 115_200.0).abs() < 1e-12);
         assert!((pace.arrival_s(5.0) - 5.0 - 10.0 / 115_200.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn so_many_answers_come_late_and_the_others_in_time() {
+        let line = LineConfig {
+            late_share: 0.01,
+            late_ms: 30.0,
+            ..LineConfig::default()
+        };
+        let mut pace = Pace::serial(&line, true);
+        let taken = (0..1000).map(|exchange| {
+            let begin = f64::from(exchange);
+            let end = pace.arrival_s(begin);
+            pace.delivery_s(end, 10) - begin
+        });
+        let late = taken.filter(|taken_s| *taken_s > 0.03).count();
+        assert_eq!(late, 10);
     }
 
     #[test]

@@ -29,6 +29,14 @@ pub enum RecordingError {
         doing: &'static str,
         reason: String,
     },
+    #[error("{path}: a folder of {runs} runs and none itself")]
+    FolderOfRuns {
+        path: String,
+        runs: usize,
+        latest: String,
+    },
+    #[error("{path}: a folder without a samples.csv, which is no run")]
+    NoRun { path: String },
     #[error("--map: {item:?}: {reason}")]
     Map { item: String, reason: String },
     #[error("--map: unknown target {target:?}")]
@@ -82,6 +90,10 @@ impl RecordingError {
             Self::Io { .. } => "check the path, its permissions and the space on the disk".into(),
             Self::Map { .. } => {
                 "the form is --map 'target=header[*factor][+offset],...', where a factor is a number, another header or sign(HEADER); put a header with , * or + in double quotes; a negative offset is +-3".into()
+            }
+            Self::FolderOfRuns { latest, .. } => format!("did you mean the latest of them, {latest}?"),
+            Self::NoRun { .. } => {
+                "a run is a folder that `drivebench run` made, its samples.csv, or a CSV file with --map".into()
             }
             Self::MapWithoutTime => "add time_s=HEADER, for instance time_s=t".into(),
             Self::AmbiguousHeader { .. } => "rename one of the columns in the file".into(),

@@ -40,6 +40,9 @@ impl RunRows {
     /// Opens a run and reads its header. Without `map` the headers must be those of our own `samples.csv`.
     pub fn open(path: &Path, map: Option<&ColumnMap>) -> Result<Self, RecordingError> {
         let is_folder = path.is_dir();
+        if is_folder && !path.join(SAMPLES).exists() {
+            return Err(no_run(path));
+        }
         let inside = is_folder.then(|| path.join(SAMPLES));
         let samples = inside.unwrap_or_else(|| path.to_owned());
         let mut warnings = Vec::new();
@@ -85,6 +88,25 @@ impl RunRows {
             }
         }
         warnings
+    }
+}
+
+/// What a folder without samples is: that of many runs, most likely.
+fn no_run(folder: &Path) -> RecordingError {
+    let path = folder.display().to_string();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    // A link beside them is one of them once more; stamps sort by time.
+    let is_run = |path: &PathBuf| !path.is_symlink() && path.join(SAMPLES).exists();
+    let mut runs: Vec<PathBuf> = paths.filter(is_run).collect();
+    runs.sort();
+    match runs.last() {
+        None => RecordingError::NoRun { path },
+        Some(latest) => RecordingError::FolderOfRuns {
+            path,
+            runs: runs.len(),
+            latest: latest.display().to_string(),
+        },
     }
 }
 

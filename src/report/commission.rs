@@ -1,9 +1,10 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
+use super::card::Card;
 use super::page::{Page, Table, Tone};
 use super::plot::{MOST_POINTS, Panel, Style, TIME, bars, stacked};
 use super::{Context, Target, comparison, findings, tables};
-use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, EffectCurve, HoldoutFrom, Rung};
+use crate::diagnosis::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
 use crate::sample::ParameterEstimate;
@@ -13,6 +14,9 @@ use crate::units::rpm_from_rad_s;
 
 /// Standard deviations within which 99 of 100 normal residuals lie.
 const BAND_99: f64 = 2.576;
+
+/// Parameters that a card shows whatever the room: those of the motor, and of an effect or two.
+const MOST_PARAMETERS: usize = 8;
 
 /// The run that is plotted (the confirming one where there is one) with the free runs of both models.
 #[derive(Clone, Copy, Debug)]
@@ -66,19 +70,9 @@ impl CommissionReport<'_> {
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
         tables::about(&mut page, self.context);
-        let sufficient = self.diagnosis.sufficient;
-        let (tone, word) = match self.diagnosis.verdict {
-            DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
-                (Tone::Attention, "Effect found, not confirmed")
-            }
-            DiagnosisVerdict::Effect if sufficient => (Tone::Good, "Effect found"),
-            DiagnosisVerdict::Effect => (Tone::Attention, "Effect found, not sufficient"),
-            DiagnosisVerdict::Ambiguous => (Tone::Attention, "Ambiguous"),
-            DiagnosisVerdict::None if sufficient => (Tone::Good, "Nothing missing"),
-            DiagnosisVerdict::None => (Tone::Attention, "Nothing found"),
-            DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
-        };
-        page.lead(tone, word, self.headline());
+        let answer = self.diagnosis.answer();
+        let sentence = capitalised(&self.diagnosis.sentence);
+        page.lead(tone(answer), answer.name(), self.headline(&sentence));
         let limits = self.diagnosis.limits.iter();
         page.list(limits.map(|limit| capitalised(limit)).collect());
         tables::data_notes(&mut page, self.context);
@@ -119,8 +113,47 @@ impl CommissionReport<'_> {
         }
     }
 
-    fn headline(&self) -> String {
-        let sentence = capitalised(&self.diagnosis.sentence);
+    /// A few lines of it for a terminal; what goes on from here is for the command to say.
+    pub fn card(&self) -> Card {
+        let (found, answer) = (self.diagnosis, self.diagnosis.answer());
+        let headline = self.headline(found.after_name());
+        let mut card = Card::new(tone(answer), answer.name(), &headline);
+        let ladder = self.ladder.iter().enumerate().map(|(place, rung)| {
+            let error = rung.holdout_rmse;
+            (self.step_name(place, rung), error, fixed(error, 2))
+        });
+        let unit = format!("held-out error, in units of {}", self.unit_of_error());
+        card.bars("ladder", ladder.collect(), &unit);
+        let (before, after) = if self.after.is_some() {
+            (self.parameters_before, self.parameters_after)
+        } else {
+            (&[][..], self.parameters_before)
+        };
+        let parameters = tables::of_card(self.nameplate, before, after);
+        card.table("motor", parameters, tables::SPARE, MOST_PARAMETERS);
+        comparison::on_card(&mut card, &self.comparisons());
+        findings::on_card(&mut card, found);
+        if self.context.target == Target::Emulator {
+            card.say("truth", self.truth.iter().map(String::as_str), 1);
+        }
+        let next = found.next_experiment.as_ref();
+        card.say("next run", next.map(|next| next.sentence.as_str()), 1);
+        card
+    }
+
+    /// What a rung adds to the one above it.
+    fn step_name(&self, place: usize, rung: &Rung) -> String {
+        let above = place
+            .checked_sub(1)
+            .and_then(|above| self.ladder.get(above));
+        let added = above.and_then(|above| {
+            let mut effects = rung.effects.iter();
+            effects.find(|effect| !above.effects.contains(effect))
+        });
+        added.map_or_else(|| rung_name(rung), |effect| format!("+ {effect}"))
+    }
+
+    fn headline(&self, sentence: &str) -> String {
         let Some([before, after]) = self.confirm else {
             return format!("{sentence}.");
         };
@@ -205,16 +238,35 @@ impl CommissionReport<'_> {
     fn comparison_section(&self, page: &mut Page) {
         page.section("Model beside measurement");
         if let Some(run) = self.series {
-            page.figure(
-                stacked("measured and simulated current and speed over time", TIME, &panels(run), MOST_POINTS),
-                format!(
-                    "Free run of the model over {:?} from its {} alone; time counts from the start of that run. A line is broken where samples are missing.",
-                    run.scenario.name,
-                    input_name(run.scenario.input).0,
-                ),
-            );
+            traces(page, run);
         }
         comparison::figures(page, &self.comparisons());
+    }
+}
+
+/// Measured and simulated signals and what the models leave over.
+pub(super) fn traces(page: &mut Page, run: ConfirmRun<'_>) {
+    page.figure(
+        stacked(
+            "measured and simulated current and speed over time",
+            TIME,
+            &panels(run),
+            MOST_POINTS,
+        ),
+        format!(
+            "Free run of the model over {:?} from its {} alone; time counts from the start of that run. A line is broken where \
+             samples are missing.",
+            run.scenario.name,
+            input_name(run.scenario.input).0,
+        ),
+    );
+}
+
+const fn tone(answer: Answer) -> Tone {
+    match answer {
+        Answer::Unexplained => Tone::Bad,
+        answer if answer.is_whole() => Tone::Good,
+        _ => Tone::Attention,
     }
 }
 

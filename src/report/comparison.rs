@@ -1,13 +1,16 @@
 //! A model beside a measurement: the page of `compare`, and its blocks, which the page of a commission has too: figures of
 //! each signal, residual lights, balances, and the places where the model fails.
 
+use super::card::{COLUMNS, Card};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
-use super::{Context, tables};
+use super::{ConfirmRun, Context, commission, findings, tables};
 use crate::diagnosis::{
-    Comparison, FailureLocation, HoldoutFrom, SignalComparison, SignalScore, Signals,
+    AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapDigits, SignalComparison,
+    SignalScore, Signals,
 };
 use crate::identification::noise::FloorSource;
+use crate::plant::effect;
 use crate::sample::ParameterEstimate;
 use crate::text::lines::capitalised;
 use crate::text::number::{fixed, percent, r_min, share, significant};
@@ -22,10 +25,16 @@ pub struct ComparisonReport<'a> {
     pub title: &'a str,
     pub context: &'a Context,
     pub comparison: &'a Comparison,
+    /// Which model is judged.
+    pub model: &'a str,
     /// Whether something speaks against the hold-out; the notes of the context say what.
     pub holdout_objected: bool,
     /// Of the model that is compared; may be empty.
     pub parameters: &'a [ParameterEstimate],
+    /// The model's free run over what is held out, where there is a voltage.
+    pub series: Option<ConfirmRun<'a>>,
+    /// What the worse equation lacks along its axis.
+    pub curve: Option<&'a EffectCurve>,
 }
 
 impl ComparisonReport<'_> {
@@ -33,10 +42,9 @@ impl ComparisonReport<'_> {
         self.page().html()
     }
 
-    pub fn page(&self) -> Page {
+    /// How good the model is, in a sentence.
+    fn verdict(&self) -> (Tone, &'static str, String) {
         let found = self.comparison;
-        let mut page = Page::new(self.title, "Comparison of a model with a run");
-        tables::about(&mut page, self.context);
         let from = match found.holdout_from {
             HoldoutFrom::Run if self.holdout_objected => {
                 "the run that was named to judge by, against which something speaks (see below),"
@@ -60,15 +68,49 @@ impl ComparisonReport<'_> {
             (Tone::Attention, "Above the noise floor", rest)
         };
         let error = fixed(found.holdout_rmse, 2);
-        page.lead(
-            tone,
-            word,
-            format!("On {from} the error is {error} times {rest}"),
-        );
+        let sentence = format!("On {from} the error is {error} times {rest}");
+        (tone, word, sentence)
+    }
+
+    /// A few lines of it for a terminal; what goes on from here is for the command to say.
+    pub fn card(&self) -> Card {
+        let (tone, word, sentence) = self.verdict();
+        let mut card = Card::new(tone, word, &sentence);
+        card.say("model", [self.model], 1);
+        on_card(&mut card, &[("model", Some(self.comparison))]);
+        let locations = self.comparison.locations.iter().skip(1).take(MOST_PLACES);
+        card.say("", locations.map(|place| place.sentence.as_str()), 0);
+        let balances = self.comparison.balances.iter();
+        card.say("balance", balances.map(|own| own.sentence.as_str()), 1);
+        let notes = self.context.notes.iter().chain(&self.comparison.limits);
+        card.say("note", notes.map(String::as_str), 1);
+        card
+    }
+
+    /// The page for a terminal, and the map of the worse equation in digits.
+    pub fn in_full(&self) -> Vec<String> {
+        let mut rows = self.page().plain(COLUMNS);
+        rows.extend(map_in_digits(self.comparison));
+        rows
+    }
+
+    pub fn page(&self) -> Page {
+        let found = self.comparison;
+        let mut page = Page::new(self.title, "Comparison of a model with a run");
+        tables::about(&mut page, self.context);
+        let (tone, word, sentence) = self.verdict();
+        page.lead(tone, word, sentence);
         tables::data_notes(&mut page, self.context);
         let models = [("model", Some(found))];
         page.section("Model beside measurement");
+        if let Some(run) = self.series {
+            commission::traces(&mut page, run);
+        }
         figures(&mut page, &models);
+        if let Some(curve) = self.curve {
+            page.section("What the equations lack");
+            findings::effect_curve(&mut page, curve);
+        }
         places(&mut page, &models);
         if !self.parameters.is_empty() {
             tables::parameter_section(&mut page, None, &[], self.parameters);
@@ -139,6 +181,105 @@ impl SignalFigures {
             cell
         }
     }
+}
+
+/// What adding or removing an effect did: before and after; what goes on from here is for the command to say.
+pub fn change_card(result: &AddResult) -> Card {
+    let (tone, word) = if result.accepted {
+        (Tone::Good, "Accepted")
+    } else {
+        (Tone::Attention, "Refused")
+    };
+    let mut card = Card::new(tone, word, &result.reason);
+    let ladder = result
+        .ladder
+        .iter()
+        .zip(["before", "after"])
+        .map(|(rung, name)| {
+            let error = rung.holdout_rmse;
+            (name.to_owned(), error, fixed(error, 2))
+        });
+    let unit = result.before.noise_floor_from.unit();
+    card.bars(
+        "ladder",
+        ladder.collect(),
+        &format!("held-out error, in units of {unit}"),
+    );
+    if let Some([before, after]) = &result.confirm {
+        let (before, after) = (before.holdout_rmse, after.holdout_rmse);
+        let times = result.before.noise_floor_from.times();
+        card.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
+    }
+    card.table(
+        "size",
+        tables::of_card(None, &[], &result.parameters),
+        &[],
+        2,
+    );
+    on_card(&mut card, &change(result));
+    if let Some(effect) = effect::find(result.effect).filter(|_| result.accepted) {
+        card.say("cause", [effect.card().causes], 1);
+        card.say("remedy", [effect.card().remedy], 1);
+    }
+    card.say("note", result.after.limits.iter().map(String::as_str), 0);
+    card
+}
+
+/// Both comparisons for a terminal.
+pub fn change_in_full(result: &AddResult) -> Vec<String> {
+    let mut page = Page::new("", "");
+    figures(&mut page, &change(result));
+    places(&mut page, &change(result));
+    page.plain(COLUMNS)
+}
+
+fn change(result: &AddResult) -> [Named<'_>; 2] {
+    [
+        ("model before", Some(&result.before)),
+        ("model after", Some(&result.after)),
+    ]
+}
+
+/// Error of every signal under each model beside the noise, and what is left in the residual of each.
+pub(super) fn on_card(card: &mut Card, comparisons: &[Named<'_>]) {
+    let known = comparisons.iter();
+    let known: Vec<_> = known
+        .filter_map(|(label, own)| Some((*label, (*own)?)))
+        .collect();
+    let (Some((_, first)), Some((_, last))) = (known.first(), known.last()) else {
+        return;
+    };
+    let error = |own: &SignalFigures| {
+        let times = own.times_noise().map(|times| format!(" = {times} x noise"));
+        let (rmse, unit) = (significant(own.holdout.rmse, 3), own.unit);
+        format!("{rmse} {unit}{}", times.unwrap_or_default())
+    };
+    let [old, new] = [first, last].map(|own| SignalFigures::all(&own.signals));
+    let mut table = Table::of(&new).column("signal", |own| own.name.clone());
+    if known.len() > 1 {
+        let before =
+            |own: &&SignalFigures| old.iter().find(|old| old.signal == own.signal).map(error);
+        table = table.column("error before", move |own| before(own).unwrap_or_default());
+    }
+    let head = if known.len() > 1 {
+        "after"
+    } else {
+        "held-out error"
+    };
+    let table = table
+        .column(head, |own| error(own))
+        .column("held-out fit", |own| percent(own.holdout.fit_percent));
+    card.table("residual", table, &["held-out fit"], 3);
+    let left = known.iter().map(|(label, own)| {
+        let sentence = own.residual.sentence();
+        match label.strip_prefix("model ") {
+            Some(when) => format!("{when}: {sentence}"),
+            None => sentence,
+        }
+    });
+    card.say("", left.collect::<Vec<_>>(), 2);
+    card.say("", last.residual.details(), 0);
+    card.say("where", [last.where_in_words()].into_iter().flatten(), 1);
 }
 
 /// Fit and error of every signal, what is left in the residual, and its lights.
@@ -295,6 +436,31 @@ fn balances(page: &mut Page, comparison: &Comparison) {
                 error.with_note(format!("{time} of the time"))
             }),
     );
+}
+
+/// The same in ten shades from nothing to its largest error, a dot where the run never was.
+fn map_in_digits(comparison: &Comparison) -> Vec<String> {
+    let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
+        return Vec::new();
+    };
+    let MapDigits { largest, rows } = map.digits(worst.equation);
+    if largest <= 0.0 {
+        return Vec::new();
+    }
+    let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
+    let head = format!(
+        "{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was"
+    );
+    let mut lines = vec![String::new(), head];
+    lines.extend(rows.iter().map(|(middle, digits)| {
+        let mark = |digit: &Option<usize>| digit.map_or(".".to_owned(), |digit| digit.to_string());
+        let marks: Vec<String> = digits.iter().map(mark).collect();
+        format!("{middle:>8.0} rad/s   {}", marks.join(" "))
+    }));
+    let edges = &map.current_edges_a;
+    let (from, to) = (edges[0], edges[edges.len() - 1]);
+    lines.push(format!("                 {from:<12.1}{to:>12.1} A"));
+    lines
 }
 
 /// The map of the equation that fails worse; nothing where none fails.

@@ -1,5 +1,6 @@
 //! Findings of a diagnosis as blocks of a page: cards, curves, candidates, the next run.
 
+use super::card::Card;
 use super::page::{Cell, Page, Table};
 use super::plot::{AxisChart, PointSet, Style};
 use crate::diagnosis::{AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, Reached, Status};
@@ -51,8 +52,94 @@ pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis, curves: &[EffectCu
     page.list(rivals);
 }
 
+/// Effects of a list that are shown, at most.
+const MOST_LISTED: usize = 4;
+
+/// What was named with cause and remedy, what may be as well, and what was not asked.
+pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
+    let of_named = |text: fn(&effect::Card) -> &'static str| {
+        let named = diagnosis.effects.iter().filter_map(|id| effect::find(id));
+        named.map(move |effect| format!("{}: {}", effect.card().name, text(effect.card())))
+    };
+    card.say("cause", of_named(|card| card.causes), 1);
+    card.say("remedy", of_named(|card| card.remedy), 1);
+    let unnamed = diagnosis.candidates.iter();
+    let unnamed = unnamed.filter(|own| !diagnosis.effects.contains(&own.effect));
+    let rivals = unnamed.clone().filter_map(|own| {
+        let other = own.as_good_as?;
+        Some(format!(
+            "{} explains as much as {other}; these runs cannot tell them apart",
+            own.effect
+        ))
+    });
+    card.say("rival", rivals, 1);
+    let with = |status: Status| {
+        let of_status = unnamed.clone().filter(move |own| own.status == status);
+        of_status.filter(|own| own.as_good_as.is_none())
+    };
+    let possible = with(Status::Possible).map(|own| {
+        let most = own
+            .at_most()
+            .map_or_else(String::new, |most| format!(", {most}"));
+        format!("{} ({}{most})", own.effect, probability(own.probability))
+    });
+    card.say("possible", listed(possible.collect()), 1);
+    let ruled_out: Vec<String> = with(Status::RuledOut)
+        .map(|own| own.effect.to_owned())
+        .collect();
+    card.say("ruled out", listed(ruled_out), 1);
+    let unseen: Vec<String> = with(Status::NotExcited)
+        .map(|own| own.effect.to_owned())
+        .collect();
+    card.say("not shown", listed(unseen), 1);
+    card.say(
+        "unknown",
+        diagnosis.unknown.iter().map(|part| part.sentence.as_str()),
+        1,
+    );
+    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.is_followed()) {
+        card.say("curve", [map.sentence.as_str()], 1);
+    }
+    let notes = diagnosis.limits.iter().map(String::as_str);
+    card.say(
+        "note",
+        notes.chain(diagnosis.equivalences.iter().copied()),
+        1,
+    );
+}
+
+/// Names in one line, the rest of them counted.
+fn listed(names: Vec<String>) -> Option<String> {
+    let more = names.len().saturating_sub(MOST_LISTED);
+    let shown = names
+        .iter()
+        .take(MOST_LISTED)
+        .cloned()
+        .collect::<Vec<_>>()
+        .join(", ");
+    match (names.len(), more) {
+        (0, _) => None,
+        (_, 0) => Some(shown),
+        (_, more) => Some(format!("{shown} and {more} more")),
+    }
+}
+
 /// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
-fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+pub(super) fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+    let why = curve.why_axis.iter();
+    let why = why.map(|why| format!(" {}.", capitalised(why)));
+    page.figure(
+        effect_picture(curve),
+        format!(
+            "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
+            capitalised(&curve.sentence()),
+            why.collect::<String>()
+        ),
+    );
+}
+
+/// The picture of the curve of an effect.
+pub fn effect_picture(curve: &EffectCurve) -> String {
     let axis = curve.axis_label();
     let of = |label, style, points: &[CurvePoint]| PointSet {
         label,
@@ -73,18 +160,7 @@ fn effect_curve(page: &mut Page, curve: &EffectCurve) {
         ],
         line: (&label, line),
     };
-    let why = curve
-        .why_axis
-        .iter()
-        .map(|why| format!(" {}.", capitalised(why)));
-    page.figure(
-        chart.svg(&format!("{} error over {axis}", curve.equation)),
-        format!(
-            "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
-            capitalised(&curve.sentence()),
-            why.collect::<String>()
-        ),
-    );
+    chart.svg(&format!("{} error over {axis}", curve.equation))
 }
 
 /// The curves that an unexplained error follows.

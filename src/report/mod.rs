@@ -11,6 +11,7 @@
 //! standard deviation and verdict ([`crate::text::number`]); a value that is missing is a gap or a word, never a zero and
 //! never NaN.
 
+pub mod card;
 pub mod commission;
 pub mod comparison;
 pub mod conventions;
@@ -20,10 +21,12 @@ pub mod page;
 pub mod plot;
 pub mod reproduce;
 pub mod run;
-mod tables;
+pub(crate) mod tables;
 
+pub use card::Card;
 pub use commission::{CommissionReport, ConfirmRun};
 pub use comparison::{ComparisonReport, SignalFigures};
+pub use findings::effect_picture;
 pub use page::{Page, Tone};
 pub use run::{EarlyEnd, RunReport, SpeedLoop};
 

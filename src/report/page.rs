@@ -2,11 +2,12 @@
 
 use std::fmt::Write;
 
-use super::plot::Plot;
-use crate::text::columns;
+use super::plot::{self, Plot};
+use crate::text::lines::{cut, wrapped};
+use crate::text::{columns, number};
 
-/// Light and dark, narrow and printed. Every kind of line has a dash pattern beside its colour.
-pub(super) const STYLE: &str = include_str!("page.css");
+/// What is about the pictures, whose own style gives the colours; narrow and printed.
+const STYLE: &str = include_str!("page.css");
 /// Zoom, pan, legend and a cursor with values for the plots; the page is complete without it.
 const SCRIPT: &str = include_str!("page.js");
 
@@ -50,7 +51,7 @@ impl Tone {
 }
 
 /// One cell of a table.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Cell {
     text: String,
     /// Smaller, below the text; not in the plain-text form.
@@ -88,7 +89,7 @@ impl Cell {
 }
 
 /// Rows under a head; every row is filled up or cut to the width of the head.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
     pub head: Vec<&'static str>,
     pub rows: Vec<Vec<Cell>>,
@@ -103,6 +104,69 @@ impl Table {
             rows: vec![Vec::new(); rows.len()],
         };
         Columns { rows, table }
+    }
+
+    /// Head and rows for a terminal of this width, numbers to the right. Where there is no room for all of it, first the
+    /// columns with these heads are left out, one after the other, then cells are cut.
+    pub fn fitted(&self, width: usize, spare: &[&str]) -> Vec<String> {
+        const GAP: &str = "  ";
+        let mut columns: Vec<usize> = (0..self.head.len()).collect();
+        let head = self.head.iter().map(|head| (*head).to_owned()).collect();
+        let rows = self.rows.iter().map(|row| {
+            let cells = padded(row, self.head.len());
+            cells.map(|cell| cell.text).collect()
+        });
+        let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
+        let widths = columns::widths(&rows, 1);
+        let total = |columns: &[usize], widths: &[usize]| {
+            let cells: usize = columns.iter().map(|column| widths[*column]).sum();
+            cells + GAP.len() * columns.len().saturating_sub(1)
+        };
+        for head in spare {
+            if total(&columns, &widths) > width {
+                columns.retain(|column| self.head[*column] != *head);
+            }
+        }
+        let mut widths = widths;
+        while total(&columns, &widths) > width {
+            let widest = columns.iter().copied().max_by_key(|column| widths[*column]);
+            let Some(widest) = widest.filter(|column| widths[*column] > 1) else {
+                break;
+            };
+            widths[widest] -= 1;
+        }
+        let is_of_numbers = |column: &usize| {
+            let cells = rows[1..].iter().map(|row| row[*column].as_str());
+            let mut cells = cells.filter(|cell| !matches!(*cell, "" | "-" | number::MISSING));
+            cells.all(is_number)
+        };
+        let right: Vec<bool> = (0..self.head.len()).map(|c| is_of_numbers(&c)).collect();
+        let line = |row: &Vec<String>| {
+            let cells = columns.iter().map(|column| {
+                let (cell, width) = (cut(&row[*column], widths[*column]), widths[*column]);
+                if right[*column] {
+                    format!("{cell:>width$}")
+                } else {
+                    format!("{cell:<width$}")
+                }
+            });
+            let cells: Vec<String> = cells.collect();
+            cells.join(GAP).trim_end().to_owned()
+        };
+        rows.iter().map(line).collect()
+    }
+
+    /// The same with the notes of each row below it.
+    fn with_notes(&self, width: usize) -> Vec<String> {
+        let mut fitted = self.fitted(width, &[]).into_iter();
+        let mut lines: Vec<String> = fitted.next().into_iter().collect();
+        for (line, row) in fitted.zip(&self.rows) {
+            lines.push(line);
+            let notes = row.iter().filter_map(|cell| cell.note.as_deref());
+            let notes = notes.map(|note| format!("    {note}"));
+            lines.extend(notes.flat_map(|note| wrapped(&note, width)));
+        }
+        lines
     }
 
     /// The cells as comma-separated values; notes are left out.
@@ -245,8 +309,9 @@ impl Page {
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
-             <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
+             <title>{title}</title>\n<style>{}</style>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
              <p class=\"subtitle\">{}</p>\n{}</header>\n",
+            plot::STYLE,
             escape(&self.subtitle),
             facts_html(&self.about),
             title = escape(&self.title),
@@ -282,6 +347,31 @@ impl Page {
             "</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
         );
         out
+    }
+
+    /// The blocks for a terminal of this width, without the lead.
+    pub fn plain(&self, width: usize) -> Vec<String> {
+        let mut rows = Vec::new();
+        for block in &self.blocks {
+            let item = |text: &str| {
+                let lines = wrapped(text, width.saturating_sub(2))
+                    .into_iter()
+                    .enumerate();
+                let line =
+                    |(place, line)| format!("{}{line}", if place == 0 { "- " } else { "  " });
+                lines.map(line).collect::<Vec<_>>()
+            };
+            let fact = |(label, value): &(String, String)| item(&format!("{label}: {value}"));
+            match block {
+                Block::Heading(heading) => rows.extend([String::new(), heading.to_uppercase()]),
+                Block::Paragraph(text) | Block::Notice(text) => rows.extend(wrapped(text, width)),
+                Block::List(items) => rows.extend(items.iter().flat_map(|text| item(text))),
+                Block::Facts(facts) => rows.extend(facts.iter().flat_map(fact)),
+                Block::Table(table) => rows.extend(table.with_notes(width)),
+                Block::Figure { .. } => {}
+            }
+        }
+        rows
     }
 
     /// The same in plain text, the verdict first: Markdown whose tables are aligned for a terminal.

@@ -51,6 +51,49 @@ fn parameters(
     table.into()
 }
 
+/// The same for a card: keys carry their unit, and of the model before only the value is told. Heads that a narrow card goes
+/// without, the first first, are [`SPARE`].
+pub(crate) fn of_card(
+    nameplate: Option<&Model>,
+    before: &[ParameterEstimate],
+    after: &[ParameterEstimate],
+) -> Table {
+    let given = |key: &str| {
+        let model = nameplate?;
+        let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
+        model.get(&slot)
+    };
+    let mut table = Table::of(after).column("parameter", |own| short_key(&own.key).to_owned());
+    if nameplate.is_some() {
+        table = table.column("nameplate", |own| {
+            given(&own.key).map_or("-".to_owned(), |v| number::significant(v, 4))
+        });
+    }
+    if !before.is_empty() {
+        table = table.column("before", |own| {
+            let old = ParameterEstimate::find(before, &own.key);
+            old.map_or("-".to_owned(), |old| old.number(1.0))
+        });
+    }
+    let head = if before.is_empty() {
+        "found ± std"
+    } else {
+        "after ± std"
+    };
+    table
+        .column(head, |own| own.number(1.0))
+        .column("verdict", |own| own.verdict.name())
+        .into()
+}
+
+/// What a narrow card leaves out of it.
+pub(crate) const SPARE: &[&str] = &["nameplate", "before"];
+
+/// An effect's parameter by its own key.
+fn short_key(key: &str) -> &str {
+    key.rsplit('.').next().unwrap_or(key)
+}
+
 /// Value and verdict; a model that does not have the parameter gives two dashes.
 fn estimate(parameter: Option<ParameterEstimate>, nameplate: Option<f64>) -> [Cell; 2] {
     let Some(parameter) = parameter else {
@@ -96,7 +139,12 @@ pub(super) fn about(page: &mut Page, context: &Context) {
         let fact = facts.find(|(label, _)| label == key);
         fact.map(|(_, value)| value.trim()).unwrap_or_default()
     };
-    let drive = format!("{} {}", identity("vendor"), identity("product"));
+    let (vendor, product) = (identity("vendor"), identity("product"));
+    let drive = if product.starts_with(vendor) {
+        product.to_owned()
+    } else {
+        format!("{vendor} {product}")
+    };
     let told = |text: &str| if text.is_empty() { "not told" } else { text }.to_owned();
     let facts = [
         ("date", context.date.as_str()),

@@ -77,9 +77,11 @@ pub(crate) fn candidate(
         holdout_before: 5.1,
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
+        as_good_as: None,
         upper_bound: bound,
         detectable: bound,
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
+        run_s: 12.0,
     }
 }
 

@@ -17,8 +17,10 @@ use crossterm::terminal::{
 };
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::unistd::{getpgrp, tcgetpgrp};
 use ratatui::backend::CrosstermBackend;
 use ratatui::{Frame, Terminal};
+use signal_hook::consts::SIGTSTP;
 
 use super::keys::{Held, Press, press};
 use crate::bench::Intent;
@@ -66,6 +68,8 @@ pub trait Screen {
     fn look(&mut self) -> (bool, Option<Exit>);
     /// Answers a key; whether it is left for it.
     fn press(&mut self, press: Press) -> Option<Exit>;
+    /// Whether the program may be halted now; else the screen says why not.
+    fn may_suspend(&mut self) -> bool;
     /// Whether a panic of another thread is the end of it.
     fn ends_with_a_panic(&self) -> bool;
     fn draw(&self, frame: &mut Frame<'_>);
@@ -108,8 +112,14 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
             presses.extend(held.frame());
         }
         changed |= !presses.is_empty();
-        if let Some(exit) = presses.into_iter().find_map(|press| screen.press(press)) {
-            return Ok(exit);
+        for press in presses {
+            if press == Press::Suspend {
+                if screen.may_suspend() {
+                    owned.suspend()?;
+                }
+            } else if let Some(exit) = screen.press(press) {
+                return Ok(exit);
+            }
         }
     }
 }
@@ -172,6 +182,22 @@ impl Owned {
             previous,
             elsewhere,
         })
+    }
+
+    /// Gives the terminal back and halts the program until it is in the foreground again.
+    fn suspend(&mut self) -> io::Result<()> {
+        give_back();
+        // Who goes on in the background must not draw over the shell: it is halted again.
+        loop {
+            signal_hook::low_level::emulate_default_handler(SIGTSTP)?;
+            let owner = tcgetpgrp(io::stdout());
+            if owner.is_err() || owner == Ok(getpgrp()) {
+                break;
+            }
+        }
+        // A new one draws every cell; the old one is not dropped, as ever.
+        self.terminal = ManuallyDrop::new(enter()?);
+        Ok(())
     }
 
     /// Whether a thread other than the screen's has panicked.

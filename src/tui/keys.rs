@@ -9,6 +9,8 @@ pub enum Press {
     Stop,
     /// Ctrl-C: stop, then quit.
     Interrupt,
+    /// Ctrl-Z: to the shell and back.
+    Suspend,
     Quit,
     Start,
     Yes,
@@ -37,11 +39,14 @@ pub enum Press {
     Table,
     Guess,
     Write,
+    Undo,
+    /// The model before the last change, or after it.
+    Before,
     Other,
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 22] = [
+pub(super) const CHARACTERS: [(char, Press); 24] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -64,6 +69,8 @@ pub(super) const CHARACTERS: [(char, Press); 22] = [
     ('t', Press::Table),
     ('g', Press::Guess),
     ('w', Press::Write),
+    ('u', Press::Undo),
+    ('b', Press::Before),
 ];
 
 /// The screens on which a key does something.
@@ -75,7 +82,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 24] = [
+const HELP: [(On, &str, &str); 27] = [
     (
         On::Every,
         "Space Esc",
@@ -84,6 +91,11 @@ const HELP: [(On, &str, &str); 24] = [
     (On::Live, "s", "start, where the bench waits for it"),
     (On::Every, "q", "quit, when nothing is energised"),
     (On::Every, "Ctrl-C", "stop, then quit; 3 x: leave now"),
+    (
+        On::Every,
+        "Ctrl-Z",
+        "to the shell, once nothing is energised; fg comes back",
+    ),
     (On::Live, "Tab 1 2 3", "screens"),
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
@@ -95,7 +107,7 @@ const HELP: [(On, &str, &str); 24] = [
         "Enter",
         "what each step needs, unlocks, and its command",
     ),
-    (On::Live, "d", "diagnosis by hand, after the report"),
+    (On::Live, "d", "diagnosis by hand, after the run"),
     (
         On::Live,
         "x",
@@ -119,7 +131,7 @@ const HELP: [(On, &str, &str); 24] = [
     (
         On::Diagnosis,
         "a",
-        "add it: refitted, judged on the hold-out, or refused",
+        "add it: judged on the hold-out; where refused, a again forces it",
     ),
     (On::Diagnosis, "r", "remove it: refused where it is needed"),
     (
@@ -141,6 +153,12 @@ const HELP: [(On, &str, &str); 24] = [
         On::Diagnosis,
         "g",
         "guess first: no names until you have given one",
+    ),
+    (On::Diagnosis, "u", "undo the last change by hand"),
+    (
+        On::Diagnosis,
+        "b",
+        "before and after the last change, in turn",
     ),
     (On::Diagnosis, "w", "write the model to a new file"),
     (On::Every, "?", "this help"),
@@ -170,6 +188,7 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
         // With Ctrl as well: a hand that changes from Ctrl-C to Space still holds it.
         KeyCode::Esc | KeyCode::Char(' ') => Press::Stop,
         KeyCode::Char('c' | 'C') if control => Press::Interrupt,
+        KeyCode::Char('z' | 'Z') if control => Press::Suspend,
         KeyCode::Char(character) if !control => {
             let wanted = character.to_ascii_lowercase();
             let found = CHARACTERS.iter().find(|(known, _)| *known == wanted);

@@ -22,6 +22,7 @@ use crate::identification::nameplate::{self, Comparison};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
 use crate::plant::{Model, ModelError, Motor, Scenario, ScenarioError};
+use crate::report::Card;
 use crate::sample::{ParameterEstimate, Run};
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
@@ -133,7 +134,7 @@ impl Commission {
         });
         Progress {
             steps: steps.collect(),
-            report: Vec::new(),
+            report: None,
             finished: self.task == Task::Finished,
         }
     }
@@ -377,9 +378,12 @@ impl Commission {
         self.offered(Step::Experiment, next.as_deref().ok_or(none));
         let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
         let is_unknown = self.bench.motor.is_unknown();
-        let offer = match tuned {
+        let refused = self.bench.check_speed("the bench file", "").err();
+        let refused = refused.map(|error| error.to_string());
+        let offer = match (tuned, refused.as_deref()) {
             _ if is_unknown => Err("put what was found into [motor] first"),
-            Some(step) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
+            (Some(step), _) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
+            (_, Some(refused)) => Err(refused),
             _ => Ok("with the model that was found"),
         };
         self.offered(Step::SpeedLoop, offer);
@@ -473,7 +477,7 @@ impl StepView {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
     pub steps: Vec<StepView>,
-    pub report: Vec<String>,
+    pub report: Option<Card>,
     pub finished: bool,
 }
 

@@ -20,7 +20,11 @@ use crate::plant::{Effect, Input, Model, Scenario, Slot};
 pub enum Order {
     Diagnose,
     Add(&'static str),
+    /// The same where the runs do not ask for it.
+    Force(&'static str),
     Remove(&'static str),
+    /// Take the last change back.
+    Undo,
     /// The curve that the error follows, by its place in the diagnosis' axis map, as an effect without a name.
     AddCurve(usize),
     /// Keep the model; carried out by whoever owns the files.
@@ -38,6 +42,11 @@ pub enum News {
     Recommended(Box<NextExperiment>),
     Added(Box<AddResult>),
     Removed(Box<AddResult>),
+    /// The last change was taken back: what was changed, and the effects that the model has now.
+    Undone {
+        effect: &'static str,
+        present: Vec<&'static str>,
+    },
     /// The model is in a file.
     Written(String),
     /// It is in none, and why.
@@ -60,6 +69,23 @@ pub struct Discovery {
     curves: Vec<AxisMap>,
     /// The answer that there is already; taken at the first question.
     known: Option<Box<Diagnosis>>,
+    /// The answer to the model as it stands, with the run that it recommends.
+    latest: Option<Box<Diagnosis>>,
+    /// An effect that was added, with one that these runs do not tell it from.
+    rivals: Vec<[&'static str; 2]>,
+    /// How things stood before each change, the latest last.
+    past: Vec<Past>,
+}
+
+/// How things stood before a change.
+#[derive(Clone, Debug)]
+struct Past {
+    changed: &'static str,
+    model: Model,
+    fitted: Option<Fitted>,
+    rungs: usize,
+    rivals: Vec<[&'static str; 2]>,
+    answer: Option<Box<Diagnosis>>,
 }
 
 impl Discovery {
@@ -73,6 +99,9 @@ impl Discovery {
             ladder: Vec::new(),
             curves: Vec::new(),
             known: None,
+            latest: None,
+            rivals: Vec::new(),
+            past: Vec::new(),
         }
     }
 
@@ -125,8 +154,10 @@ impl Discovery {
     pub fn carry_out(&mut self, order: Order, tell: Tell<'_>) {
         let done = match order {
             Order::Diagnose => self.diagnose(tell),
-            Order::Add(id) => self.change(id, true, tell),
-            Order::Remove(id) => self.change(id, false, tell),
+            Order::Add(id) => self.change(id, Change::Add, tell),
+            Order::Force(id) => self.change(id, Change::Force, tell),
+            Order::Remove(id) => self.change(id, Change::Remove, tell),
+            Order::Undo => self.undo(tell),
             Order::AddCurve(place) => self.add_curve(place, tell),
             Order::Write => Ok(()),
         };
@@ -148,7 +179,11 @@ impl Discovery {
         let progress = |event| tell(News::Progress(event));
         let mut diagnosis = match known {
             Some(known) => *known,
-            None => diagnose_with(&self.model, self.evidence.clone(), &progress)?,
+            None => {
+                let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
+                found.remember_rivals(&self.rivals);
+                found
+            }
         };
         if !is_electrical {
             let model = &diagnosis.baseline.model;
@@ -164,6 +199,7 @@ impl Discovery {
         }
         self.fitted = Some(diagnosis.baseline.clone());
         self.curves.clone_from(&diagnosis.axis_map);
+        self.latest = Some(Box::new(diagnosis.clone()));
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
         let next = match &self.limits {
             _ if is_known => known_next,
@@ -171,12 +207,31 @@ impl Discovery {
             None => None,
         };
         if let Some(next) = next {
+            if let Some(latest) = &mut self.latest {
+                latest.next_experiment = Some(next.clone());
+            }
             tell(News::Recommended(Box::new(next)));
         }
         Ok(())
     }
 
-    fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
+    fn undo(&mut self, tell: Tell<'_>) -> Result<(), FitError> {
+        let Some(past) = self.past.pop() else {
+            let reason = "nothing was changed by hand that could be taken back";
+            tell(News::Failed(reason.to_owned()));
+            return Ok(());
+        };
+        (self.model, self.fitted) = (past.model, past.fitted);
+        self.ladder.truncate(past.rungs);
+        (self.rivals, self.known) = (past.rivals, past.answer);
+        tell(News::Undone {
+            effect: past.changed,
+            present: self.model.effect_ids(),
+        });
+        self.diagnose(tell)
+    }
+
+    fn change(&mut self, id: &'static str, change: Change, tell: Tell<'_>) -> Result<(), FitError> {
         let mut present = self.model.effects.iter();
         let present = present.find(|active| active.id() == id);
         let known = present.map(|active| active.effect);
@@ -186,14 +241,17 @@ impl Discovery {
             return Ok(());
         };
         let evidence = self.evidence.clone();
-        let result = if adds {
-            self.model.with_effect(id)?;
-            diagnosis::add(effect, &self.model, evidence)?
-        } else {
+        let mut result = if change == Change::Remove {
             self.model.without_effect(id)?;
             diagnosis::remove(effect, &self.model, evidence)?
+        } else {
+            self.model.with_effect(id)?;
+            diagnosis::add(effect, &self.model, evidence)?
         };
-        self.changed(result, adds, tell)
+        if change == Change::Force {
+            result.force();
+        }
+        self.changed(result, change != Change::Remove, tell)
     }
 
     /// The curve keeps the error low while its cause is looked for.
@@ -228,10 +286,33 @@ impl Discovery {
         self.changed(result, true, tell)
     }
 
+    /// Keeps how things stand before a change, and what the changed effect is not told from.
+    fn remember(&mut self, id: &'static str, adds: bool) {
+        self.past.push(Past {
+            changed: id,
+            model: self.model.clone(),
+            fitted: self.fitted.clone(),
+            rungs: self.ladder.len(),
+            rivals: self.rivals.clone(),
+            answer: self.latest.take(),
+        });
+        let answer = self.past.last().and_then(|past| past.answer.as_ref());
+        if adds {
+            let pairs = answer.iter().flat_map(|found| &found.confusable);
+            let of_it = pairs.filter(|pair| pair.contains(&id));
+            let other = |pair: &[&'static str; 2]| if pair[0] == id { pair[1] } else { pair[0] };
+            let told: Vec<_> = of_it.map(|pair| [id, other(pair)]).collect();
+            self.rivals.extend(told);
+        } else {
+            self.rivals.retain(|pair| pair[0] != id);
+        }
+    }
+
     /// Takes over what was accepted, and searches on.
     fn changed(&mut self, result: AddResult, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
         let accepted = result.accepted;
         if accepted {
+            self.remember(result.effect, adds);
             self.model = result.fit.model.clone();
             self.fitted = Some(result.fit.clone());
             self.ladder.extend(result.ladder.last().cloned());
@@ -247,6 +328,14 @@ impl Discovery {
         }
         Ok(())
     }
+}
+
+/// What is done with an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Change {
+    Add,
+    Force,
+    Remove,
 }
 
 /// A table over these knots, its values yet to be fitted.
@@ -308,7 +397,7 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use crate::diagnosis::DiagnosisVerdict;
+    use crate::diagnosis::{Answer, DiagnosisVerdict, Status};
     use crate::plant::testing::{self, with_a_fan};
     use crate::plant::{ActiveEffect, Motor};
 
@@ -426,6 +515,64 @@ mod tests {
         assert!(is_refused(&needed), "{needed:?}");
         let fitted = discovery.fitted().unwrap();
         assert_eq!(fitted.model.effect_ids(), ["quadratic_load"]);
+
+        // What was taken back is missing again, and nothing has to be searched for that.
+        let news = told(&mut discovery, Order::Undo);
+        let undone = |item: &News| matches!(item, News::Undone { effect, present } if *effect == "quadratic_load" && present.is_empty());
+        assert!(undone(&news[0]), "{:?}", news[0]);
+        assert!(!news.iter().any(|item| matches!(item, News::Progress(_))));
+        assert_eq!(answer(&news).effect, Some("quadratic_load"));
+        assert_eq!(discovery.ladder().len(), 1);
+        assert!(discovery.model().effects.is_empty());
+        let nothing = told(&mut discovery, Order::Undo);
+        assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
+    }
+
+    #[test]
+    fn what_is_refused_can_be_forced_and_is_called_so() {
+        let (model, evidence) = of_a_fan();
+        let mut discovery = Discovery::new(model, evidence);
+        told(&mut discovery, Order::Diagnose);
+        let news = told(&mut discovery, Order::Force("current_offset"));
+        let News::Added(result) = &news[0] else {
+            panic!("{:?}", news[0]);
+        };
+        assert!(result.accepted && result.forced);
+        assert!(
+            result.reason.starts_with("forced, although"),
+            "{}",
+            result.reason
+        );
+        assert_eq!(discovery.model().effect_ids(), ["current_offset"]);
+        assert_eq!(discovery.ladder().len(), 2);
+    }
+
+    #[test]
+    fn a_rival_of_what_was_added_stays_on_the_list_and_nothing_is_called_all_there_is() {
+        let mut diagnosis = crate::report::testing::diagnosis();
+        diagnosis.verdict = DiagnosisVerdict::None;
+        diagnosis.sentence =
+            "nothing is missing: held-out error 1.00 times the noise floor".to_owned();
+        diagnosis
+            .candidates
+            .retain(|own| own.status == Status::RuledOut);
+        assert_eq!(diagnosis.answer(), Answer::NothingMissing);
+        diagnosis.remember_rivals(&[
+            ["quadratic_load", "viscous_friction"],
+            ["quadratic_load", "no_candidate"],
+        ]);
+        assert_eq!(diagnosis.candidates[0].as_good_as, Some("quadratic_load"));
+        assert_eq!(diagnosis.answer(), Answer::NothingThatShows);
+        let sentence = &diagnosis.sentence;
+        assert!(
+            sentence.ends_with("cannot tell quadratic_load from viscous_friction"),
+            "{sentence}"
+        );
+        assert_eq!(
+            diagnosis.candidates[0].status,
+            Status::RuledOut,
+            "words change no status"
+        );
     }
 
     #[test]

@@ -14,6 +14,13 @@ mod diagnose_two_runs;
     reason = "an example is a program of its own"
 )]
 mod drive_link;
+#[path = "../../examples/gallery.rs"]
+#[allow(
+    dead_code,
+    unreachable_pub,
+    reason = "an example is a program of its own"
+)]
+mod gallery;
 #[path = "../../examples/identify_csv.rs"]
 #[allow(
     dead_code,
@@ -97,4 +104,18 @@ fn a_drive_turns_for_a_second_and_is_off_afterwards() {
         })
         .unwrap();
     assert!(after.get(Channel::Speed).unwrap().abs() < 1.0, "{after:?}");
+}
+
+#[test]
+fn the_gallery_in_the_documentation_is_that_of_this_program() {
+    let docs = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let files = gallery::gallery().unwrap();
+    assert!(files.len() > 30, "{}", files.len());
+    for (name, text) in files {
+        let there = std::fs::read_to_string(docs.join(&name)).unwrap_or_default();
+        assert!(
+            there == text,
+            "docs/{name} is not current: cargo run --release --example gallery"
+        );
+    }
 }

@@ -10,9 +10,11 @@
 mod kit;
 
 mod bad_input;
+mod card;
 mod examples;
 mod first_move;
 mod front;
+mod guided;
 mod holdout;
 mod identify;
 mod input;
@@ -22,6 +24,8 @@ mod next_run;
 mod offline;
 mod progress;
 mod replay;
+mod report;
 mod reproduce;
 mod screen;
+mod tutorial;
 mod unknown;

@@ -4,7 +4,7 @@
 use crate::kit::prelude::*;
 
 /// The default bench with a weak sequence and little time.
-fn weak_bench(emulator: &Path) -> String {
+pub(crate) fn weak_bench(emulator: &Path) -> String {
     let (head, _) = BENCH
         .split_once("[[sequence]]")
         .expect("the default bench has a sequence");

@@ -14,7 +14,7 @@ fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
 }
 
 /// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
-fn keep_what_scrolls(session: &mut Session) {
+pub(crate) fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
     let rows = NonZero::new(400).expect("more than none");
     session.screen.screen_mut().set_size(rows, columns);
@@ -61,8 +61,9 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
         &left,
         &[
             "model written to found.toml",
-            "by hand: + stribeck_friction: held-out error ",
-            "nothing is missing",
+            "NOTHING MISSING THAT THESE RUNS COULD SHOW",
+            "  + stribeck_friction: held-out error ",
+            "drivebench tune --model found.toml",
         ],
     );
     lacks(&left, &["missing: stribeck_friction"]);
@@ -124,6 +125,10 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     let arguments = line("commission --port sim: --seed 7 --out runs", &[]);
     let mut session = Session::start(arguments, folder.folder(), (120, 40));
     session.wait_for("d diagnosis by hand");
+    // The drive was recorded in a burst, and the messages wait until the screen is left: nothing writes over it.
+    let burst = String::from_utf8_lossy(&session.sent).contains("burst capture");
+    assert!(!burst, "{}", session.text());
+    session.wait_for("after ± std");
     session.press("d");
     session.wait_for("DIAGNOSIS");
     session.wait_for(ADD);
@@ -140,6 +145,93 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     has(&left, &["stribeck_friction"]);
     has(&left, &["interrupted in the diagnosis by hand"]);
     session.expect_terminal_as_it_was();
+}
+
+#[test]
+fn d_goes_on_by_hand_after_a_run_and_its_result_stays() {
+    let folder = Desk::new();
+    let arguments = line("run --port sim: --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, folder.folder(), (120, 40));
+    session.wait_for("d = diagnosis by hand, q = quit");
+    lacks(&session.text(), &["Space = STOP"]);
+    session.press("d");
+    session.wait_for("DIAGNOSIS");
+    session.wait_for(ADD);
+    keep_what_scrolls(&mut session);
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    has(
+        &session.text(),
+        &[
+            "DONE: ",
+            "next      drivebench diagnose runs/",
+            "/report.html",
+        ],
+    );
+    session.expect_terminal_as_it_was();
+}
+
+/// Whether the process stands still, as a shell leaves one.
+fn is_halted(id: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+    status.lines().any(|line| line.starts_with("State:\tT"))
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn ctrl_z_gives_the_terminal_back_and_the_screen_comes_again() {
+    let folder = Desk::new();
+    let mut session = diagnose("", folder.folder(), (100, 30));
+    session.wait_for(ADD);
+    let id = session.id();
+    session.press("\u{1a}");
+    session.wait("the shell", |screen| !screen.alternate_screen());
+    wait_for("the program is halted", || is_halted(id).then_some(()));
+    session.signal(Signal::SIGCONT);
+    session.wait("the screen", vt100::Screen::alternate_screen);
+    session.wait_for(ADD);
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    session.expect_terminal_as_it_was();
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn ctrl_z_says_why_not_while_the_bench_is_at_work() {
+    let folder = Desk::new();
+    let arguments = line("run --port emulator --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, folder.folder(), (120, 40));
+    session.wait_for("RUNNING");
+    session.press("\u{1a}");
+    session.wait_for("Ctrl-Z: not while the bench is at work");
+    assert!(!is_halted(session.id()));
+    session.press(" ");
+    session.wait_for("STOPPED");
+    session.press("q");
+    assert_eq!(session.end(), 130, "{}", session.text());
+    session.expect_terminal_as_it_was();
+}
+
+#[test]
+fn u_takes_back_what_a_has_added() {
+    let folder = Desk::new();
+    let mut session = diagnose("", folder.folder(), (100, 30));
+    session.wait_for(ADD);
+    session.press("a");
+    session.wait_for("NOTHING MISSING");
+    session.wait_for("▶ + in the model stribeck_friction");
+    session.press("b");
+    session.wait_for("BEFORE the last change");
+    session.press("u");
+    session.wait_for("taken back: stribeck_friction");
+    session.wait_for("MISSING: stribeck_friction");
+    lacks(&session.text(), &["+ in the model"]);
+    keep_what_scrolls(&mut session);
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    let left = session.text();
+    has(&left, &["EFFECT FOUND"]);
+    lacks(&left, &["+ stribeck_friction: held-out error"]);
 }
 
 #[test]

@@ -25,3 +25,4 @@ mod screen;
 mod speed;
 mod tools;
 mod ways_out;
+mod whole_loop;

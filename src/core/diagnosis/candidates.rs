@@ -10,7 +10,7 @@ use super::ladder::Standing;
 use super::reached::{self, Reached};
 use super::score::{by_key, parameters_of};
 use crate::identification::verdict::judge;
-use crate::plant::{Effect, Slot, effect};
+use crate::plant::{Effect, Scenario, Slot, effect};
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::number::{probability, significant, with_unit};
 
@@ -85,18 +85,31 @@ pub struct Candidate {
     pub holdout_before: f64,
     pub holdout_after: Option<f64>,
     pub explained_percent: Option<f64>,
+    /// The effect of the answer, or of the model, that these runs do not tell it from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub as_good_as: Option<&'static str>,
     /// Its size is below this with 95 %, whatever else is there: its first parameter, or the amplitude of sine and cosine.
     /// Null where these runs do not show it, or where it is there wholly or not at all.
     pub upper_bound: Option<f64>,
     /// A size that would have been named in 95 of 100 such records.
     pub detectable: Option<f64>,
     pub evidence: String,
+    /// Of the training run: a time that is longer says nothing.
+    #[serde(skip)]
+    pub run_s: f64,
 }
 
 /// Factor from which on it is worth a word that intervals were widened.
 const WORTH_SAYING_RATIO: f64 = 1.05;
 
 impl Candidate {
+    /// These runs do not tell it from `other`, which is in the answer or in the model.
+    pub(super) fn is_as_good_as(&mut self, other: &'static str) {
+        self.as_good_as = Some(other);
+        self.evidence += "; ";
+        self.evidence += &as_good_as(other);
+    }
+
     /// Said beside its size where its intervals are wider than the noise alone makes them.
     pub fn widened(&self) -> Option<String> {
         (self.interval_factor > WORTH_SAYING_RATIO).then(|| {
@@ -121,7 +134,7 @@ impl Candidate {
     fn in_words(&self, lead: &str, size: Option<f64>) -> Option<String> {
         let effect = effect::find(self.effect)?;
         let unit = effect.parameters().get(effect.size_index())?.unit;
-        let size = size.filter(|size| size.is_finite())?;
+        let size = told(size, unit, self.run_s)?;
         Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
     }
 }
@@ -147,6 +160,7 @@ pub(super) fn candidates(
             .then(b.probability.total_cmp(&a.probability))
             .then(b.log_odds.total_cmp(&a.log_odds))
     });
+    let run_s = length_s(&evidence.training);
     let base = &rungs[0];
     let best = &rungs[rungs.len() - 1].fit;
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
@@ -173,7 +187,7 @@ pub(super) fn candidates(
             }
         });
         let times = evidence.noise.source.times();
-        Candidate {
+        let mut candidate = Candidate {
             effect: id,
             rank: rank + 1,
             status,
@@ -187,11 +201,18 @@ pub(super) fn candidates(
             holdout_before: before.unwrap_or(base).score.nrms,
             holdout_after: after.map(|after| after.score.nrms),
             explained_percent,
+            as_good_as: None,
             // The size of what is named has an interval, and one bound is enough.
             upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
             detectable: inferred.detectable,
-            evidence: evidence_sentence(inferred, status, rung, times, happening),
+            evidence: evidence_sentence(inferred, status, rung, (times, run_s), happening),
+            run_s,
+        };
+        let mut pairs = inference.confusable.iter();
+        if let Some([named, _]) = pairs.find(|pair| pair[1] == id) {
+            candidate.is_as_good_as(named);
         }
+        candidate
     };
     order.into_iter().enumerate().map(candidate).collect()
 }
@@ -255,21 +276,26 @@ pub(super) fn happening(
     }
 }
 
+/// Said of an effect that these runs do not tell from another.
+fn as_good_as(other: &str) -> String {
+    format!("explains as much as {other}; these runs cannot tell them apart")
+}
+
 fn evidence_sentence(
     inferred: &Inferred,
     status: Status,
     rung: Option<[&Standing; 2]>,
-    times: &str,
+    (times, run_s): (&str, f64),
     happening: Option<String>,
 ) -> String {
     let card = inferred.effect.card();
     let unit = unit_of_size(inferred.effect);
     let percent = probability(inferred.probability);
     let size = |size: f64| format!("{} {unit}", significant(size, 2));
-    let most = inferred
-        .upper_bound
+    let unit_of_run = spec_unit(inferred.effect);
+    let most = told(inferred.upper_bound, unit_of_run, run_s)
         .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
-    let shown = inferred.detectable.map_or_else(String::new, |least| {
+    let shown = told(inferred.detectable, unit_of_run, run_s).map_or_else(String::new, |least| {
         format!("; {} would have shown", size(least))
     });
     if let Some(reason) = inferred.why_not {
@@ -292,9 +318,24 @@ fn evidence_sentence(
     }
 }
 
-/// Unit of the parameter that gives the effect its size, in words that can stand behind a number.
+/// A bound that says something: a time that is longer than the run does not.
+fn told(size: Option<f64>, unit: &str, run_s: f64) -> Option<f64> {
+    size.filter(|size| size.is_finite() && (unit != "s" || *size <= run_s))
+}
+
+fn length_s(run: &Scenario) -> f64 {
+    let last = run.sample_time_s.last().copied();
+    last.map_or(0.0, |last| last - run.begin_s())
+}
+
+/// Unit of the parameter that gives the effect its size.
+fn spec_unit(effect: &dyn Effect) -> &'static str {
+    effect.parameters()[effect.size_index()].unit
+}
+
+/// The same in words that can stand behind a number.
 fn unit_of_size(effect: &dyn Effect) -> &'static str {
-    match effect.parameters()[effect.size_index()].unit {
+    match spec_unit(effect) {
         "-" => "(a ratio)",
         unit => unit,
     }
@@ -303,6 +344,19 @@ fn unit_of_size(effect: &dyn Effect) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_that_is_longer_than_the_run_is_no_bound() {
+        for (size, unit, expected) in [
+            (Some(3.67e3), "s", None),
+            (Some(0.004), "s", Some(0.004)),
+            (Some(3.67e3), "A", Some(3.67e3)),
+            (Some(f64::INFINITY), "A", None),
+            (None, "s", None),
+        ] {
+            assert_eq!(told(size, unit, 12.0), expected, "{size:?} {unit}");
+        }
+    }
 
     #[test]
     fn words_follow_probabilities_and_what_is_named_is_never_not_excited() {

@@ -126,6 +126,20 @@ impl Comparison {
         undecided(&self.balances, &self.locations)
     }
 
+    /// Where it fails, where that is more than its noise; that it is not known, where no noise is.
+    pub fn where_in_words(&self) -> Option<String> {
+        let nowhere = self.locations.is_empty() && self.balances.iter().all(|own| !own.fails);
+        match (nowhere, self.balances.iter().any(|own| own.nres.is_none())) {
+            (false, _) => Some(self.headline()),
+            (true, true) => Some(
+                "not known: the errors follow nothing that was asked, and no noise is known"
+                    .to_owned(),
+            ),
+            (true, false) if self.balances.is_empty() => None,
+            (true, false) => Some("nowhere: no equation fails beyond its noise".to_owned()),
+        }
+    }
+
     /// Where it fails, in one sentence that holds for models that are nearly the same too.
     pub fn headline(&self) -> String {
         let first = || Some(self.locations.first()?.sentence.clone());

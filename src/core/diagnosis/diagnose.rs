@@ -31,6 +31,8 @@ const NEARLY_WHITE: f64 = 1.3;
 const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Effects that are named one by one where these runs would not show them.
 const FEW: usize = 4;
+/// Error that needs no explanation, in units of a floor that is known.
+const AT_MOST_NOISE: f64 = 1.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -39,6 +41,45 @@ pub enum DiagnosisVerdict {
     Ambiguous,
     None,
     Unexplained,
+}
+
+/// What an answer comes to, and how far it may be relied on: one table of words for page, screen and terminal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    Found,
+    /// The run that had no part in it speaks against it.
+    NotConfirmed,
+    /// Much of the error is still unexplained.
+    InPart,
+    Ambiguous,
+    /// Effects are there, and the error was no more than noise without them.
+    NoErrorLeft,
+    NothingMissing,
+    /// There are effects that these runs would not show, or not rule out.
+    NothingThatShows,
+    NothingFound,
+    Unexplained,
+}
+
+impl Answer {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Found => "Effect found",
+            Self::NotConfirmed => "Effect found, not confirmed",
+            Self::InPart => "Effect found, not sufficient",
+            Self::Ambiguous => "Ambiguous",
+            Self::NoErrorLeft => "No error left to explain",
+            Self::NothingMissing => "Nothing missing",
+            Self::NothingThatShows => "Nothing missing that these runs could show",
+            Self::NothingFound => "Nothing found",
+            Self::Unexplained => "Unexplained",
+        }
+    }
+
+    /// Whether nothing is to be said against it.
+    pub const fn is_whole(self) -> bool {
+        matches!(self, Self::Found | Self::NothingMissing)
+    }
 }
 
 /// The answer, as `diagnose --json` prints it.
@@ -102,6 +143,63 @@ impl Diagnosis {
             })
         };
         Ok([rung(&self.baseline.model)?, rung(&self.model.model)?])
+    }
+
+    pub fn answer(&self) -> Answer {
+        match self.verdict {
+            DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if self.has_no_error() => {
+                Answer::NoErrorLeft
+            }
+            DiagnosisVerdict::Effect if self.is_refuted() => Answer::NotConfirmed,
+            DiagnosisVerdict::Effect if self.sufficient => Answer::Found,
+            DiagnosisVerdict::Effect => Answer::InPart,
+            DiagnosisVerdict::Ambiguous => Answer::Ambiguous,
+            DiagnosisVerdict::None if !self.sufficient => Answer::NothingFound,
+            DiagnosisVerdict::None if self.is_all_judged() => Answer::NothingMissing,
+            DiagnosisVerdict::None => Answer::NothingThatShows,
+            DiagnosisVerdict::Unexplained => Answer::Unexplained,
+        }
+    }
+
+    /// The sentence without what the name of the answer says.
+    pub fn after_name(&self) -> &str {
+        let sentence = self.sentence.as_str();
+        let said = [
+            "nothing is missing: ",
+            "nothing missing that these runs could show: ",
+            "no error left to explain: ",
+            "missing: ",
+        ];
+        let rest = said.iter().find_map(|said| sentence.strip_prefix(said));
+        rest.unwrap_or(sentence)
+    }
+
+    /// Whether the model as it was given leaves no more than the noise.
+    fn has_no_error(&self) -> bool {
+        self.noise_floor_from != FloorSource::None && self.holdout_before <= AT_MOST_NOISE
+    }
+
+    /// Whether every effect is ruled out, so that nothing may hide.
+    fn is_all_judged(&self) -> bool {
+        let mut candidates = self.candidates.iter();
+        candidates.all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
+    }
+
+    /// Marks the candidates that these runs do not tell from effects that the model has got since, and says so: `pairs` of
+    /// an effect of the model and its rival.
+    pub fn remember_rivals(&mut self, pairs: &[[&'static str; 2]]) {
+        for candidate in &mut self.candidates {
+            let of_pair = |pair: &&[&'static str; 2]| pair[1] == candidate.effect;
+            if let Some([taken, _]) = pairs.iter().find(of_pair) {
+                candidate.is_as_good_as(taken);
+            }
+        }
+        let is_rival = |pair: &&[&'static str; 2]| {
+            let mut candidates = self.candidates.iter();
+            candidates.any(|own| own.effect == pair[1])
+        };
+        let told: Vec<[&'static str; 2]> = pairs.iter().filter(is_rival).copied().collect();
+        self.sentence.push_str(&not_told(&told));
     }
 
     /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
@@ -475,8 +573,19 @@ fn sentence(diagnosis: &Diagnosis) -> String {
             "this run would not show any effect of the catalogue: nothing can be said".to_owned()
         }
         DiagnosisVerdict::None => format!(
-            "nothing is missing: held-out error {before:.2} {times}{}",
+            "{}: held-out error {before:.2} {times}{}",
+            if diagnosis.is_all_judged() {
+                "nothing is missing"
+            } else {
+                "nothing missing that these runs could show"
+            },
             unseen(diagnosis)
+        ),
+        DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if diagnosis.has_no_error() => format!(
+            "no error left to explain: held-out error {before:.2} {times}; likely there all the same: {names} ({before:.2} -> \
+             {after:.2}){}{}",
+            not_told(&diagnosis.confusable),
+            unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Unexplained => {
             let known = if names.is_empty() {
@@ -561,9 +670,13 @@ fn unseen(diagnosis: &Diagnosis) -> String {
     let names = match unseen.len() {
         0 => return said,
         1..=FEW => unseen.join(", "),
-        many => format!("{many} effects of the catalogue"),
+        many => format!(
+            "{} and {} more",
+            unseen[..FEW - 1].join(", "),
+            many - FEW + 1
+        ),
     };
-    said + "; these runs would not show " + &names
+    said + "; not shown: " + &names
 }
 
 /// Said where the machine does not do the same twice: how much of the error that is, and what it follows.
@@ -664,8 +777,11 @@ mod tests {
         // What one run contradicts is not said.
         assert!(!hidden.sufficient && nothing.sufficient);
         let (whole, said) = (&nothing.sentence, &hidden.sentence);
-        assert!(whole.starts_with("nothing is missing"), "{whole}");
-        assert!(!said.contains("nothing is missing"), "{said}");
+        assert!(
+            whole.starts_with("nothing missing that these runs could show"),
+            "{whole}"
+        );
+        assert!(!said.contains("nothing missing"), "{said}");
         assert!(said.contains("on the confirming run"), "{said}");
         data.confirm = None;
         assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);

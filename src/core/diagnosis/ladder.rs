@@ -302,6 +302,9 @@ pub struct Rung {
 pub struct AddResult {
     pub effect: &'static str,
     pub accepted: bool,
+    /// Taken although the runs do not ask for it, because a person said so.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub forced: bool,
     pub reason: String,
     pub before: Comparison,
     pub after: Comparison,
@@ -312,6 +315,19 @@ pub struct AddResult {
     pub confirm: Option<[Rung; 2]>,
     #[serde(skip)]
     pub fit: Fitted,
+}
+
+impl AddResult {
+    /// Takes what was refused, and says so.
+    pub fn force(&mut self) {
+        if !self.accepted {
+            (self.accepted, self.forced) = (true, true);
+            self.reason = format!(
+                "forced, although these runs do not ask for it: {}",
+                self.reason
+            );
+        }
+    }
 }
 
 /// Refits `model` with `effect` added; refused, with the reason, where the runs do not ask for it beside all others.
@@ -378,6 +394,7 @@ fn change(
     Ok(AddResult {
         effect: id,
         accepted: inference.names(id) == adding,
+        forced: false,
         reason,
         before: compared_before,
         after: compared_after,

@@ -35,7 +35,7 @@ mod versus;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};
-pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
+pub use diagnose::{Answer, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;

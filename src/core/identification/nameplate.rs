@@ -17,6 +17,8 @@ use crate::text::number::{significant, with_std};
 pub const CATALOGUE_TOLERANCE: f64 = 0.3;
 /// Standard deviations by which a difference has to exceed the tolerance.
 const CONFIDENCE: f64 = 2.0;
+/// Said of a value that differs.
+const MISFIT: &str = ", does not fit";
 /// Relative distance within which a ratio counts as a known factor.
 const FACTOR: f64 = 0.15;
 /// Rise of the resistance of copper, 1/K.
@@ -67,6 +69,9 @@ pub struct Comparison {
     pub rows: Vec<Row>,
     /// What would explain the differences, the likeliest first.
     pub causes: Vec<String>,
+    /// Why differences say nothing of the plate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
 }
 
 impl Comparison {
@@ -78,16 +83,37 @@ impl Comparison {
             .map(|row| row.sentence.as_str())
     }
 
+    /// Takes back what differs: the values were found with a model that misses something, which may be in them.
+    pub fn doubt(&mut self, reason: String) {
+        for row in self.rows.iter_mut().filter(|row| row.fits == Fits::No) {
+            row.fits = Fits::NotTold;
+            row.sentence = row.sentence.replace(MISFIT, "");
+        }
+        self.fits = true;
+        self.causes.clear();
+        self.doubt = Some(reason);
+    }
+
+    /// Whether it fits, then what does not and why, one a line.
+    pub fn in_short(&self) -> Vec<String> {
+        let text = self.text();
+        let mut lines = vec![text.lines().next().unwrap_or_default().to_owned()];
+        lines.extend(self.differences().map(str::to_owned));
+        lines.extend(self.causes.iter().map(|cause| format!("likely: {cause}")));
+        lines
+    }
+
     /// A table for people.
     pub fn text(&self) -> String {
         use std::fmt::Write as _;
         let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
         let mut text = format!(
             "nameplate {} (within {:.0} % and the uncertainty)\n",
-            match (judged, self.fits) {
-                (false, _) => "not judged: nothing was identified that it says",
-                (true, true) => "fits",
-                (true, false) => "does NOT fit",
+            match (&self.doubt, judged, self.fits) {
+                (Some(doubt), ..) => doubt,
+                (None, false, _) => "not judged: nothing was identified that it says",
+                (None, true, true) => "fits",
+                (None, true, false) => "does NOT fit",
             },
             100.0 * self.tolerance
         );
@@ -114,6 +140,7 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
         tolerance: CATALOGUE_TOLERANCE,
         rows,
         causes,
+        doubt: None,
     }
 }
 
@@ -150,11 +177,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
                 ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
-            let misfit = if fits == Fits::No {
-                ", does not fit"
-            } else {
-                ""
-            };
+            let misfit = if fits == Fits::No { MISFIT } else { "" };
             format!(
                 "{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}",
                 with_std(value, std),

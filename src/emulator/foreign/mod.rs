@@ -60,6 +60,7 @@ impl Guise {
                 bits_per_char: profile.link.framing.bits_per_char(),
                 turnaround_ms: profile.link.reply_ms,
                 gap_us: profile.link.gap_us,
+                ..LineConfig::default()
             },
         })
     }

@@ -99,7 +99,8 @@ impl AxisChart<'_> {
         let (label, line) = self.line;
         let all = || sets.iter().flat_map(|(_, points)| points);
         let edges = all().flat_map(|(_, value, half)| [value - half, value + half]);
-        let across = Domain::of(all().map(|point| point.0));
+        let across = all().map(|point| point.0);
+        let across = Domain::of(across.chain(line.iter().map(|point| point.0)));
         let upwards = edges.chain(line.iter().map(|point| point.1)).chain([0.0]);
         let (Some(across), Some(upwards), true) = (across, Domain::of(upwards), all().count() > 1)
         else {

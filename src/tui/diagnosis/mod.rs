@@ -95,6 +95,11 @@ impl Screen for DiagnosisScreen {
         self.act(Event::Press(press))
     }
 
+    fn may_suspend(&mut self) -> bool {
+        // Nothing is energised here, and an analysis goes on where it was.
+        true
+    }
+
     fn ends_with_a_panic(&self) -> bool {
         true
     }

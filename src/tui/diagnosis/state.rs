@@ -117,6 +117,8 @@ pub(super) struct State {
     pub(super) ladder: Vec<Step>,
     /// What came of the last effect that was added or removed.
     pub(super) change: Option<(bool, Arc<AddResult>)>,
+    /// The model before that change is shown.
+    pub(super) before: bool,
     /// The row selected; none before the person has moved.
     pub(super) selected: Option<&'static str>,
     pub(super) over: Over,
@@ -212,11 +214,20 @@ impl State {
     fn hear(&mut self, news: News) {
         match news {
             News::Progress(found) => self.found(found),
-            News::Compared(comparison) => self.comparison = Some(Arc::from(comparison)),
+            News::Compared(comparison) => {
+                self.comparison = Some(Arc::from(comparison));
+                self.before = false;
+            }
             News::Diagnosed(diagnosis) => self.diagnosed(*diagnosis),
             News::Recommended(next) => self.next = Some(Arc::from(next)),
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
+            News::Undone { effect, present } => {
+                self.ladder.pop();
+                (self.present, self.change) = (present, None);
+                self.search_begins(effect);
+                self.say(format!("taken back: {effect}"));
+            }
             News::Written(text) => {
                 self.writing = false;
                 self.message = Some(text);
@@ -281,17 +292,26 @@ impl State {
             self.present = result.fit.model.effect_ids();
             self.comparison = Some(Arc::new(result.after.clone()));
             // What is missing now is searched anew.
-            self.search_begins();
+            self.search_begins(result.effect);
+        } else if added {
+            self.say(format!(
+                "refused: a again adds {} all the same",
+                result.effect
+            ));
+        } else {
+            self.say("refused; u takes the last change back");
         }
+        self.before = false;
         self.change = Some((added, Arc::new(result)));
     }
 
-    fn search_begins(&mut self) {
+    /// Anew, the cursor on the effect that was changed.
+    fn search_begins(&mut self, changed: &'static str) {
         self.diagnosis = None;
         self.next = None;
         self.judged.clear();
         self.taken.clear();
-        self.selected = None;
+        self.selected = Some(changed);
         if let Guessing::Guessed(_) = self.guessing {
             // It was a guess at what was missing then.
             self.guessing = Guessing::Off;
@@ -316,6 +336,8 @@ impl State {
             Press::Open => self.open(),
             Press::Add => return self.add(),
             Press::Remove => return self.remove(),
+            Press::Undo => return self.undo(),
+            Press::Before => self.see_before(),
             Press::Map => self.map(),
             Press::Next => self.next(),
             Press::Guess => self.guess(),
@@ -402,10 +424,63 @@ impl State {
             Ok((id, true)) => self.say(format!("{id} is in the model already: r removes it")),
             Ok((id, false)) => {
                 self.order(format!("refitting with {id}"));
-                return Some(Effect::Order(Order::Add(id)));
+                let order = if self.was_refused(id) {
+                    Order::Force
+                } else {
+                    Order::Add
+                };
+                return Some(Effect::Order(order(id)));
             }
         }
         None
+    }
+
+    /// Whether the last change was to add this effect, and it was refused.
+    fn was_refused(&self, id: &str) -> bool {
+        let last = self.change.as_ref();
+        last.is_some_and(|(added, result)| *added && !result.accepted && result.effect == id)
+    }
+
+    fn undo(&mut self) -> Option<Effect> {
+        if self.guessing == Guessing::Choosing {
+            self.say(GUESS_FIRST);
+        } else if let Err(reason) = self.busy() {
+            self.say(reason);
+        } else if self.ladder.len() < 2 {
+            self.say("nothing was changed by hand that could be taken back");
+        } else {
+            self.order("taking the last change back".to_owned());
+            return Some(Effect::Order(Order::Undo));
+        }
+        None
+    }
+
+    /// The comparison that is shown: before the last change, or of the model as it stands.
+    pub(super) fn compared(&self) -> Option<&Comparison> {
+        let change = self.change.as_ref().filter(|_| self.before);
+        let before = change.map(|(_, result)| &result.before);
+        before.or(self.comparison.as_deref())
+    }
+
+    fn see_before(&mut self) {
+        let change = self.change.as_ref();
+        let Some((_, result)) = change.filter(|(_, result)| result.accepted) else {
+            self.say("there is no change to look before");
+            return;
+        };
+        let text = if self.before {
+            format!(
+                "after the change of {}: the model as it stands",
+                result.effect
+            )
+        } else {
+            format!(
+                "BEFORE the change of {}; b shows the model as it stands",
+                result.effect
+            )
+        };
+        self.before = !self.before;
+        self.say(text);
     }
 
     fn remove(&mut self) -> Option<Effect> {
@@ -428,7 +503,7 @@ impl State {
     }
 
     fn map(&mut self) {
-        let found = self.comparison.as_ref();
+        let found = self.compared();
         let has_map = found.is_some_and(|found| found.map.is_some());
         self.over = match self.over {
             _ if !has_map => {
@@ -631,7 +706,7 @@ pub(super) fn compared(guess: Guess, diagnosis: &Diagnosis) -> String {
 fn answer(diagnosis: &Diagnosis) -> String {
     match diagnosis.verdict {
         DiagnosisVerdict::None if !diagnosis.sufficient => diagnosis.sentence.clone(),
-        DiagnosisVerdict::None => "nothing is missing".to_owned(),
+        DiagnosisVerdict::None => diagnosis.answer().name().to_lowercase(),
         DiagnosisVerdict::Unexplained => "no effect of the catalogue explains it".to_owned(),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => diagnosis.effects.join(" and "),
     }

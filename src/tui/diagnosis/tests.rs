@@ -38,6 +38,7 @@ fn added(effect: &'static str, accepted: bool) -> News {
     News::Added(Box::new(AddResult {
         effect,
         accepted,
+        forced: false,
         reason: format!("{effect} helps only in training (4.80 -> 4.20)"),
         before: comparison(0.76),
         after: comparison(0.155),
@@ -332,13 +333,89 @@ fn r_removes_what_is_in_the_model_and_nothing_else() {
     assert_eq!(press(&mut state, Press::Remove), None);
     assert_eq!(told(&state), "the model has no effect yet");
     let mut state = at_the_floor();
+    assert_eq!(
+        selected(&state),
+        "stribeck_friction",
+        "the cursor stays on what was added"
+    );
+    press(&mut state, DOWN);
     let effect = press(&mut state, Press::Remove);
     assert_eq!(effect, None, "a candidate is selected");
     press(&mut state, UP);
-    assert_eq!(selected(&state), "stribeck_friction");
     assert_eq!(press(&mut state, Press::Add), None);
     let removes = Effect::Order(Order::Remove("stribeck_friction"));
     assert_eq!(press(&mut state, Press::Remove), Some(removes));
+}
+
+#[test]
+fn u_takes_the_last_change_back_and_b_looks_before_it() {
+    let mut state = answered();
+    assert_eq!(press(&mut state, Press::Undo), None);
+    assert!(told(&state).starts_with("nothing was changed by hand"));
+    assert_eq!(press(&mut state, Press::Before), None);
+    assert!(told(&state).starts_with("there is no change"));
+    let mut state = at_the_floor();
+    let shown = |state: &State| state.compared().unwrap().signals.speed_rad_s.unwrap();
+    let after = shown(&state).holdout.rmse;
+    press(&mut state, Press::Before);
+    shows(&state, &["BEFORE the change of stribeck_friction"]);
+    assert!(shown(&state).holdout.rmse > 2.0 * after);
+    press(&mut state, Press::Before);
+    assert!((shown(&state).holdout.rmse - after).abs() < 1e-12);
+    let effect = press(&mut state, Press::Undo);
+    assert_eq!(effect, Some(Effect::Order(Order::Undo)));
+    let undone = News::Undone {
+        effect: "stribeck_friction",
+        present: Vec::new(),
+    };
+    hear(&mut state, undone);
+    assert!(state.present.is_empty() && state.ladder.len() == 1);
+    answer(&mut state, diagnosis());
+    assert_eq!(selected(&state), "stribeck_friction");
+    assert!(told(&state).starts_with("taken back"));
+}
+
+#[test]
+fn a_again_forces_what_was_refused_and_a_refused_removal_says_the_way() {
+    let mut state = answered();
+    press(&mut state, DOWN);
+    press(&mut state, Press::Add);
+    hear(&mut state, added("cogging", false));
+    shows(&state, &["refused: a again adds cogging all the same"]);
+    let effect = press(&mut state, Press::Add);
+    assert_eq!(effect, Some(Effect::Order(Order::Force("cogging"))));
+    let mut state = at_the_floor();
+    press(&mut state, Press::Remove);
+    let News::Added(refused) = added("stribeck_friction", false) else {
+        panic!("an addition");
+    };
+    hear(&mut state, News::Removed(refused));
+    shows(&state, &["u takes the last change back"]);
+}
+
+#[test]
+fn no_tick_stands_beside_a_residual_that_is_not_white() {
+    let shown = text(&answered(), 120, 40);
+    let row = shown.lines().find(|row| row.contains("residual:")).unwrap();
+    assert!(row.contains("✗ not white (80 % of lags outside)"), "{row}");
+    assert!(!row.contains('✓'), "{row}");
+}
+
+#[test]
+fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
+    let mut state = at_the_floor();
+    let mut found = nothing_more();
+    found.candidates.truncate(1);
+    answer(&mut state, found.clone());
+    shows(&state, &["✓ NOTHING MISSING"]);
+    found.remember_rivals(&[["stribeck_friction", "cogging"]]);
+    answer(&mut state, found);
+    let shown = text(&state, 120, 40);
+    assert!(
+        shown.contains("~ NOTHING MISSING THAT THESE RUNS COULD SHOW"),
+        "{shown}"
+    );
+    assert!(shown.contains("as good as stribeck_friction"), "{shown}");
 }
 
 #[test]

@@ -12,16 +12,14 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, MapDigits, Reached,
+    AddResult, Answer, Candidate, Comparison, Diagnosis, DiagnosisVerdict, MapDigits, Reached,
     ResidualLights, Status,
 };
 use crate::plant::effect;
 use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::{
-    percent, probability, share as per_cent, shortest, significant, with_std,
-};
+use crate::text::number::{percent, probability, shortest, significant, with_std};
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
 use crate::tui::live::parameter_name;
@@ -151,7 +149,7 @@ fn verdict_line(state: &State) -> Line<'static> {
     };
     let (word, style) = word(diagnosis);
     let mut line = Line::from(Span::styled(format!(" {word} "), style));
-    line.push_span(sentence(diagnosis).to_owned());
+    line.push_span(diagnosis.after_name().to_owned());
     let names_effects = matches!(
         diagnosis.verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
@@ -166,17 +164,6 @@ fn verdict_line(state: &State) -> Line<'static> {
         line.push_span("; c shows the curve that it follows, t adds it");
     }
     line
-}
-
-/// The sentence without what the word before it says.
-fn sentence(diagnosis: &Diagnosis) -> &str {
-    let sentence = diagnosis.sentence.as_str();
-    let said = ["nothing is missing: ", "missing: "];
-    let rest = said.iter().find_map(|said| sentence.strip_prefix(said));
-    match diagnosis.verdict {
-        DiagnosisVerdict::Effect | DiagnosisVerdict::None => rest.unwrap_or(sentence),
-        DiagnosisVerdict::Ambiguous | DiagnosisVerdict::Unexplained => sentence,
-    }
 }
 
 /// Rows that a text takes, at least one and at most `most`.
@@ -207,18 +194,21 @@ fn guess_first(state: &State) -> String {
 }
 
 /// The verdict as a word, which the colour only repeats.
-fn word(diagnosis: &Diagnosis) -> (&'static str, Style) {
-    match diagnosis.verdict {
-        DiagnosisVerdict::Effect if diagnosis.is_refuted() => {
-            ("~ MISSING, NOT CONFIRMED:", theme::CAREFUL)
-        }
-        DiagnosisVerdict::Effect if diagnosis.sufficient => ("✓ MISSING:", theme::GOOD),
-        DiagnosisVerdict::Effect => ("~ MISSING, IN PART:", theme::CAREFUL),
-        DiagnosisVerdict::Ambiguous => ("? AMBIGUOUS", theme::CAREFUL),
-        DiagnosisVerdict::None if !diagnosis.sufficient => ("? NOTHING FOUND", theme::CAREFUL),
-        DiagnosisVerdict::None => ("✓ NOTHING MISSING", theme::GOOD),
-        DiagnosisVerdict::Unexplained => ("✗ UNEXPLAINED", theme::BAD),
-    }
+fn word(diagnosis: &Diagnosis) -> (String, Style) {
+    let answer = diagnosis.answer();
+    let (mark, style) = match answer {
+        answer if answer.is_whole() => ("✓", theme::GOOD),
+        Answer::Unexplained => ("✗", theme::BAD),
+        Answer::Ambiguous | Answer::NothingFound => ("?", theme::CAREFUL),
+        _ => ("~", theme::CAREFUL),
+    };
+    let word = match answer {
+        Answer::Found => "MISSING:".to_owned(),
+        Answer::NotConfirmed => "MISSING, NOT CONFIRMED:".to_owned(),
+        Answer::InPart => "MISSING, IN PART:".to_owned(),
+        answer => answer.name().to_uppercase(),
+    };
+    (format!("{mark} {word}"), style)
 }
 
 /// The keys that do something now, the first first, and those that are always shown.
@@ -246,6 +236,10 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
             "c curve|t add it|a add|r remove|w write|n next run|e map",
             LEAVE,
         ),
+        Over::Nothing if state.ladder.len() > 1 => (
+            "a add|r remove|u undo|b before|w write|n next run|Enter card|e map",
+            LEAVE,
+        ),
         Over::Nothing => ("a add|r remove|w write|Enter card|n next run|e map", LEAVE),
     };
     (
@@ -265,8 +259,13 @@ fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
         return;
     }
-    let inner = titled("held-out run: fit, error, where it fails", area, buffer);
-    let lines = state.comparison.as_ref().map_or_else(
+    let title = if state.before {
+        "BEFORE the last change, held-out run: fit, error, where it failed"
+    } else {
+        "held-out run: fit, error, where it fails"
+    };
+    let inner = titled(title, area, buffer);
+    let lines = state.compared().map_or_else(
         || vec![Line::styled(" comparing ...", theme::DIM)],
         |comparison| failing_lines(comparison, inner),
     );
@@ -311,7 +310,7 @@ fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
 fn failing_rows(state: &State, width: u16) -> u16 {
     let area = Rect::new(0, 0, width, TALL);
     let room = usize::from(width).saturating_sub(1);
-    let rows = state.comparison.as_ref().map_or(1, |comparison| {
+    let rows = state.compared().map_or(1, |comparison| {
         let lines = failing_lines(comparison, area);
         let rows = lines
             .iter()
@@ -327,29 +326,20 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
         let text = " residual: too few samples to say whether only noise is left";
         return Line::styled(text, theme::DIM);
     }
-    let mut line = Line::raw(" residual: ");
-    for (passes, good, bad) in [
-        (Some(residual.white), "✓ white  ", "✗ not white  "),
-        (
-            residual.independent_of_input,
-            "✓ independent of the input  ",
-            "✗ goes with the input  ",
-        ),
-    ] {
-        let (word, style) = match passes {
-            Some(true) => (good, theme::GOOD),
-            Some(false) => (bad, theme::BAD),
-            None => ("? the input never changes  ", theme::DIM),
-        };
-        line.push_span(Span::styled(word, style));
-    }
-    let outside = per_cent(residual.autocorrelation_outside_99_percent);
-    let lags = format!("({outside} of lags outside)");
-    // Not on a row of its own.
-    if line.width() + lags.len() <= usize::from(width) {
-        line.push_span(Span::styled(lags, theme::DIM));
-    }
-    line
+    // A tick only where nothing is to be said against it.
+    let (mark, style) = if residual.is_noise() {
+        ("✓", theme::GOOD)
+    } else {
+        ("✗", theme::BAD)
+    };
+    let sentence = residual.sentence();
+    let words = sentence.strip_prefix("more than noise is left: ");
+    let room = usize::from(width).saturating_sub(" residual: ".len() + 3);
+    let words = cut(words.unwrap_or(&sentence), room);
+    Line::from(vec![
+        Span::raw(" residual: "),
+        Span::styled(format!("{mark} {words}"), style),
+    ])
 }
 
 const BAR: usize = 8;
@@ -453,6 +443,14 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
                 None
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
+            if let Some(other) = candidate.as_good_as {
+                let used: usize = spans.iter().map(Span::width).sum();
+                let text = cut(
+                    &format!(" as good as {other}"),
+                    width.saturating_sub(used + 2),
+                );
+                spans.push(Span::styled(text, theme::CAREFUL));
+            }
             if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
                 let used: usize = spans.iter().map(Span::width).sum();
                 // Half a unit would be another unit.
@@ -571,6 +569,12 @@ fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
 fn change(added: bool, result: &AddResult) -> (String, Style) {
     if !result.accepted {
         return (format!("✗ refused: {}", result.reason), theme::CAREFUL);
+    }
+    if result.forced {
+        return (
+            format!("~ {}: {}", result.effect, result.reason),
+            theme::CAREFUL,
+        );
     }
     let word = if added { "added" } else { "removed" };
     let [before, after] =
@@ -700,7 +704,7 @@ fn bars(share: f64, half: usize) -> (String, String) {
 /// The error of one equation over speed x current, as digits: readable without colour. `index` 0 is the equation that
 /// fails worse.
 pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
-    let compared = state.comparison.as_ref();
+    let compared = state.compared();
     let Some((comparison, map)) = compared.and_then(|found| Some((found, found.map.as_ref()?)))
     else {
         return;

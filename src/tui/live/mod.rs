@@ -113,6 +113,10 @@ impl Screen for LiveScreen {
         self.act(Event::Press(press))
     }
 
+    fn may_suspend(&mut self) -> bool {
+        self.model.may_suspend()
+    }
+
     fn ends_with_a_panic(&self) -> bool {
         self.model.is_finished()
     }

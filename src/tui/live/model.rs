@@ -73,7 +73,7 @@ pub(super) struct Model {
 
 impl Model {
     pub(super) fn new(workflow: Option<Arc<Progress>>) -> Self {
-        let is_over = workflow.as_ref().is_some_and(|own| !own.report.is_empty());
+        let is_over = workflow.as_ref().is_some_and(|own| own.report.is_some());
         Self {
             page: if is_over { Page::Steps } else { Page::Live },
             workflow,
@@ -92,12 +92,13 @@ impl Model {
 
     fn shows_report(&self) -> bool {
         let workflow = self.workflow.as_ref();
-        workflow.is_some_and(|workflow| !workflow.report.is_empty())
+        workflow.is_some_and(|workflow| workflow.report.is_some())
     }
 
-    /// Whether the whole loop is over, so that its runs can be diagnosed by hand.
-    pub(super) fn has_report(&self) -> bool {
-        self.is_finished() && self.shows_report()
+    /// Whether the whole loop is over, or a run without one went to its end: that can be diagnosed by hand.
+    pub(super) fn can_diagnose(&self) -> bool {
+        let has_run = self.workflow.is_none() && self.snapshot.outcome == Some("done");
+        self.is_finished() && (self.shows_report() || has_run)
     }
 
     /// Whether the drive's output may be on, as far as the screen knows.
@@ -144,7 +145,7 @@ impl Model {
                 self.confirm_start &= self.waits_for_start();
             }
             Event::Workflow(workflow) => {
-                if !workflow.report.is_empty() && !self.shows_report() && !self.guess_first {
+                if workflow.report.is_some() && !self.shows_report() && !self.guess_first {
                     // The answer that everything was done for.
                     self.page = Page::Steps;
                     self.scroll = 0;
@@ -201,8 +202,10 @@ impl Model {
                 self.say(format!("{text} set"));
                 return vec![Effect::Send(Intent::Mark(text))];
             }
-            Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
-            Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
+            Press::Diagnose if self.can_diagnose() => return vec![Effect::Leave(Exit::Diagnosis)],
+            Press::Diagnose => {
+                self.say("not yet: the diagnosis begins where a run has gone to its end");
+            }
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
             Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
             Press::Guess => self.guess(),
@@ -222,6 +225,15 @@ impl Model {
         Vec::new()
     }
 
+    /// Whether the program may be halted now; else it is said why not. While the bench is at work every cycle of it counts,
+    /// and between two runs the next one may begin at any moment.
+    pub(super) fn may_suspend(&mut self) -> bool {
+        if !self.is_finished() {
+            self.say("Ctrl-Z: not while the bench is at work, it would stand still with it: Space stops it");
+        }
+        self.is_finished()
+    }
+
     fn say(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
     }
@@ -233,7 +245,9 @@ impl Model {
             return Vec::new();
         };
         match workflow.is_offered(step) {
-            Ok(()) if self.has_report() => return vec![Effect::Leave(exit)],
+            Ok(()) if self.is_finished() && self.shows_report() => {
+                return vec![Effect::Leave(exit)];
+            }
             Ok(()) => self.say("not yet: it follows the report"),
             Err(reason) => self.say(format!("{}: {reason}", step.title())),
         }

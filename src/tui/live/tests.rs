@@ -15,6 +15,8 @@ use crate::bench::{
     Excitation, Intent, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind,
 };
 use crate::drive::LinkStatistics;
+use crate::report::page::Table;
+use crate::report::{Card, Tone};
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
@@ -192,11 +194,41 @@ fn workflow(finished: bool) -> Progress {
             (Step::Diagnose, Done, found),
             (confirm, Failed, "the third run was stopped"),
         ];
-        let report = [
-            "verdict: quadratic_load (a fan or a pump)",
-            "ladder: baseline 5.10 -> + quadratic_load 1.03 (floor 1.00)",
+        let mut card = Card::new(
+            Tone::Good,
+            "Effect found",
+            "quadratic_load; held-out error 5.10 -> 1.03 times the noise floor",
+        );
+        let bar = |name: &str, error: f64| (name.to_owned(), error, format!("{error:.2}"));
+        let ladder = vec![bar("baseline", 5.1), bar("+ quadratic_load", 1.03)];
+        card.bars("ladder", ladder, "times the noise floor");
+        let parameters = [
+            (
+                "resistance_ohm",
+                "1.1",
+                "1.1432 ± 0.0041",
+                "1.1003 ± 0.0007",
+            ),
+            (
+                "back_emf_v_s_per_rad",
+                "0.3538",
+                "0.35407 ± 0.00040",
+                "0.35381 ± 0.00003",
+            ),
+            ("quadratic_n_m_s2_per_rad2", "-", "-", "(2.012 ± 0.031)e-6"),
         ];
-        (steps, report.map(str::to_owned).to_vec())
+        let table = Table::of(parameters)
+            .column("parameter", |row| row.0)
+            .column("nameplate", |row| row.1)
+            .column("before", |row| row.2)
+            .column("after ± std", |row| row.3)
+            .column("verdict", |_| "settled");
+        card.table("motor", table, &["nameplate", "before"], 5);
+        card.go_on(
+            "drivebench speed --model runs/20260102T030405Z-zk-22fc-emulated-fit/model.toml",
+        );
+        card.ends_with("runs/20260102T030405Z-zk-22fc-emulated-fit/report.html");
+        (steps, Some(card))
     } else {
         let steps = [
             checked,
@@ -204,7 +236,7 @@ fn workflow(finished: bool) -> Progress {
             (Step::Diagnose, Waiting, ""),
             (confirm, Waiting, ""),
         ];
-        (steps, Vec::new())
+        (steps, None)
     };
     Progress {
         steps: steps.iter().map(step).collect(),
@@ -471,7 +503,12 @@ proptest! {
         }
         let shown = terminal(&model, width, height).backend().to_string();
         if width >= 30 && height >= 6 {
-            prop_assert!(shown.contains("Space = STOP"), "{shown}");
+            let word = match (finished, &model.snapshot.stop_error) {
+                (false, _) => "Space = STOP",
+                (true, None) => "output off",
+                (true, Some(_)) => "Stop NOT confirmed",
+            };
+            prop_assert!(shown.contains(word), "{shown}");
         }
     }
 }
@@ -632,6 +669,40 @@ fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
     assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
     report(&mut model, false);
     assert_eq!(press(&mut model, Press::Diagnose), []);
+}
+
+#[test]
+fn d_goes_on_from_a_run_that_went_to_its_end_and_from_no_other() {
+    let mut whole = model(done());
+    assert_eq!(
+        press(&mut whole, Press::Diagnose),
+        [],
+        "the work is not over"
+    );
+    finish(&mut whole);
+    let left = press(&mut whole, Press::Diagnose);
+    assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
+    let shown = terminal(&whole, 80, 24).backend().to_string();
+    assert!(shown.contains("d = diagnosis by hand, q = quit"), "{shown}");
+    assert!(
+        shown.contains("output off") && !shown.contains("Space = STOP"),
+        "{shown}"
+    );
+    let mut halted = model(tripped());
+    finish(&mut halted);
+    assert_eq!(press(&mut halted, Press::Diagnose), []);
+}
+
+#[test]
+fn ctrl_z_is_refused_for_as_long_as_the_bench_is_at_work() {
+    for mut model in every_state() {
+        let may = model.may_suspend();
+        assert_eq!(may, model.is_finished(), "{model:?}");
+        assert_eq!(
+            may,
+            !model.message.is_some_and(|text| text.starts_with("Ctrl-Z"))
+        );
+    }
 }
 
 #[test]

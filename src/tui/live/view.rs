@@ -45,7 +45,8 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     } else {
         "too small"
     };
-    if is_too_small(word, "Space = STOP", theme::ALARM, area, buffer) {
+    let (stop, style) = stop_word(model);
+    if is_too_small(word, stop.trim(), style, area, buffer) {
         return;
     }
     let banner = Banner::of(model);
@@ -62,7 +63,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Constraint::Length(1),
     ])
     .areas(area);
-    top_bar(&model.snapshot, top, buffer);
+    top_bar(model, top, buffer);
     progress_bar(&model.snapshot, progress, buffer);
     if let Some(workflow) = model.workflow.as_ref().filter(|_| step_rows > 0) {
         step_line(workflow, model.guess_first).render(step, buffer);
@@ -80,7 +81,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let offers = offers(model, next);
     let keys: &[&str] = if model.waits_for_start() {
         &["s start", "Space stop", next]
-    } else if model.has_report() {
+    } else if model.can_diagnose() {
         &offers
     } else if model.is_finished() {
         &[next, "f freeze", "z zoom"]
@@ -106,8 +107,10 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
 
 /// What one must always see: software or copper, phase, link, and the key that stops. What has no room is left out from
 /// the right, the stop key never.
-fn top_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
-    let stop_width = (STOP.len() as u16).min(area.width);
+fn top_bar(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let snapshot = &model.snapshot;
+    let (stop_word, stop_style) = stop_word(model);
+    let stop_width = (stop_word.len() as u16).min(area.width);
     let room = usize::from(area.width - stop_width);
     let mut spans: Vec<Span<'static>> = Vec::new();
     let mut used = 0;
@@ -128,7 +131,16 @@ fn top_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         width: stop_width,
         ..area
     };
-    Line::styled(STOP, theme::ALARM).render(stop, buffer);
+    Line::styled(stop_word, stop_style).render(stop, buffer);
+}
+
+/// The key that stops, for as long as there is anything to stop.
+fn stop_word(model: &Model) -> (&'static str, Style) {
+    match (model.is_finished(), &model.snapshot.stop_error) {
+        (false, _) => (STOP, theme::ALARM),
+        (true, Some(_)) => (" Stop NOT confirmed ", theme::ALARM),
+        (true, None) => (" output off ", theme::GOOD),
+    }
 }
 
 fn items(snapshot: &Snapshot) -> Vec<Span<'static>> {
@@ -197,7 +209,7 @@ fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
         .iter()
         .position(|step| step.state == StepState::Active);
     let Some(index) = active else {
-        let text = if workflow.report.is_empty() {
+        let text = if workflow.report.is_none() {
             " no step is active"
         } else {
             " all steps are over: the verdict is on the steps screen"
@@ -361,17 +373,12 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         std::iter::once(head).chain(more.into_iter().flatten())
     });
     let mut lines = Vec::new();
-    for text in &workflow.report {
-        // Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
-        let rows = if text.starts_with('|') {
-            vec![text.clone()]
-        } else {
-            wrapped(text, width.saturating_sub(2))
-        };
+    if let Some(card) = &workflow.report {
+        let rows = card.rows(width.saturating_sub(2));
         lines.extend(rows.into_iter().map(|row| Line::raw(format!(" {row}"))));
     }
     // What it came to, then how, and what can follow.
-    if !workflow.report.is_empty() {
+    if workflow.report.is_some() {
         lines.push(Line::default());
     }
     lines.extend(steps);
@@ -392,6 +399,7 @@ impl Banner {
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
         let end = match (is_over, &snapshot.stop_error) {
             (false, _) => "",
+            (true, None) if model.can_diagnose() => " Output off. d = diagnosis by hand, q = quit.",
             (true, None) => " Output off, q = quit.",
             (true, Some(_)) => " Stop NOT confirmed: see that the shaft stands still. q = quit.",
         };

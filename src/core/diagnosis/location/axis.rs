@@ -274,7 +274,15 @@ impl Search<'_> {
                 format_args!("follows the {name}, over {range}"),
             );
         }
-        let (from, to) = (figure(region.from), figure(region.to));
+        // A drive counts its time from where it was switched on, a person that of a run from its begin.
+        let is_time = variable == "time_s";
+        let begin = if is_time {
+            self.windows.scenario.begin_s()
+        } else {
+            0.0
+        };
+        let (from, to) = (figure(region.from - begin), figure(region.to - begin));
+        let unit = if is_time { "s of the run" } else { unit };
         let place = match (region.from_lowest, region.to_highest) {
             (true, _) => format!("below {to} {unit}"),
             (_, true) => format!("above {from} {unit}"),

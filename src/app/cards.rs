@@ -1,0 +1,214 @@
+//! The cards of commands over a live drive and of what is identified, and what stands above them with `--full`.
+
+use super::files::Recorded;
+use super::identify::{Answer, is_usable};
+use super::output::{fitted, quoted};
+use super::run::Whole;
+use super::speed::SpeedResult;
+use crate::bench::{Outcome, RunSummary, Tracking};
+use crate::identification::nameplate::Comparison;
+use crate::identification::repeat::Repeated;
+use crate::plant::Model;
+use crate::recording::RunFile;
+use crate::report::page::Table;
+use crate::report::{Card, Tone, conventions, tables};
+use crate::text::number::{fixed, with_std};
+use crate::workflow::EscalationResult;
+
+/// The reasons of all verdicts, and how the motor was found.
+pub(crate) fn run_in_full(whole: &Whole, plate: Option<&Comparison>) -> Vec<String> {
+    let estimates = whole.recorded.summary.estimates.iter();
+    let reasons = estimates.map(|own| format!("{}: {}", own.key, own.verdict_text()));
+    let mut rows: Vec<String> = reasons.flat_map(|text| fitted(&text)).collect();
+    let escalation = whole.escalation.as_ref().map(EscalationResult::text);
+    let text = escalation.or_else(|| plate.map(Comparison::text));
+    rows.extend(text.iter().flat_map(|text| fitted(text)));
+    rows
+}
+
+/// How the run went, what was found on line, and whether the plate fits.
+pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Card {
+    let recorded = &whole.recorded;
+    let timing = &recorded.summary.timing;
+    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let mut card = account(
+        &recorded.summary,
+        &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"),
+    );
+    let escalation = whole.escalation.as_ref();
+    card.say("motor", escalation.map(|found| found.sentence.as_str()), 1);
+    let estimates = recorded.summary.estimates.as_slice();
+    let nameplate = Model::baseline(whole.plate.clone());
+    let parameters = tables::of_card(Some(&nameplate), &[], estimates);
+    card.table("on line", parameters, tables::SPARE, 5);
+    let told = estimates
+        .iter()
+        .filter_map(|own| Some((own, own.reason.as_ref()?)));
+    let told = told.map(|(own, reason)| format!("{}: {reason}", own.key));
+    card.say("", told.collect::<Vec<_>>(), 0);
+    card.say("plate", plate.into_iter().flat_map(Comparison::in_short), 1);
+    let folder = recorded.folder.path();
+    let run = quoted(folder);
+    if recorded.summary.outcome == Outcome::Done {
+        card.go_on(format!("drivebench diagnose {run}"));
+    }
+    end_of_run(&mut card, recorded);
+    card
+}
+
+/// The folder of a run, and last its page, where there is one.
+fn end_of_run(card: &mut Card, recorded: &Recorded) {
+    let page = recorded.folder.file(RunFile::Report);
+    let last = if page.exists() {
+        page.as_path()
+    } else {
+        recorded.folder.path()
+    };
+    card.ends_with(last.display().to_string());
+}
+
+/// How a run went, in one line.
+fn account(summary: &RunSummary, rate: &str) -> Card {
+    let (outcome, rows) = (summary.outcome.name(), summary.rows);
+    let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
+    let (lost, sent) = (summary.link.lost(), summary.link.sent);
+    let tone = match summary.outcome {
+        Outcome::Done => Tone::Good,
+        _ => Tone::Attention,
+    };
+    let sentence = format!(
+        "{rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
+    );
+    Card::new(tone, &outcome.replace('_', " "), &sentence)
+}
+
+/// What was found by `scheme`, and whether the plate fits.
+pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
+    let combined = || answer.combined.iter();
+    let known = combined().filter(|own| is_usable(&own.estimate)).count();
+    let all = answer.combined.len();
+    let tone = if known == all {
+        Tone::Good
+    } else {
+        Tone::Attention
+    };
+    let runs = match answer.runs.len() {
+        1 => "± is one standard deviation, 1.96 of them hold 95 %".to_owned(),
+        runs => format!("mean of {runs} runs; the spread is that from run to run"),
+    };
+    let sentence = format!("{known} of {all} parameters by scheme {scheme}; {runs}");
+    let mut card = Card::new(tone, "Identified", &sentence);
+    let value = |own: &&Repeated| own.estimate.text(1.0);
+    let mut table = Table::of(combined())
+        .column("parameter", |own| own.estimate.key.clone())
+        .column("found ± std", value);
+    if answer.runs.len() > 1 {
+        table = table.column("spread", |own| {
+            own.run_to_run_std
+                .map_or_else(|| "-".to_owned(), |std| format!("{std:.1e}"))
+        });
+    }
+    let table = table.column("verdict", |own| own.estimate.verdict.name());
+    card.table("motor", table, &[], 5);
+    let reasons = combined().filter_map(|own| {
+        let reason = own.estimate.reason.as_ref()?;
+        Some(format!("{}: {reason}", own.estimate.key))
+    });
+    card.say("why", reasons.collect::<Vec<_>>(), 1);
+    let absolute = answer.absolute.as_deref().unwrap_or_default();
+    card.table("absolute", tables::of_card(None, &[], absolute), &[], 3);
+    if let Some(ratio) = answer.gear_ratio {
+        let load = conventions::on_load_shaft(&answer.parameters(), ratio);
+        card.table("load shaft", tables::of_card(None, &[], &load), &[], 2);
+    }
+    let plate = answer.nameplate.iter();
+    card.say("plate", plate.flat_map(Comparison::in_short), 1);
+    let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
+    let notes = answer.caution.iter().chain(notes);
+    card.say("note", notes.map(String::as_str), 1);
+    card
+}
+
+/// The parameters in other units, and the whole plate.
+pub(crate) fn identify_in_full(answer: &Answer) -> Vec<String> {
+    let plate = answer.nameplate.as_ref().map(Comparison::text);
+    let mut rows: Vec<String> = plate.iter().flat_map(|text| fitted(text)).collect();
+    let converted = conventions::of(&answer.parameters());
+    if !converted.is_empty() {
+        rows.push("in other units".to_owned());
+        rows.extend(converted.iter().map(|own| {
+            let number = with_std(own.value, own.std);
+            format!("  {:<42} {number} {}", own.key, own.unit)
+        }));
+        rows.extend(fitted(&format!("  {}", conventions::RELATION)));
+    }
+    rows
+}
+
+/// How closely the reference was followed, and what the gains were at the end.
+pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) -> Card {
+    let summary = result.summary;
+    let mut card = account(summary, "");
+    if let Some(report) = &summary.speed {
+        card.say("tracking", report.tracking.iter().map(tracking_text), 2);
+        let steps = Table::of(&report.steps)
+            .column("at s", |step| fixed(step.step.at_s, 2))
+            .column("from", |step| fixed(step.speed_rad_s, 1))
+            .column("to rad/s", |step| fixed(step.step.to_rad_s, 1))
+            .column("overshoot %", |step| {
+                fixed(step.response.overshoot_percent, 1)
+            })
+            .column("settling s", |step| {
+                let settling = step.response.settling_s.map(|s| fixed(s, 3));
+                settling.unwrap_or_else(|| "never".to_owned())
+            })
+            .column("IAE rad", |step| fixed(step.response.absolute_error_rad, 2))
+            .column("limited %", |step| fixed(100.0 * step.limited_share, 0));
+        card.table("steps", steps, &["limited %", "IAE rad", "from"], 3);
+        let changes = report.gain_changes.iter();
+        let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+        card.say("gains", changes.collect::<Vec<_>>(), 0);
+        card.say("at end", report.gains.iter().map(String::as_str), 1);
+    }
+    if summary.outcome == Outcome::Done {
+        let both = summary
+            .speed
+            .as_ref()
+            .is_some_and(|report| report.tracking.len() > 1);
+        card.go_on(match result.model_file() {
+            Some(model) if !both => {
+                format!("drivebench speed{words} --model {model} --feed-forward compare")
+            }
+            _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
+        });
+    }
+    end_of_run(&mut card, recorded);
+    card
+}
+
+/// The loop, its gains over time and why they are what they are.
+pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
+    let Some(report) = &result.summary.speed else {
+        return Vec::new();
+    };
+    let mut rows: Vec<String> = report
+        .reasons
+        .iter()
+        .flat_map(|text| fitted(text))
+        .collect();
+    rows.extend(report.delay.as_ref().map(|delay| {
+        let (median, p99) = (delay.median_cycles, delay.p99_cycles);
+        let tuned = report.timing.delay_cycles();
+        format!("loop delay {median:.2} cycles while running, 99 % within {p99:.2}; tuned for {tuned:.2}")
+    }));
+    let changes = report.gain_changes.iter();
+    let changes = changes.map(|change| format!("{:>8.2} s  {}", change.time_s, change.reason));
+    rows.extend(changes.flat_map(|text| fitted(&text)));
+    rows
+}
+
+fn tracking_text(pass: &Tracking) -> String {
+    let with = if pass.feed_forward { "with" } else { "without" };
+    let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
+    format!("error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most")
+}

@@ -1,0 +1,196 @@
+//! `report`: the page of a recorded run, the one that stands in its folder or one made anew from the record, and the pictures of
+//! any page of ours as files.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::failure::Failure;
+use super::files::read_text;
+use super::{output, pages};
+use crate::bench::BenchFile;
+use crate::plant::{Model, MotorKey};
+use crate::recording::{LoadedRun, Manifest, RunFile, RunFolder};
+use crate::report::page::Tone;
+use crate::report::{EarlyEnd, Page, RunReport, SpeedLoop, plot};
+use crate::sample::{ParameterEstimate, Verdict};
+
+/// What became of it.
+#[derive(Default, Serialize)]
+pub(crate) struct Reported {
+    /// Null, as what follows, where a page was named and no run.
+    run: Option<String>,
+    rows: Option<usize>,
+    rows_dropped: Option<usize>,
+    duration_s: Option<f64>,
+    /// How the run ended, as its manifest says.
+    outcome: Option<String>,
+    /// What the live estimators said at the end.
+    parameters: Map<String, Value>,
+    page: Option<PathBuf>,
+    pictures: Vec<PathBuf>,
+    #[serde(skip)]
+    markdown: String,
+}
+
+impl Reported {
+    /// A few lines, the page last; or the page of the record as Markdown.
+    pub(crate) fn text(&self, markdown: bool) -> String {
+        if markdown {
+            return self.markdown.clone();
+        }
+        let mut text = String::new();
+        if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
+            let run = format!("{run}: {rows} rows over {duration_s:.3} s");
+            output::lines(&mut text, "run      ", [run]);
+        }
+        output::lines(&mut text, "outcome  ", &self.outcome);
+        let pictures = self.pictures.iter().map(|path| path.display());
+        output::lines(&mut text, "picture  ", pictures);
+        match &self.page {
+            Some(page) => output::lines(&mut text, "page     ", [page.display()]),
+            None => text.push_str("page     none: name one with --output PAGE.html\n"),
+        }
+        text
+    }
+}
+
+/// Writes what is asked for: the page under `output`, else into the run's folder where there is none yet; its pictures into
+/// `pictures`. Of a page that is named itself there are the pictures only.
+pub(crate) fn report(
+    path: &Path,
+    load: impl FnOnce() -> Result<LoadedRun, Failure>,
+    output: Option<&Path>,
+    pictures: Option<&Path>,
+) -> Result<Reported, Failure> {
+    if path.extension().is_some_and(|ending| ending == "html") {
+        let Some(folder) = pictures.filter(|_| output.is_none()) else {
+            let headline = format!("{}: is a page already", path.display());
+            let help = "name a folder for its pictures with --svg DIR, or a run";
+            return Err(Failure::usage(headline, help));
+        };
+        return Ok(Reported {
+            pictures: write_pictures(&read_text(path)?, folder)?,
+            page: Some(path.to_owned()),
+            ..Reported::default()
+        });
+    }
+    let loaded = load()?;
+    let kept = kept_estimates(&loaded);
+    let page = page(&loaded, &kept);
+    let folder = loaded.folder.as_ref().map(RunFolder::existing);
+    let there = folder.as_ref().map(|folder| folder.file(RunFile::Report));
+    let there = there.filter(|path| output.is_none() && path.exists());
+    let html = match &there {
+        Some(path) => read_text(path)?,
+        None => page.html(),
+    };
+    let path = match (output, there, folder) {
+        (Some(path), ..) => {
+            output::file(path, &html)?;
+            Some(path.to_owned())
+        }
+        (None, Some(path), _) => Some(path),
+        (None, None, Some(folder)) => Some(folder.write(RunFile::Report, &html)?),
+        (None, None, None) => None,
+    };
+    let run = &loaded.run;
+    let times = run.time_s();
+    let ends = times.first().zip(times.last());
+    let parameters = kept.iter().map(|estimate| {
+        let value = serde_json::to_value(estimate).unwrap_or_default();
+        (estimate.key.clone(), value)
+    });
+    Ok(Reported {
+        run: Some(run.name.clone()),
+        rows: Some(run.rows()),
+        rows_dropped: Some(run.rows_dropped),
+        duration_s: ends.map(|(first, last)| last - first),
+        outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
+        parameters: parameters.collect(),
+        page: path,
+        pictures: match pictures {
+            Some(folder) => write_pictures(&html, folder)?,
+            None => Vec::new(),
+        },
+        markdown: page.text(),
+    })
+}
+
+/// Every picture of a page as a file of its own, in their order: `figure-1.svg`, ...
+fn write_pictures(html: &str, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| output::cannot_write(folder, &error))?;
+    let mut written = Vec::new();
+    for (place, svg) in plot::pictures(html).into_iter().enumerate() {
+        let path = folder.join(format!("figure-{}.svg", place + 1));
+        output::file(&path, &svg)?;
+        written.push(path);
+    }
+    Ok(written)
+}
+
+fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
+    let none = Manifest::default();
+    let manifest = loaded.manifest.as_ref().unwrap_or(&none);
+    let bench = manifest.configs.get("bench");
+    let bench = bench.and_then(|text| BenchFile::parse("manifest.json", text).ok());
+    let nameplate = bench.map(|bench| Model::baseline(bench.motor.motor()));
+    let mut context = pages::context(manifest, &loaded.folder.iter().collect::<Vec<_>>());
+    context.notes.clone_from(&loaded.warnings);
+    let speed_loop = SpeedLoop {
+        facts: pages::table(&manifest.speed_loop),
+        ..SpeedLoop::default()
+    };
+    let outcome = manifest.outcome.as_deref();
+    let report = RunReport {
+        title: if manifest.name.is_empty() {
+            &loaded.run.name
+        } else {
+            &manifest.name
+        },
+        context: &context,
+        run: &loaded.run,
+        nameplate: nameplate.as_ref(),
+        parameters: estimates,
+        timing: &pages::timing(manifest),
+        early_end: outcome
+            .filter(|outcome| *outcome != "passed")
+            .map(|outcome| EarlyEnd {
+                tone: Tone::Attention,
+                title: "Ended early",
+                reason: outcome.to_owned(),
+            }),
+        speed_loop: (!speed_loop.facts.is_empty()).then_some(&speed_loop),
+    };
+    report.page()
+}
+
+/// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.
+fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
+    let folder = loaded.folder.as_ref().map(RunFolder::existing);
+    let text = folder.and_then(|f| std::fs::read_to_string(f.file(RunFile::Result)).ok());
+    let result = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let result = result.unwrap_or_default();
+    let kept = result["online"]["parameters"].as_object();
+    let estimate = |(key, value): (&String, &Value)| {
+        let verdicts = [
+            Verdict::Settled,
+            Verdict::Searching,
+            Verdict::NotObservable,
+            Verdict::Invalid,
+            Verdict::Fixed,
+        ];
+        let is_it =
+            |verdict: &Verdict| serde_json::to_value(verdict).ok().as_ref() == value.get("verdict");
+        Some(ParameterEstimate {
+            key: key.clone(),
+            value: value["value"].as_f64(),
+            std: value["std"].as_f64(),
+            unit: MotorKey::from_key(key)?.unit(),
+            verdict: verdicts.into_iter().find(is_it)?,
+            reason: value["reason"].as_str().map(str::to_owned),
+        })
+    };
+    kept.into_iter().flatten().filter_map(estimate).collect()
+}

@@ -1,0 +1,227 @@
+//! What a person sees of a result: a card that fits a terminal, its next command, its page last; true words in it.
+
+use crate::kit::prelude::*;
+
+/// What a card fits into.
+const COLUMNS: usize = 100;
+const LINES: usize = 30;
+
+/// Each command that prints a result, in virtual time and one after the other in one folder.
+struct Seen {
+    desk: Desk,
+}
+
+impl Seen {
+    fn new() -> Self {
+        Self { desk: Desk::new() }
+    }
+
+    /// The result of a command that ends with `status`, with paths as short as those of a person: relative to where it is.
+    #[track_caller]
+    fn card(&self, command: &str, status: i32) -> String {
+        let mut process = std::process::Command::new(BINARY);
+        process
+            .args(command.split(' '))
+            .current_dir(self.desk.folder());
+        let output = process.output().expect("it runs");
+        let text = String::from_utf8(output.stdout).expect("text");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(
+            output.status.code(),
+            Some(status),
+            "{command}: {said}\n{text}"
+        );
+        text
+    }
+
+    fn runs(&self, role: &str) -> String {
+        let folders = fs::read_dir(self.desk.out()).expect("runs");
+        let mut names = folders.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let name = names.find(|name| name.ends_with(role)).expect("a run");
+        format!("runs/{name}")
+    }
+}
+
+#[track_caller]
+fn expect_card(command: &str, text: &str, last: &str) {
+    let rows: Vec<&str> = text.lines().collect();
+    assert!(
+        rows.len() <= LINES,
+        "{command}: {} lines\n{text}",
+        rows.len()
+    );
+    for row in &rows {
+        let columns = row.chars().count();
+        assert!(columns <= COLUMNS, "{command}: {columns} columns\n{row}");
+        let is_markdown = ["#", "|", "> ", "- ["]
+            .iter()
+            .any(|mark| row.starts_with(mark));
+        assert!(!is_markdown, "{command}: raw Markdown\n{row}");
+    }
+    let end = rows.last().expect("a last line");
+    assert!(end.contains(last), "{command} ends with\n{end}");
+}
+
+#[test]
+fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
+    let seen = Seen::new();
+    let of_loop = "commission --headless --port sim: --seed 7 --out runs";
+    let text = seen.card(of_loop, 0);
+    expect_card(of_loop, &text, "/report.html");
+    has(
+        &text,
+        &[
+            "EFFECT FOUND: stribeck_friction; ",
+            "+ stribeck_friction",
+            "after ± std",
+            "boundary lubrication",
+            "remedy",
+            "the answer is right",
+            "drivebench speed --port sim: --seed 7 --headless",
+        ],
+    );
+    let (fit, select) = (seen.runs("-fit"), seen.runs("-select"));
+    let model = format!("{fit}/model.toml");
+    let baseline = seen.desk.put("motor.toml", MOTOR);
+    let baseline = baseline.file_name().unwrap().to_str().unwrap();
+    for (command, status, last) in [
+        (
+            format!("identify {fit} {select}"),
+            0,
+            "drivebench diagnose ",
+        ),
+        (format!("compare {fit} --holdout {select}"), 0, "--holdout "),
+        (
+            format!("compare {fit} --model {baseline} --holdout {select}"),
+            0,
+            "--holdout ",
+        ),
+        (
+            format!("diagnose {fit} --model {baseline} --holdout {select}"),
+            0,
+            "--output model2.toml",
+        ),
+        (
+            format!("diagnose {fit} --holdout {select} --html page.html"),
+            0,
+            "page.html",
+        ),
+        (
+            format!(
+                "add stribeck_friction --model {baseline} --run {fit} --holdout {select} --output with.toml"
+            ),
+            0,
+            "--feed-forward compare",
+        ),
+        (
+            format!(
+                "add cogging --model {baseline} --run {fit} --holdout {select} --output no.toml"
+            ),
+            1,
+            "--holdout ",
+        ),
+        (
+            format!("tune --model {model}"),
+            0,
+            "drivebench speed --model ",
+        ),
+        (
+            format!("speed --headless --port sim: --seed 7 --model {model} --out others"),
+            0,
+            "/report.html",
+        ),
+        (
+            "run --headless --port sim: --seed 7 --out others".to_owned(),
+            0,
+            "/report.html",
+        ),
+    ] {
+        let text = seen.card(&command, status);
+        expect_card(&command, &text, last);
+    }
+    let text = seen.card(
+        &format!("diagnose {fit} --model {baseline} --holdout {select}"),
+        0,
+    );
+    has(
+        &text,
+        &[
+            "cause ",
+            "remedy ",
+            "drivebench add stribeck_friction --model motor.toml",
+        ],
+    );
+    // Everything is still there for who asks.
+    let full = seen.card(&format!("diagnose {fit} --holdout {select} --full"), 0);
+    assert!(full.lines().count() > LINES, "{full}");
+    has(&full, &["EFFECTS THAT WERE TRIED"]);
+}
+
+const MOTOR: &str = "[motor]
+name = \"ZK-22FC\"
+resistance_ohm = 1.1
+inductance_h = 0.0099
+back_emf_v_s_per_rad = 0.3538
+inertia_kg_m2 = 0.0045
+load_torque_n_m = 0.455
+";
+
+#[test]
+fn a_brush_drop_is_no_other_motor_for_a_run_either() {
+    let seen = Seen::new();
+    let run = "run --headless --port sim: --emulator zk-22fc-brushes --seed 7 --out runs";
+    let text = seen.card(run, 0);
+    lacks(&text, &["does NOT fit", "another motor"]);
+    has(
+        &text,
+        &["plate     nameplate not judged: the five-parameter model leaves "],
+    );
+}
+
+#[test]
+fn compare_says_which_model_it_judges_and_judges_as_diagnose_does() {
+    let seen = Seen::new();
+    seen.card("run --headless --port sim: --seed 7 --out runs", 0);
+    let run = seen.runs("emulated");
+    let of =
+        |command: String| -> Value { serde_json::from_str(&seen.card(&command, 0)).expect("JSON") };
+    let compared = of(format!("compare {run} --json"));
+    let diagnosed = of(format!("diagnose {run} --json"));
+    let [here, there] = [
+        number(&compared, "/holdout_rmse"),
+        number(&diagnosed, "/holdout_before"),
+    ];
+    assert!((here / there - 1.0).abs() < 0.01, "{here} and {there}");
+    let text = seen.card(&format!("compare {run}"), 0);
+    has(
+        &text,
+        &["model.toml, refitted to this run as diagnose does"],
+    );
+    let given = seen.card(&format!("compare {run} --model {run}/model.toml"), 0);
+    has(&given, &["model.toml, as it is"]);
+}
+
+#[test]
+fn what_was_nearly_right_is_named() {
+    let seen = Seen::new();
+    for _ in 0..2 {
+        seen.card("run --headless --port sim: --seed 7 --out runs", 0);
+    }
+    let desk = seen.desk.folder();
+    let said = |command: &str| {
+        let mut process = std::process::Command::new(BINARY);
+        let output = process.args(command.split(' ')).current_dir(desk).output();
+        String::from_utf8(output.expect("it runs").stderr).expect("text")
+    };
+    has(
+        &said("compare runs"),
+        &[
+            "a folder of 2 runs",
+            "did you mean the latest of them, runs/",
+        ],
+    );
+    has(&said("compare ."), &["no run", "help: "]);
+    let run = seen.runs("emulated");
+    let text = said(&format!("identify {run} --require inertia"));
+    has(&text, &["did you mean `inertia_kg_m2`?"]);
+}

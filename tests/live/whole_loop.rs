@@ -1,0 +1,85 @@
+//! The loop over a serial line as a workshop has it: a machine with several effects behind a drive that answers one request
+//! in a hundred late. Commission, diagnose, add, and a speed loop that is better for it.
+
+use crate::kit::prelude::*;
+
+/// Beside Coulomb friction a bearing that drags, brushes that drop volts and a fan.
+const MACHINE: &str = "
+[line]
+baud = 115200
+late_share = 0.01
+late_ms = 4.0
+
+[[hidden]]
+id = \"viscous_friction\"
+viscous_n_m_s_per_rad = 4e-4
+
+[[hidden]]
+id = \"stribeck_friction\"
+stribeck_n_m = 0.16
+stribeck_speed_rad_s = 10.0
+
+[[hidden]]
+id = \"voltage_drop\"
+drop_v = 1.2
+";
+
+fn tracking(found: &Value) -> f64 {
+    number(found, "/speed/tracking/0/rms_rad_s")
+}
+
+#[test]
+fn a_machine_with_several_effects_and_late_replies_comes_to_its_floor_and_its_loop_is_better_for_it()
+ {
+    let desk = Desk::new();
+    let machine = desk.put("machine.toml", &format!("{PLAIN}{MACHINE}"));
+    let bench = BENCH.replace(
+        "config = \"zk-22fc-hidden\"",
+        &format!("config = \"{}\"", machine.display()),
+    );
+    let bench = desk.put("bench.toml", &bench);
+    let out = desk.out();
+    let found = json_of(
+        "commission {} --headless --json --port emulator --out {}",
+        &[&bench, &out],
+    );
+    eprintln!("{}", found["sentence"]);
+    let (before, after) = (
+        number(&found, "/confirmed/0/holdout_rmse"),
+        number(&found, "/confirmed/1/holdout_rmse"),
+    );
+    // To its floor, or the page says why.
+    assert!(after < 0.5 * before, "{before} -> {after}");
+    let says_why = !found["diagnosis"]["unknown"].as_array().unwrap().is_empty();
+    assert!(after < 1.3 || says_why, "{after}: {}", found["sentence"]);
+
+    let fit = PathBuf::from(word(&found, "/runs/0/folder"));
+    let [select, confirm] =
+        [1, 2].map(|run| PathBuf::from(word(&found, &format!("/runs/{run}/folder"))));
+    let told = json_of(
+        "diagnose {} --model baseline --holdout {} --confirm {} --json",
+        &[&fit, &select, &confirm],
+    );
+    assert_eq!(told["effects"], found["diagnosis"]["effects"]);
+    let first = word(&told, "/effect").to_owned();
+    let model = desk.path("model.toml");
+    let added = json_of(
+        &format!(
+            "add {first} --run {{}} --model baseline --holdout {{}} --confirm {{}} --output {{}} --json"
+        ),
+        &[&fit, &select, &confirm, &model],
+    );
+    assert_eq!(added["accepted"], true, "{}", added["reason"]);
+
+    // The same reference with the model that was found and with the plate alone.
+    let speed = |model: Option<&Path>| {
+        let text = "speed {} --headless --json --feed-forward on --port emulator --out {}";
+        match model {
+            None => json_of(text, &[&bench, &out]),
+            Some(model) => json_of(&format!("{text} --model {{}}"), &[&bench, &out, model]),
+        }
+    };
+    let (plate, found) = (speed(None), speed(Some(&fit.join("model.toml"))));
+    eprintln!("tracking {} -> {}", tracking(&plate), tracking(&found));
+    assert!(tracking(&found) < tracking(&plate));
+}
