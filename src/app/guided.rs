@@ -4,7 +4,7 @@
 //! ```text
 //! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+-> page of the loop
 //!                  ^              +- l: checks, speed loop with the model that was found +        |
-//!                  |              '- d, v, g: diagnosis by hand -> end                             |
+//!                  |              '- d, v, p: diagnosis by hand -> end                             |
 //!                  '------------------------------------------------------------------------------'
 //! ```
 //!

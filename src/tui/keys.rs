@@ -78,7 +78,7 @@ pub(super) const CHARACTERS: [(char, Press); 31] = [
     ('n', Press::Next),
     ('c', Press::Curve),
     ('t', Press::Table),
-    ('g', Press::Guess),
+    ('p', Press::Guess),
     ('w', Press::Write),
     ('v', Press::Traces),
     ('j', Press::Worst),
@@ -143,7 +143,7 @@ const HELP: [(On, &str, &str); 33] = [
     ),
     (
         On::Live,
-        "g",
+        "p",
         "guess first: no names until you have given one",
     ),
     (
@@ -187,7 +187,7 @@ const HELP: [(On, &str, &str); 33] = [
     ),
     (
         On::Diagnosis,
-        "g",
+        "p",
         "guess first: no names until you have given one",
     ),
     (On::Diagnosis, "u", "undo the last change by hand"),

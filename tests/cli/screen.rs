@@ -37,7 +37,7 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
         session.press(DOWN);
     }
     session.wait_for("▶ stribeck_friction");
-    session.press("g");
+    session.press("p");
     session.wait_for("right: you and the tool say stribeck_friction");
     session.press("a");
     session.wait_for("+ in the model stribeck_friction");

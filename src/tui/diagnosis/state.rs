@@ -16,7 +16,7 @@ use crate::tui::keys::Press;
 use crate::tui::traces::{FRAMES, TracesPage};
 use crate::workflow::{News, Order};
 
-const GUESS_FIRST: &str = "guess first: g takes the selected row, Esc shows the names";
+const GUESS_FIRST: &str = "guess first: p takes the selected row, Esc shows the names";
 const LEAVING: &str =
     "leaves when the model is written; Esc stays, Ctrl-C leaves at once without it";
 

@@ -260,14 +260,14 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         Over::Curve(..) => ("Left Right cursor|a add|r remove", "c Esc back"),
         Over::Help(_) => ("Up Down scroll", "any other key closes the help"),
         Over::Nothing if state.guessing == Guessing::Choosing => (
-            "g guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
+            "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
         ),
         Over::Nothing if state.only_compares() => {
             ("d diagnose|v traces|j worst place|c curve|e map", LEAVE)
         }
         Over::Nothing if state.working.is_some() => (
-            "v traces|Up Down select|Enter card|g guess first|e map",
+            "v traces|Up Down select|Enter card|p guess first|e map",
             LEAVE,
         ),
         Over::Nothing if followed > 0 => (
