@@ -183,11 +183,32 @@ impl EvidenceArguments {
         model: Option<&Path>,
         judging: Judging,
     ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, false)
+    }
+
+    /// The same with every channel, which a screen may show.
+    pub(super) fn prepare_for_screen(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+    ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, true)
+    }
+
+    fn prepared(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+        for_screen: bool,
+    ) -> Result<Prepared, Failure> {
         let files = EvidenceFiles {
             run,
             model,
             holdout: self.holdout.as_deref(),
             confirm: self.confirm.as_deref(),
+            for_screen,
         };
         let map = &self.map;
         let load = |path: &Path, is_other: bool| {

@@ -147,15 +147,20 @@ pub fn effect_picture(curve: &EffectCurve) -> String {
         points: points.iter().map(|p| (p.at, p.mean, p.std)).collect(),
         is_joined: false,
     };
-    let (label, line) = match curve.effect {
-        Some(effect) => (format!("{effect} at its size"), curve.line.as_slice()),
-        None => (String::new(), &[][..]),
+    // Where no effect is drawn there is nothing that the points are without.
+    let (label, line, without) = match curve.effect {
+        Some(effect) => (
+            format!("{effect} at its size"),
+            curve.line.as_slice(),
+            "without the effect",
+        ),
+        None => (String::new(), &[][..], ""),
     };
     let chart = AxisChart {
         title: curve.title(),
         axis: &axis,
         sets: vec![
-            of("without the effect", Style::Before, &curve.points),
+            of(without, Style::Before, &curve.points),
             of("with it", Style::After, &curve.with_it),
         ],
         line: (&label, line),

@@ -203,8 +203,8 @@ impl Diagnosis {
     }
 
     /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
-    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the model with
-    /// every named effect along the axis that it follows most.
+    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the baseline along
+    /// the axis that it follows most.
     pub fn curve_of(
         &self,
         id: Option<&str>,
@@ -227,7 +227,7 @@ impl Diagnosis {
         });
         match with_effect {
             Some((id, model)) => effect_curve(&model, id, run, noise),
-            None => error_curve(&self.model.model, run, noise),
+            None => error_curve(&self.baseline.model, run, noise),
         }
     }
 
