@@ -7,6 +7,8 @@
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
 //!
+//! What a command prints is a [`card::Card`] of the same report: a few lines, with the commands that go on.
+//!
 //! Both forms come from the same [`page::Page`], so they cannot say different things. No estimate is printed without its
 //! standard deviation and verdict ([`crate::text::number`]); a value that is missing is a gap or a word, never a zero and
 //! never NaN.

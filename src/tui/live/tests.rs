@@ -17,8 +17,6 @@ use crate::bench::{
 };
 use crate::diagnosis::Leaning;
 use crate::drive::LinkStatistics;
-use crate::report::page::Table;
-use crate::report::{Card, Tone};
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
@@ -214,40 +212,7 @@ fn workflow(finished: bool) -> Progress {
             (Step::Diagnose, Done, found),
             (confirm, Failed, "the third run was stopped"),
         ];
-        let mut card = Card::new(
-            Tone::Good,
-            "Effect found",
-            "quadratic_load; held-out error 5.10 -> 1.03 times the noise floor",
-        );
-        let bar = |name: &str, error: f64| (name.to_owned(), error, format!("{error:.2}"));
-        let ladder = vec![bar("baseline", 5.1), bar("+ quadratic_load", 1.03)];
-        card.bars("ladder", ladder, "times the noise floor");
-        let parameters = [
-            (
-                "resistance_ohm",
-                "1.1",
-                "1.1432 ± 0.0041",
-                "1.1003 ± 0.0007",
-            ),
-            (
-                "back_emf_v_s_per_rad",
-                "0.3538",
-                "0.35407 ± 0.00040",
-                "0.35381 ± 0.00003",
-            ),
-            ("quadratic_n_m_s2_per_rad2", "-", "-", "(2.012 ± 0.031)e-6"),
-        ];
-        let table = Table::of(parameters)
-            .column("parameter", |row| row.0)
-            .column("nameplate", |row| row.1)
-            .column("before", |row| row.2)
-            .column("after ± std", |row| row.3)
-            .column("verdict", |_| "settled");
-        card.table("motor", table, &["nameplate", "before"], 5);
-        card.go_on(
-            "drivebench speed --model runs/20260102T030405Z-zk-22fc-emulated-fit/model.toml",
-        );
-        card.ends_with("runs/20260102T030405Z-zk-22fc-emulated-fit/report.html");
+        let card = crate::report::testing::card();
         (steps, Some(card))
     } else {
         let steps = [
