@@ -63,7 +63,10 @@ impl Found {
     fn of(folder: &Path) -> Self {
         let mut found = Self::default();
         for name in names(folder) {
-            if !name.ends_with(".toml") {
+            if Path::new(&name)
+                .extension()
+                .is_none_or(|ending| ending != "toml")
+            {
                 continue;
             }
             let Ok(text) = fs::read_to_string(folder.join(&name)) else {

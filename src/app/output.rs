@@ -142,7 +142,7 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
 }
 
 /// A new file, whole or not at all as far as a signal is concerned.
-pub(crate) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
+pub(crate) fn file(path: &Path, content: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
     let _whole = signals::writing();
     let written = File::create_new(path).and_then(|mut file| file.write_all(content.as_ref()));
     written.map_err(|error| cannot_write(path, &error))

@@ -1,7 +1,7 @@
 //! Two models on one run, side by side, with what each of them is.
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -35,7 +35,7 @@ impl VersusResult {
         first.require_complete()?;
         other.model.require_complete()?;
         let mut notes = prepared.run.run.notes.clone();
-        let holdout = prepared.about.runs.get(1).map(|path| path.as_path());
+        let holdout = prepared.about.runs.get(1).map(PathBuf::as_path);
         let holdout = holdout.filter(|_| prepared.evidence.holdout_from == HoldoutFrom::Run);
         let fitted = was_fitted_on(&other.history.fitted_on, run, holdout);
         let fitted = fitted.map(|sentence| format!("B: {sentence}"));

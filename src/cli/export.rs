@@ -38,7 +38,7 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
     /// The model file's tables, every effect with its law
     Json,
@@ -50,7 +50,7 @@ enum Format {
     Matlab,
     /// A model with an input of the voltage
     Modelica,
-    /// The run as columns, for pandas, Polars, DuckDB; in programs that were built with the feature of this name
+    /// The run as columns, for pandas and others; in programs that were built with the feature of this name
     Parquet,
 }
 
@@ -58,14 +58,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
-    let (Some(model), Some(target)) = (&arguments.model, arguments.to.target()) else {
-        return run(arguments);
+    let model = match (&arguments.model, arguments.to) {
+        (Some(model), format) if format != Format::Parquet => model,
+        _ => return run(arguments),
     };
     let stem = arguments.output.as_ref().and_then(|path| path.file_stem());
     let name = stem.map(|stem| stem.to_string_lossy());
     let (text, title) = export(&ExportRequest {
         model,
-        target,
+        target: arguments.to.target(),
         gains: arguments.gains.as_deref().zip(arguments.limit_v),
         name: name.as_deref(),
     })?;
@@ -77,15 +78,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Format {
-    /// What a model is written as, `Some(None)` for JSON; `None` where it is a format of runs.
-    const fn target(self) -> Option<Option<Target>> {
+    /// The language of a model; none for JSON and of a run.
+    const fn target(self) -> Option<Target> {
         match self {
-            Self::Json => Some(None),
-            Self::C => Some(Some(Target::C)),
-            Self::Python => Some(Some(Target::Python)),
-            Self::Matlab => Some(Some(Target::Matlab)),
-            Self::Modelica => Some(Some(Target::Modelica)),
-            Self::Parquet => None,
+            Self::C => Some(Target::C),
+            Self::Python => Some(Target::Python),
+            Self::Matlab => Some(Target::Matlab),
+            Self::Modelica => Some(Target::Modelica),
+            Self::Json | Self::Parquet => None,
         }
     }
 }

@@ -54,6 +54,10 @@ struct Arguments {
     command: Option<Command>,
     /// Colours of screens: the terminal's sixteen, or none (as with NO_COLOR); nothing is said by colour alone
     #[arg(long, global = true, value_enum, value_name = "THEME")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
     theme: Option<Theme>,
 }
 

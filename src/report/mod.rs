@@ -4,6 +4,7 @@
 //! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG
 //!                                                             '----> text: Markdown that a terminal shows well
 //! Reproduction of a paper (sections of tables and pictures) -> the same page, and every figure and table as a file
+//! Model and gains -> export: source text of other languages, from the formula of each effect
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
 //!

@@ -189,65 +189,77 @@ impl Export {
         ] {
             fill(key, &self.sum(place, &language));
         }
-        let states: Vec<(usize, &str)> = self.states.iter().copied().enumerate().collect();
+        for (key, lines) in self.of_states(target, &language) {
+            fill(key, &lines);
+        }
+        let mut names = String::new();
+        for effect in &self.states {
+            let _ = write!(names, ", state of {effect}");
+        }
+        fill("state_names", &names);
+        fill("state_count", &(4 + self.states.len()).to_string());
+        fill(
+            "parameters",
+            &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")),
+        );
+        fill("values", &self.values(target));
+        let (gains, fields) = self.regulator_text(target);
+        fill("gains", &gains);
+        fill("regulator_fields", &fields);
+        fill("longest_s", &format!("{:?}", self.longest_step_s));
+        fill("title", &self.title);
+        fill("name", &self.name);
+        fill("Name", &camel(&self.name));
+        fill("NAME", &self.name.to_uppercase());
+        Ok(text)
+    }
+
+    /// The lines that the effects' states need, by their marks in the template.
+    fn of_states(&self, target: Target, language: &Language) -> Vec<(&'static str, String)> {
         let each = |line: &dyn Fn(usize, &str, String) -> String| {
-            let lines = states.iter().map(|(number, effect)| {
+            let lines = self.states.iter().enumerate().map(|(number, effect)| {
                 let own = self.terms.iter().filter(|term| term.effect == *effect);
                 let rate = own
                     .filter(|term| term.formula.place == Place::StateRate)
                     .map(|term| language.written(&term.formula.tree, &self.names(term)))
                     .collect();
-                line(*number, effect, rate)
+                line(number, effect, rate)
             });
             lines.collect::<Vec<_>>().join("\n")
         };
         let state = |effect: &str| language.state(effect, 0);
+        let rates = match target {
+            Target::C => each(&|_, effect, rate| format!("    rate.{effect} = {rate};")),
+            Target::Python => each(&|_, _, rate| format!("            {rate},")),
+            Target::Matlab => each(&|number, _, rate| format!("  rate({}) = {rate};", 5 + number)),
+            Target::Modelica => {
+                each(&|_, effect, rate| format!("  der({}) = {rate};", state(effect)))
+            }
+        };
+        let mut marks = vec![("state_rates", rates)];
         match target {
             Target::C => {
-                fill(
+                let moves =
+                    each(&|_, effect, _| format!("    next.{effect} += h * rate->{effect};"));
+                marks.push(("state_moves", moves));
+                marks.push((
                     "states",
-                    &each(&|_, effect, _| format!("    double {effect};")),
-                );
-                fill(
-                    "state_rates",
-                    &each(&|_, effect, rate| format!("    rate.{effect} = {rate};")),
-                );
-                fill(
-                    "state_moves",
-                    &each(&|_, effect, _| format!("    next.{effect} += h * rate->{effect};")),
-                );
+                    each(&|_, effect, _| format!("    double {effect};")),
+                ));
             }
-            Target::Python => fill(
-                "state_rates",
-                &each(&|_, _, rate| format!("            {rate},")),
-            ),
-            Target::Matlab => fill(
-                "state_rates",
-                &each(&|number, _, rate| format!("  rate({}) = {rate};", 5 + number)),
-            ),
             Target::Modelica => {
-                fill(
-                    "states",
-                    &each(&|_, effect, _| {
-                        format!("  Real {}(start = 0.0, fixed = true);", state(effect))
-                    }),
-                );
-                fill(
-                    "state_rates",
-                    &each(&|_, effect, rate| format!("  der({}) = {rate};", state(effect))),
-                );
+                let begin =
+                    |effect: &str| format!("  Real {}(start = 0.0, fixed = true);", state(effect));
+                marks.push(("states", each(&|_, effect, _| begin(effect))));
             }
+            Target::Python | Target::Matlab => {}
         }
-        let names: String = (self.states.iter())
-            .map(|effect| format!(", state of {effect}"))
-            .collect();
-        fill("state_names", &names);
-        fill("state_count", &(4 + states.len()).to_string());
-        fill(
-            "parameters",
-            &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")),
-        );
-        let values = match target {
+        marks
+    }
+
+    /// A line for each parameter with its value.
+    fn values(&self, target: Target) -> String {
+        match target {
             Target::C => self.lines(|key, value, _| format!("    .{key} = {value:?},")),
             Target::Python => {
                 self.lines(|key, value, unit| format!("        self.{key} = {value:?}  # {unit}"))
@@ -258,8 +270,11 @@ impl Export {
             Target::Modelica => self.lines(|key, value, unit| {
                 format!("  parameter Real {key}(unit = \"{unit}\") = {value:?};")
             }),
-        };
-        fill("values", &values);
+        }
+    }
+
+    /// The gains as a list, and as fields of a structure.
+    fn regulator_text(&self, target: Target) -> (String, String) {
         let (mut gains, mut fields) = (String::new(), String::new());
         if let Some(regulator) = self.regulator {
             let values = regulator.values();
@@ -273,14 +288,7 @@ impl Export {
             }
             fields.push_str("  m.regulate = @regulate;");
         }
-        fill("gains", &gains);
-        fill("regulator_fields", &fields);
-        fill("longest_s", &format!("{:?}", self.longest_step_s));
-        fill("title", &self.title);
-        fill("name", &self.name);
-        fill("Name", &camel(&self.name));
-        fill("NAME", &self.name.to_uppercase());
-        Ok(text)
+        (gains, fields)
     }
 
     /// All formulas of a place, zero where there is none.

@@ -161,10 +161,9 @@ impl Language {
 
     fn function(&self, function: &str, names: &Names<'_>) -> String {
         let name = match (self.target, function) {
-            (None, _) => return function.to_owned(),
+            (None, _) | (Some(Target::Python), "abs" | "sgn") => return function.to_owned(),
             (Some(Target::C), "sgn") => return format!("{}_sgn", names.program),
             (Some(Target::C), "abs") => "fabs",
-            (Some(Target::Python), "abs" | "sgn") => return function.to_owned(),
             (_, "sgn") => "sign",
             (_, "ln") => "log",
             (_, other) => other,
