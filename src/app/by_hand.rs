@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::ending::{Watched, spawn, watched};
+use super::ending::{self, Watched, spawn, watched};
 use super::evidence::{EvidenceFiles, Judging, Place, prepare};
 use super::failure::Failure;
 use super::files::{load, model_file};
 use super::{output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::FileHistory;
-use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit};
+use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit, Opens};
 use crate::workflow::{Discovery, News, Order};
 
 /// Where a model goes for which no name was given.
@@ -27,6 +27,8 @@ const WRITTEN: &str = "model written to ";
 pub(crate) struct Shown {
     pub(crate) title: String,
     pub(crate) guess_first: bool,
+    /// With what the screen opens.
+    pub(crate) opens: Opens,
     /// Run that the model is fitted on.
     pub(crate) fitted_on: String,
     /// Of the model that the diagnosis began with.
@@ -116,24 +118,41 @@ impl Left {
     }
 }
 
-/// Goes on with a run that was just recorded; its last part is held out.
-pub(crate) fn show_run(folder: &Path) -> Result<Left, Failure> {
+/// Goes on with a run that was just recorded, where its screen was left for that; its last part is held out.
+pub(crate) fn go_on(left: &ending::Left, folder: &Path) -> Result<(), Failure> {
+    let opens = match left {
+        ending::Left::Screen(exit) => Opens::asked_by(*exit),
+        _ => None,
+    };
+    let Some(opens) = opens else {
+        return Ok(());
+    };
+    if show_run(folder, opens)?.is_interrupted() {
+        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
+    }
+    Ok(())
+}
+
+fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
     let files = EvidenceFiles {
         run: folder,
         model: None,
         holdout: None,
         confirm: None,
+        for_screen: true,
     };
     let prepared = prepare(files, |path, _| load(path, None), Judging::Refits)?;
     let place = Place::of(None, &prepared)?;
     let shown = Shown {
         title: prepared.about.title.clone(),
         guess_first: false,
+        opens,
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
         output: None,
     };
-    let discovery = Discovery::new(prepared.model.file.model, prepared.evidence);
+    let discovery = Discovery::new(prepared.model.file.model, prepared.evidence)
+        .with_recorded(prepared.recorded);
     show(discovery.with_limits(place.limits()), shown)
 }
 
@@ -145,6 +164,7 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     let sources = DiagnosisSources {
         title: shown.title.clone(),
         guess_first: shown.guess_first,
+        opens: shown.opens,
         news,
         orders,
         hang_up: Arc::clone(&hang_up),

@@ -21,7 +21,7 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::{output, signals};
 use crate::bench::{Level, Notice, SnapshotCell};
 use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
-use crate::workflow::ProgressCell;
+use crate::workflow::{LeaningCell, LeaningWatch, ProgressCell};
 
 /// How often it is looked whether the work is over.
 const LOOK: Duration = Duration::from_millis(50);
@@ -144,8 +144,11 @@ pub fn beside_screen<T: Send + 'static>(
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
+    let leaning = LeaningCell::default();
+    lean_beside(ends.snapshots.unheard(), leaning.clone(), worker.clone())?;
     let sources = LiveSources {
         snapshots: ends.snapshots.clone(),
+        leaning,
         workflow: progress,
         intents: ends.intents.clone(),
         worker: worker.clone(),
@@ -198,6 +201,27 @@ pub fn beside_screen<T: Send + 'static>(
             .err()
             .unwrap_or_else(|| Failure::internal("the work failed and nothing was said of it"))),
     }
+}
+
+/// Time between two looks at what the residual leans on.
+const LEAN: Duration = Duration::from_millis(500);
+
+/// Looks twice a second at what the screen is shown, for as long as the work goes on. It shares nothing with the bench but
+/// the snapshot that is published for the screen. Never joined: it has nothing to put down.
+fn lean_beside(
+    snapshots: SnapshotCell,
+    leaning: LeaningCell,
+    worker: WorkerCell,
+) -> Result<(), Failure> {
+    spawn("leaning", move || {
+        let mut watch = LeaningWatch::default();
+        while !worker.is_finished() {
+            watch.take(&snapshots.latest());
+            leaning.publish(watch.look().unwrap_or_default());
+            thread::sleep(LEAN);
+        }
+    })?;
+    Ok(())
 }
 
 /// How a screen was left.

@@ -16,13 +16,13 @@ use super::files::{read_model, read_text};
 use super::{output, progress};
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{
-    Diagnosis, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship, NextExperiment,
-    fingerprint, matches, recommend, shared_samples,
+    Diagnosis, ErrorOf, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship,
+    NextExperiment, RecordedChannels, fingerprint, matches, recommend, shared_samples,
 };
 use crate::identification::sanity::{self, Finding, Kind};
 use crate::identification::{lost_rows, start};
 use crate::numerics::statistics::median;
-use crate::plant::{Model, ModelFile, Motor, Scenario, Slot};
+use crate::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
@@ -44,6 +44,8 @@ pub(crate) struct EvidenceFiles<'a> {
     pub(crate) model: Option<&'a Path>,
     pub(crate) holdout: Option<&'a Path>,
     pub(crate) confirm: Option<&'a Path>,
+    /// Every channel is kept beside what the model needs.
+    pub(crate) for_screen: bool,
 }
 
 /// What a command that judges a model does with it.
@@ -55,6 +57,17 @@ pub(crate) enum Judging {
     Refits,
     /// Has no model but the one that it fits to the data.
     FitsFirst,
+}
+
+impl Judging {
+    /// Of a comparison: what was given is not refitted.
+    pub(crate) const fn of(model: Option<&Path>) -> Self {
+        if model.is_some() {
+            Self::AsGiven
+        } else {
+            Self::Refits
+        }
+    }
 }
 
 /// A model with the place it came from.
@@ -100,15 +113,56 @@ pub(crate) struct About {
     pub(crate) holdout_objected: bool,
 }
 
+/// How a comparison judges its model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Judged {
+    /// The model was fitted to the run.
+    pub(crate) refitted: bool,
+    pub(crate) error_of: ErrorOf,
+}
+
 /// Everything that `compare`, `diagnose`, `add` and `remove` need.
 pub(crate) struct Prepared {
     pub(crate) run: LoadedRun,
     pub(crate) model: ChosenModel,
     pub(crate) evidence: Evidence,
     pub(crate) about: About,
+    /// Every channel of the runs, where a screen is to show them.
+    pub(crate) recorded: RecordedChannels,
 }
 
 impl Prepared {
+    /// Makes the model the one that is judged. What was given is judged as it is; what the folder of a run keeps is not
+    /// given, and is refitted as `diagnose` refits it; without either the baseline is fitted. Its origin says which.
+    pub(crate) fn judge_as_diagnose(&mut self, is_given: bool) -> Result<Judged, Failure> {
+        let is_baseline = self.model.from == "baseline";
+        let is_electrical = self.evidence.training.input == Input::Voltage;
+        let refitted = is_baseline || !is_given && is_electrical;
+        if refitted {
+            progress::stage("fits the model", 0);
+            let evidence = self.evidence.clone();
+            let (with_scale, fit) = evidence.with_baseline(&self.model.file.model)?;
+            (self.evidence, self.model.file.model) = (with_scale, fit.model);
+        }
+        self.model.file.model.require_complete()?;
+        let from = &self.model.from;
+        self.model.from = match (is_baseline, refitted) {
+            (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
+            (_, true) => format!(
+                "{from}, refitted to this run as diagnose does; --model judges a file as it is"
+            ),
+            (_, false) => format!("{from}, as it is"),
+        };
+        Ok(Judged {
+            refitted,
+            error_of: if refitted && !is_baseline {
+                ErrorOf::Structure
+            } else {
+                ErrorOf::Model
+            },
+        })
+    }
+
     /// A result as JSON, with what is to be known of the data.
     pub(crate) fn result(&self, found: &impl Serialize) -> Value {
         let mut value = serde_json::to_value(found).unwrap_or_default();
@@ -138,6 +192,10 @@ pub(crate) fn prepare(
     let found = cautions(&run.run, &fit_run);
     output::warn(&found);
     run.run.notes.extend(found);
+    let mut recorded = RecordedChannels::default();
+    if files.for_screen {
+        recorded.add(&run.run, &fit_run);
+    }
     let mut others = Vec::new();
     let mut other = |path: Option<&Path>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
         let Some(path) = path else { return Ok(None) };
@@ -146,6 +204,9 @@ pub(crate) fn prepare(
         let found = cautions(&loaded.run, &scenario);
         output::warn(&found);
         others.extend(found);
+        if files.for_screen {
+            recorded.add(&loaded.run, &scenario);
+        }
         Ok(Some((loaded, scenario)))
     };
     name_voltage(&run.run, &fit_run);
@@ -198,6 +259,7 @@ pub(crate) fn prepare(
         model,
         evidence,
         about,
+        recorded,
     })
 }
 

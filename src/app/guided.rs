@@ -4,7 +4,7 @@
 //! ```text
 //! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+-> page of the loop
 //!                  ^              +- l: checks, speed loop with the model that was found +        |
-//!                  |              '- d, p: diagnosis by hand -> end                               |
+//!                  |              '- d, v, g: diagnosis by hand -> end                             |
 //!                  '------------------------------------------------------------------------------'
 //! ```
 //!
@@ -24,7 +24,7 @@ use crate::bench::BenchFile;
 use crate::plant::{FileHistory, Scenario};
 use crate::recording::RunFile;
 use crate::text::number::significant;
-use crate::tui::Exit;
+use crate::tui::{Exit, Opens};
 use crate::workflow::{Discovery, ProgressCell, Step};
 
 /// A commissioning whose screen was left for good, with what followed it.
@@ -49,7 +49,7 @@ pub(crate) fn follow(
             break left.conclude(done.unkept.take());
         };
         let (step, came) = match exit {
-            Exit::Diagnosis | Exit::Guess => break diagnose(&mut done, exit == Exit::Guess),
+            Exit::Diagnosis | Exit::Guess | Exit::Traces => break diagnose(&mut done, exit),
             Exit::Experiment => (Step::Experiment, experiment(&done, options)),
             Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
             _ => break Left::Screen(exit).conclude(done.unkept.take()),
@@ -98,12 +98,16 @@ fn first_folder(done: &CommissionDone) -> Result<PathBuf, Failure> {
     folder.map(PathBuf::from).ok_or_else(none)
 }
 
-fn diagnose(done: &mut CommissionDone, guess_first: bool) -> Result<(), Failure> {
+fn diagnose(done: &mut CommissionDone, exit: Exit) -> Result<(), Failure> {
     let Some(discovery) = done.discovery.take() else {
         return done.unkept.take().map_or(Ok(()), Err);
     };
     let fitted_on = first_folder(done)?;
-    let shown = shown("the runs of this commissioning", guess_first, &fitted_on);
+    let guess_first = exit == Exit::Guess;
+    let mut shown = shown("the runs of this commissioning", guess_first, &fitted_on);
+    if exit == Exit::Traces {
+        shown.opens = Opens::Traces;
+    }
     if by_hand::show(discovery, shown)?.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
@@ -114,6 +118,7 @@ fn shown(title: &str, guess_first: bool, fitted_on: &Path) -> Shown {
     Shown {
         title: title.to_owned(),
         guess_first,
+        opens: Opens::Search,
         fitted_on: fitted_on.display().to_string(),
         history: FileHistory::default(),
         output: None,
@@ -180,11 +185,7 @@ fn speed_loop(
     })?;
     let recorded = ended.work.recorded;
     let folder = recorded.folder.path();
-    if matches!(ended.left, Left::Screen(Exit::Diagnosis))
-        && by_hand::show_run(folder)?.is_interrupted()
-    {
-        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-    }
+    by_hand::go_on(&ended.left, folder)?;
     ended.left.conclude(recorded.failure())?;
     let folder = folder.display();
     let report = recorded.summary.speed.as_ref();

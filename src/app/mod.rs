@@ -9,8 +9,8 @@
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
 //!   lines that are only looked at.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `versus`: the order of
-//!   work of each command; a test of a live run gives a rig of its own.
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
+//!   order of work of each command; a test of a live run gives a rig of its own.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
@@ -39,6 +39,7 @@ pub(crate) mod progress;
 pub(crate) mod report;
 mod rig;
 mod run;
+pub(crate) mod screen;
 pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;

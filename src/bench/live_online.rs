@@ -25,6 +25,11 @@ pub trait LiveEstimator {
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
 
+    /// What the newest rows added to their prediction: current, A, and speed, rad/s; `None` where there is none.
+    fn innovation(&self) -> Option<(f64, f64)> {
+        None
+    }
+
     /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
     fn excitation(&self) -> Excitation {
         Excitation::new()
@@ -157,6 +162,10 @@ impl LiveEstimator for RowEstimator {
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
         self.online().estimates()
+    }
+
+    fn innovation(&self) -> Option<(f64, f64)> {
+        self.online().innovation()
     }
 
     fn excitation(&self) -> Excitation {

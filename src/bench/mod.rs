@@ -65,7 +65,7 @@ pub use plausibility::Plausibility;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
 pub use runner::{Bench, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
-pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
+pub use snapshot::{InnovationPoint, Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{
     ControllerKind, Design, ForwardUse, GainChange, GainsSection, LoopDelay, PilotSettings,
     Reference, ReferenceError, ReferencePart, ReferenceStep, Regulator, RegulatorError, SpeedPilot,

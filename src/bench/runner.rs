@@ -532,6 +532,9 @@ impl Runner<'_> {
     /// `end`: the outcome of a run that is over, and why its stop could not be confirmed, if it could not.
     fn publish(&mut self, now_s: f64, rate_hz: f64, end: Option<(&'static str, Option<String>)>) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
+        let estimator = self.estimator.as_ref();
+        let innovation = estimator.and_then(|estimator| estimator.innovation());
+        self.publisher.innovation(innovation);
         let recorder = self.recorder.status();
         let session = &self.session;
         self.publisher.publish(now_s, session, estimates, |shown| {

@@ -53,6 +53,18 @@ pub struct TracePoint {
     pub model_speed_rad_s: f64,
     /// What a speed loop follows; NaN without one.
     pub reference_rad_s: f64,
+    /// Voltage that was commanded, and when it reached the motor, on the same clock; NaN where nothing tells.
+    pub command_v: f64,
+    pub applied_s: f64,
+}
+
+/// What the on-line estimators added to their prediction at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InnovationPoint {
+    /// As that of the trace.
+    pub time_s: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
 }
 
 /// The state of a run at one instant; cloning copies a few words, two short lists and one shared trace.
@@ -68,6 +80,8 @@ pub struct Snapshot {
     pub segment: Option<String>,
     /// The last seconds, oldest first.
     pub trace: Arc<Vec<TracePoint>>,
+    /// Of the on-line estimators over the same seconds, one for each snapshot.
+    pub innovations: Arc<Vec<InnovationPoint>>,
     pub estimates: Arc<Vec<ParameterEstimate>>,
     /// How far the data carry each parameter so far.
     pub excitation: Arc<Excitation>,
@@ -142,6 +156,7 @@ pub(super) struct Publisher {
     cell: SnapshotCell,
     snapshot: Snapshot,
     points: VecDeque<TracePoint>,
+    innovations: VecDeque<InnovationPoint>,
     origin_s: Option<f64>,
     model: ModelTrace,
     next_s: f64,
@@ -153,6 +168,7 @@ impl Publisher {
             cell,
             snapshot: first,
             points: VecDeque::with_capacity(POINTS),
+            innovations: VecDeque::new(),
             origin_s: None,
             model: ModelTrace::new(motor),
             next_s: f64::NEG_INFINITY,
@@ -165,13 +181,38 @@ impl Publisher {
         if self.points.len() == POINTS {
             self.points.pop_front();
         }
+        let applied = sample
+            .applied
+            .map_or(sample.time_s, |applied| applied.time_s);
+        let command_v = match demand {
+            Demand::Voltage(volts) => volts,
+            _ => f64::NAN,
+        };
         self.points.push_back(TracePoint {
+            command_v,
+            applied_s: applied - origin_s,
             time_s: sample.time_s - origin_s,
             voltage_v: cell(Channel::Voltage),
             current_a: cell(Channel::Current),
             speed_rad_s: cell(Channel::Speed),
             model_speed_rad_s: self.model.follow(sample, demand),
             reference_rad_s: reference_rad_s.unwrap_or(f64::NAN),
+        });
+    }
+
+    /// What the estimators added to their prediction of the newest sample; not a number where they predict nothing.
+    pub(super) fn innovation(&mut self, innovation: Option<(f64, f64)>) {
+        let Some(newest) = self.points.back() else {
+            return;
+        };
+        let (current_a, speed_rad_s) = innovation.unwrap_or((f64::NAN, f64::NAN));
+        if self.innovations.len() == POINTS {
+            self.innovations.pop_front();
+        }
+        self.innovations.push_back(InnovationPoint {
+            time_s: newest.time_s,
+            current_a,
+            speed_rad_s,
         });
     }
 
@@ -205,6 +246,7 @@ impl Publisher {
         (snapshot.elapsed_s, snapshot.total_s) = session.progress_s(now_s);
         snapshot.segment = session.segment_name().map(str::to_owned);
         snapshot.trace = Arc::new(self.points.iter().copied().collect());
+        snapshot.innovations = Arc::new(self.innovations.iter().copied().collect());
         snapshot.estimates = Arc::new(estimates);
         snapshot.model_is_identified = self.model.is_identified;
         snapshot.trip = session.guard().tripped().cloned();

@@ -55,9 +55,9 @@ impl MapArguments {
         let given = maps
             .into_iter()
             .filter_map(|(name, map)| Some((name, map.as_deref()?)));
-        given
-            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
-            .collect()
+        given.fold(String::new(), |words, (name, map)| {
+            words + " --" + name + " " + &output::quoted_word(map)
+        })
     }
 
     /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
@@ -183,11 +183,32 @@ impl EvidenceArguments {
         model: Option<&Path>,
         judging: Judging,
     ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, false)
+    }
+
+    /// The same with every channel, which a screen may show.
+    pub(super) fn prepare_for_screen(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+    ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, true)
+    }
+
+    fn prepared(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+        for_screen: bool,
+    ) -> Result<Prepared, Failure> {
         let files = EvidenceFiles {
             run,
             model,
             holdout: self.holdout.as_deref(),
             confirm: self.confirm.as_deref(),
+            for_screen,
         };
         let map = &self.map;
         let load = |path: &Path, is_other: bool| {

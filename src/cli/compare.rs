@@ -6,17 +6,16 @@ use super::arguments::{EvidenceArguments, run_path};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
-use crate::app::pages;
 use crate::app::versus::VersusResult;
-use crate::diagnosis::{Comparison, ErrorOf, compare};
-use crate::plant::Input;
+use crate::app::{pages, screen};
+use crate::diagnosis::{Comparison, compare};
 use crate::report::SignalFigures;
 use crate::text::number::percent;
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90\n  drivebench compare runs/a --model before.toml --model after.toml --holdout runs/b     which is better"
+    after_help = "Examples:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90\n  drivebench compare runs/a --model before.toml --model after.toml --holdout runs/b     which is better\n  drivebench compare runs/a --holdout runs/b --screen     measured and model over time, on the screen"
 )]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
@@ -33,6 +32,9 @@ pub(super) struct Arguments {
     /// Write the page: figures, lights, where the model fails; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
+    /// See it on the screen: measured and model over time, where the model fails
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
     /// Print all there is to say; without it what fits 100 columns and 30 lines
     #[arg(long)]
     full: bool,
@@ -45,9 +47,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
     }
-    let _endable = signals::endable()?;
+    if arguments.screen {
+        screen::needs_terminal(
+            "--screen",
+            "leave --screen out: the result is printed as text",
+        )?;
+    }
+    let mut endable = Some(signals::endable()?);
     let shown = progress::begin("compare");
     let model = match arguments.model.as_slice() {
+        [_, _] if arguments.screen => {
+            let help = "--screen shows one model beside the run";
+            return Err(Failure::usage("two models are given with --screen", help));
+        }
         [first, second] => return both(arguments, first, second, shown),
         [_, _, _, ..] => {
             let help = "give two models, and compare the better with the third";
@@ -55,39 +67,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         models => models.first().map(PathBuf::as_path),
     };
-    let judging = if model.is_some() {
-        Judging::AsGiven
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let judging = Judging::of(model);
+    let mut prepared = if arguments.screen {
+        evidence.prepare_for_screen(run, model, judging)?
     } else {
-        Judging::Refits
+        evidence.prepare(run, model, judging)?
     };
-    let mut prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
-    // What the folder of a run keeps is not given: it is judged as `diagnose` judges it.
-    let is_baseline = prepared.model.from == "baseline";
-    let is_electrical = prepared.evidence.training.input == Input::Voltage;
-    let refits = is_baseline || model.is_none() && is_electrical;
-    let mut error_of = ErrorOf::Model;
-    if refits {
-        progress::stage("fits the model", 0);
-        let evidence = prepared.evidence.clone();
-        let (with_scale, fit) = evidence.with_baseline(&prepared.model.file.model)?;
-        (prepared.evidence, prepared.model.file.model) = (with_scale, fit.model);
-        if !is_baseline {
-            error_of = ErrorOf::Structure;
-        }
-    }
-    prepared.model.file.model.require_complete()?;
     let from = prepared.model.from.clone();
-    prepared.model.from = match (is_baseline, refits) {
-        (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
-        (_, true) => {
-            format!("{from}, refitted to this run as diagnose does; --model judges a file as it is")
-        }
-        (_, false) => format!("{from}, as it is"),
-    };
+    let judged = prepared.judge_as_diagnose(model.is_some())?;
     progress::stage("compares", 0);
     let model = &prepared.model.file.model;
-    let comparison = compare(model, &prepared.evidence, error_of)?;
+    let comparison = compare(model, &prepared.evidence, judged.error_of)?;
     drop(shown);
+    if arguments.screen {
+        // Meanwhile the screen owns the terminal and hears the signals.
+        drop(endable.take());
+        screen::show(&prepared, judged.error_of)?;
+        endable = Some(signals::endable()?);
+    }
+    let _endable = endable;
     let full = arguments.full;
     let (mut card, above, html) = pages::comparison(&prepared, &comparison, |report| {
         let above = if full { report.in_full() } else { Vec::new() };
@@ -106,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     ));
     let mut value = prepared.result(&comparison);
     value["model"] = from.into();
-    value["refitted"] = refits.into();
+    value["refitted"] = judged.refitted.into();
     value["undecided"] = comparison.undecided().into();
     output::card(&value, arguments.json, full, above, || card)?;
     check_fit(&comparison, arguments.min_fit)

@@ -1,6 +1,5 @@
 //! `diagnose`: which physical effect is missing.
 
-use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use super::arguments::{EvidenceArguments, run_path};
@@ -9,11 +8,12 @@ use super::{output, progress, signals};
 use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
 use crate::app::evidence::Place;
-use crate::app::pages;
+use crate::app::{pages, screen};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, diagnose_with};
 use crate::plant::effect::Axis;
 use crate::report::Card;
 use crate::report::card::COLUMNS;
+use crate::tui::Opens;
 use crate::workflow::Discovery;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
@@ -73,11 +73,9 @@ struct ScreenArguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let on_screen = &arguments.on_screen;
-    if on_screen.screen && !std::io::stdout().is_terminal() {
-        return Err(Failure::usage(
-            "--screen: standard output is not a terminal",
-            "leave --screen out: the answer is printed as text",
-        ));
+    if on_screen.screen {
+        let help = "leave --screen out: the answer is printed as text";
+        screen::needs_terminal("--screen", help)?;
     }
     for (path, option) in [(&on_screen.output, "--output"), (&arguments.html, "--html")] {
         let path = path.as_deref();
@@ -85,7 +83,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
     let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
-    let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let prepared = if on_screen.screen {
+        evidence.prepare_for_screen(run, model, judging)?
+    } else {
+        evidence.prepare(run, model, judging)?
+    };
     if let Some(path) = &arguments.next_bench {
         output::refuse_existing(path, "--next-bench")?;
     }
@@ -100,11 +103,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let shown = Shown {
             title: prepared.about.title.clone(),
             guess_first: on_screen.guess,
+            opens: Opens::Search,
             fitted_on: prepared.run.run.name.clone(),
             history: prepared.model.file.history.clone(),
             output: on_screen.output.clone(),
         };
-        let discovery = Discovery::new(original, evidence).with_limits(place.limits());
+        let discovery = Discovery::new(original, evidence)
+            .with_limits(place.limits())
+            .with_recorded(prepared.recorded.clone());
         let left = by_hand::show(discovery, shown)?;
         attended = Some((signals::endable()?, progress::begin("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.

@@ -25,6 +25,7 @@ mod run;
 mod shell;
 mod simulate;
 mod tune;
+mod view;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -78,6 +79,7 @@ enum Command {
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
+    View(view::Arguments),
     Diagnose(diagnose::Arguments),
     Add(add::AddArguments),
     Remove(add::Arguments),
@@ -126,6 +128,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
+        Command::View(arguments) => view::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),
         Command::Add(arguments) => add::execute_add(&arguments),
         Command::Remove(arguments) => add::execute_remove(&arguments),
@@ -173,7 +176,7 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
             tip.clone_into(&mut help);
         } else if let Some(usage) = line.strip_prefix("Usage: ") {
             if help.is_empty() {
-                let judges = ["compare ", "diagnose "];
+                let judges = ["compare ", "diagnose ", "view "];
                 let is_second_run = headline.starts_with("unexpected argument '")
                     && !headline.starts_with("unexpected argument '-")
                     && judges.iter().any(|command| usage.contains(command));

@@ -2,7 +2,7 @@
 //! `commission` (the whole loop, guided; the screen and the headless run drive the same state machine) and `speed` (the
 //! adaptive speed loop over the real link).
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::arguments::{LiveArguments, UnknownMotor};
 use super::failure::Failure;
@@ -10,12 +10,11 @@ use super::output;
 use super::progress;
 use crate::app::guided;
 use crate::app::{
-    Left, Rig, RunDone, SpeedRequest, by_hand, cards, commission, conduct, escalation_failure, run,
+    Rig, RunDone, SpeedRequest, by_hand, cards, commission, conduct, escalation_failure, run,
     run_result, speed, speed_result,
 };
 use crate::bench::{ControllerKind, ForwardUse};
 use crate::control::Actuator;
-use crate::tui::Exit;
 use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
@@ -56,24 +55,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             if live.full {
                 above = cards::run_in_full(whole, plate);
             }
-            let seen = by_hand(&left, whole.recorded.folder.path());
+            let seen = by_hand::go_on(&left, whole.recorded.folder.path());
             // However it was left: the result of the run is there all the same.
             output::card(&result, json, live.full, above, || cards::run(whole, plate))?;
             seen?;
             left.conclude(whole.recorded.failure())
         }
     }
-}
-
-/// The diagnosis of a run, where its screen was left for that.
-fn by_hand(left: &Left, folder: &Path) -> Result<(), Failure> {
-    if !matches!(left, Left::Screen(Exit::Diagnosis)) {
-        return Ok(());
-    }
-    if by_hand::show_run(folder)?.is_interrupted() {
-        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-    }
-    Ok(())
 }
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -222,7 +210,7 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
     if full {
         above = cards::speed_in_full(&result);
     }
-    let seen = by_hand(&done.left, recorded.folder.path());
+    let seen = by_hand::go_on(&done.left, recorded.folder.path());
     output::card(&result, json, full, above, || {
         cards::speed(&result, recorded, &words)
     })?;

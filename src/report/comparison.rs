@@ -6,8 +6,8 @@ use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
 use super::{ConfirmRun, Context, commission, findings, tables};
 use crate::diagnosis::{
-    AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapDigits, SignalComparison,
-    SignalScore, Signals,
+    AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
+    SignalComparison, SignalScore, Signals,
 };
 use crate::identification::noise::FloorSource;
 use crate::plant::effect;
@@ -438,7 +438,7 @@ fn balances(page: &mut Page, comparison: &Comparison) {
     );
 }
 
-/// The same in ten shades from nothing to its largest error, a dot where the run never was.
+/// The same in ten sizes from nothing to its largest error, with its sign, a dot where the run never was.
 fn map_in_digits(comparison: &Comparison) -> Vec<String> {
     let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return Vec::new();
@@ -449,11 +449,11 @@ fn map_in_digits(comparison: &Comparison) -> Vec<String> {
     }
     let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
     let head = format!(
-        "{equation} error over speed and current: 9 is {nine} {unit}, a dot where the run never was"
+        "{equation} error over speed and current: 9 model too low by {nine} {unit}, i too high, ░▒▓ both, . never there"
     );
     let mut lines = vec![String::new(), head];
     lines.extend(rows.iter().map(|(middle, digits)| {
-        let mark = |digit: &Option<usize>| digit.map_or(".".to_owned(), |digit| digit.to_string());
+        let mark = |cell: &Option<MapCell>| cell.map_or('.', MapCell::glyph).to_string();
         let marks: Vec<String> = digits.iter().map(mark).collect();
         format!("{middle:>8.0} rad/s   {}", marks.join(" "))
     }));

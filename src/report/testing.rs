@@ -178,6 +178,16 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
     let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
     let row = |row| (0..12).map(|column| cell(row, column)).collect();
     let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
+    // Odd in the speed, and of both signs where the current is small.
+    let side = |row: usize| if row < 6 { -1.0 } else { 1.0 };
+    let part = |column: usize| if column < 3 { 0.1 } else { 1.0 };
+    let mean = |(row, cells): (usize, &Vec<Option<f64>>)| {
+        let cells = cells.iter().enumerate();
+        let mean =
+            |(column, cell): (usize, &Option<f64>)| cell.map(|rms| rms * side(row) * part(column));
+        cells.map(mean).collect()
+    };
+    let means: Vec<Vec<Option<f64>>> = cells.iter().enumerate().map(mean).collect();
     Comparison {
         signals,
         locations: vec![FailureLocation {
@@ -195,6 +205,8 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
             speed_edges_rad_s: (0..13).map(|k| -300.0 + 50.0 * f64::from(k)).collect(),
             current_edges_a: (0..13).map(|k| -6.0 + f64::from(k)).collect(),
             count: vec![vec![3; 12]; 12],
+            torque_mean_n_m: means.clone(),
+            voltage_mean_v: means,
             torque_rms_n_m: cells.clone(),
             voltage_rms_v: cells,
         }),

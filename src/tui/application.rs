@@ -36,6 +36,8 @@ pub enum Exit {
     Finished,
     /// `d` when the work was over: the diagnosis is to be gone on with by hand.
     Diagnosis,
+    /// `v` then: the same, measured and model over time first.
+    Traces,
     /// The same, and no name is to be shown before the person has given one.
     Guess,
     /// The run that would tell more is to be made.

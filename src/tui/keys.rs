@@ -39,6 +39,17 @@ pub enum Press {
     Table,
     Guess,
     Write,
+    /// Measured and model over time.
+    Traces,
+    /// The next of the places where the model is farthest off.
+    Worst,
+    /// Closer, or farther away.
+    Zoomed(bool),
+    /// Along the time axis, backwards negative.
+    Pan(i32),
+    Cursor(i32),
+    /// Which signals are shown.
+    Signals,
     Undo,
     /// The model before the last change, or after it.
     Before,
@@ -46,7 +57,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 24] = [
+pub(super) const CHARACTERS: [(char, Press); 31] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -69,6 +80,13 @@ pub(super) const CHARACTERS: [(char, Press); 24] = [
     ('t', Press::Table),
     ('g', Press::Guess),
     ('w', Press::Write),
+    ('v', Press::Traces),
+    ('j', Press::Worst),
+    ('+', Press::Zoomed(true)),
+    ('-', Press::Zoomed(false)),
+    (',', Press::Pan(-1)),
+    ('.', Press::Pan(1)),
+    ('o', Press::Signals),
     ('u', Press::Undo),
     ('b', Press::Before),
 ];
@@ -82,7 +100,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 27] = [
+const HELP: [(On, &str, &str); 33] = [
     (
         On::Every,
         "Space Esc",
@@ -108,6 +126,11 @@ const HELP: [(On, &str, &str); 27] = [
         "what each step needs, unlocks, and its command",
     ),
     (On::Live, "d", "diagnosis by hand, after the run"),
+    (
+        On::Live,
+        "v",
+        "measured and model over time, after the report",
+    ),
     (
         On::Live,
         "x",
@@ -137,7 +160,20 @@ const HELP: [(On, &str, &str); 27] = [
     (
         On::Diagnosis,
         "e",
-        "error over speed x current, each equation in turn",
+        "signed error over speed x current, each equation in turn",
+    ),
+    (
+        On::Diagnosis,
+        "v",
+        "traces: measured and model over time, residual with its noise",
+    ),
+    (On::Diagnosis, "j", "traces: the next of the worst places"),
+    (On::Diagnosis, "+ - , .", "traces: zoom, pan"),
+    (On::Diagnosis, "Left Right", "cursor of traces and curves"),
+    (
+        On::Diagnosis,
+        "o Tab",
+        "traces: choose signals; another run",
     ),
     (
         On::Diagnosis,
@@ -147,7 +183,7 @@ const HELP: [(On, &str, &str); 27] = [
     (
         On::Diagnosis,
         "c t",
-        "the curve that an unexplained error follows; add it",
+        "error along its axis, the effect drawn through it; add a curve",
     ),
     (
         On::Diagnosis,
@@ -197,6 +233,8 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
         KeyCode::Enter => Press::Open,
         KeyCode::Tab => Press::NextScreen,
         KeyCode::BackTab => Press::PreviousScreen,
+        KeyCode::Left => Press::Cursor(-1),
+        KeyCode::Right => Press::Cursor(1),
         KeyCode::Up => Press::Move(-1),
         KeyCode::Down => Press::Move(1),
         KeyCode::PageUp => Press::Move(-PAGE),
@@ -269,7 +307,9 @@ mod tests {
     #[test]
     fn the_help_names_every_key_that_does_something() {
         let named: Vec<&str> = HELP.iter().flat_map(|row| row.1.split(' ')).collect();
-        for word in ["Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down"] {
+        for word in [
+            "Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down", "Left", "Right",
+        ] {
             assert!(named.contains(&word), "{word}");
         }
         // `y` answers a question that names it.

@@ -10,8 +10,9 @@
 //! * `application`: the event loop, which shows one screen, a value, until it is left, and gives the terminal back on every
 //!   path.
 //! * `keys`: the key table, one meaning for each key on every screen.
-//! * `frame`, `theme`: help, hints, panels and colours that all screens have in common.
-//! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand.
+//! * `frame`, `plot`, `theme`: help, hints, panels, charts and colours that all screens have in common.
+//! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand;
+//!   `traces/`: the page of both on which measured and model stand over time.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -24,11 +25,13 @@ mod diagnosis;
 mod frame;
 mod keys;
 mod live;
+mod plot;
 #[cfg(test)]
 mod testing;
 mod theme;
+mod traces;
 
 pub use application::{Exit, Screen, is_gone, show};
-pub use diagnosis::{DiagnosisScreen, DiagnosisSources};
+pub use diagnosis::{DiagnosisScreen, DiagnosisSources, Opens};
 pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};

@@ -4,6 +4,10 @@ use proptest::prelude::*;
 use ratatui::backend::TestBackend;
 use ratatui::{Frame, Terminal};
 
+use crate::diagnosis::{Evidence, RecordedChannels, Traces};
+use crate::plant::testing::with_a_fan;
+use crate::plant::{ActiveEffect, Model, Motor, effect};
+
 /// What `view` draws on so many cells.
 pub(super) fn terminal(
     (width, height): (u16, u16),
@@ -32,4 +36,23 @@ pub(super) fn number() -> impl Strategy<Value = f64> {
         1 => Just(-f64::MAX),
         1 => Just(0.0),
     ]
+}
+
+/// The motor of the runs with a fan, with it or without it in the model.
+pub(super) fn fan_model(has_fan: bool) -> Model {
+    let mut model = Model::baseline(Motor::zk_22fc());
+    if has_fan {
+        let fan = effect::find("quadratic_load").unwrap();
+        model.effects.push(ActiveEffect::with(fan, &[4e-6]));
+    }
+    model
+}
+
+/// Traces of such a model over two runs; the second has a gap.
+pub(super) fn fan_traces(has_fan: bool) -> Traces {
+    let (mut fitted, mut held_out) = (with_a_fan(0), with_a_fan(1));
+    (fitted.name, held_out.name) = ("run-a".to_owned(), "run-b".to_owned());
+    fitted.speed_rad_s[300..360].fill(f64::NAN);
+    let evidence = Evidence::new(fitted, Some(held_out), None);
+    Traces::of(&fan_model(has_fan), &evidence, &RecordedChannels::default()).unwrap()
 }

@@ -14,6 +14,10 @@ pub(super) const BAD: Style = Style::new().red().bold();
 /// For what must not be overlooked, and the key that stops.
 pub(super) const ALARM: Style = Style::new().white().on_red().bold();
 
+/// A model that is too low, or too high, beside the measurement.
+pub(super) const TOO_LOW: Style = Style::new().red();
+pub(super) const TOO_HIGH: Style = Style::new().light_blue();
+
 pub(super) const VOLTAGE: Style = Style::new().yellow();
 pub(super) const CURRENT: Style = Style::new().magenta();
 pub(super) const SPEED: Style = Style::new().cyan();

@@ -8,16 +8,19 @@
 //! curve as an effect of the model.
 
 use crate::diagnosis::{
-    self, AddResult, AxisMap, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits,
-    Fitted, NextExperiment, Rung, compare, diagnose_with, recommend,
+    self, AddResult, AxisMap, Comparison, Diagnosis, EffectCurve, ErrorOf, Event, Evidence,
+    ExperimentLimits, Fitted, NextExperiment, RecordedChannels, Rung, Traces, compare,
+    diagnose_with, effect_curve, error_curve, recommend,
 };
 use crate::identification::output_error::FitError;
-use crate::plant::effect::{self, Axis, DefinitionError};
+use crate::plant::effect::{self, Axis, DefinitionError, ParameterRole};
 use crate::plant::{Effect, Input, Model, Scenario, Slot};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
+    /// The model as it is beside the runs, without a search for what it misses.
+    Compare(ErrorOf),
     Diagnose,
     Add(&'static str),
     /// The same where the runs do not ask for it.
@@ -37,6 +40,11 @@ pub enum News {
     Progress(Event),
     /// The fitted model beside the hold-out: how good it is and where it fails.
     Compared(Box<Comparison>),
+    /// Every signal, measured and of the model as it stands.
+    Traced(Box<Traces>),
+    /// The curves of the effects in the model and of the candidates that have a size; one without an effect is the error
+    /// alone.
+    Curves(Vec<EffectCurve>),
     Diagnosed(Box<Diagnosis>),
     /// The run that would tell more.
     Recommended(Box<NextExperiment>),
@@ -69,6 +77,10 @@ pub struct Discovery {
     curves: Vec<AxisMap>,
     /// The answer that there is already; taken at the first question.
     known: Option<Box<Diagnosis>>,
+    /// What the runs have beside the signals of the model.
+    recorded: RecordedChannels,
+    /// The traces of the model as it stands have been told.
+    is_traced: bool,
     /// The answer to the model as it stands, with the run that it recommends.
     latest: Option<Box<Diagnosis>>,
     /// An effect that was added, with one that these runs do not tell it from.
@@ -88,9 +100,13 @@ struct Past {
     answer: Option<Box<Diagnosis>>,
 }
 
+/// Curves that are told with an answer, and samples that are simulated for them at most.
+const MOST_CURVES: usize = 8;
+const MOST_SAMPLES_OF_CURVES: usize = 1_000_000;
+
 impl Discovery {
     /// `model` is where the fits start.
-    pub const fn new(model: Model, evidence: Evidence) -> Self {
+    pub fn new(model: Model, evidence: Evidence) -> Self {
         Self {
             model,
             evidence,
@@ -99,10 +115,19 @@ impl Discovery {
             ladder: Vec::new(),
             curves: Vec::new(),
             known: None,
+            recorded: RecordedChannels::default(),
+            is_traced: false,
             latest: None,
             rivals: Vec::new(),
             past: Vec::new(),
         }
+    }
+
+    /// Shows these channels beside the signals of the model.
+    #[must_use]
+    pub fn with_recorded(mut self, recorded: RecordedChannels) -> Self {
+        self.recorded = recorded;
+        self
     }
 
     /// The first answer is this one, of the same model, evidence and limits, with the run that it recommends.
@@ -153,6 +178,7 @@ impl Discovery {
     /// Does what `order` asks. After an effect was added or removed, what is missing then is searched at once.
     pub fn carry_out(&mut self, order: Order, tell: Tell<'_>) {
         let done = match order {
+            Order::Compare(error_of) => self.compare(error_of, tell),
             Order::Diagnose => self.diagnose(tell),
             Order::Add(id) => self.change(id, Change::Add, tell),
             Order::Force(id) => self.change(id, Change::Force, tell),
@@ -173,22 +199,25 @@ impl Discovery {
             let (evidence, fit) = self.evidence.clone().with_baseline(&self.model)?;
             let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
+            self.trace(&fit.model, &evidence, tell);
+            let curve = error_curve(&fit.model, &evidence.holdout, &evidence.noise);
+            tell(News::Curves(curve.ok().flatten().into_iter().collect()));
         }
         let known = self.known.take();
         let is_known = known.is_some();
         let progress = |event| tell(News::Progress(event));
-        let mut diagnosis = match known {
-            Some(known) => *known,
-            None => {
-                let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
-                found.remember_rivals(&self.rivals);
-                found
-            }
+        let mut diagnosis = if let Some(known) = known {
+            *known
+        } else {
+            let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
+            found.remember_rivals(&self.rivals);
+            found
         };
         if !is_electrical {
             let model = &diagnosis.baseline.model;
             let compared = compare(model, &self.evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
+            self.trace(&diagnosis.baseline.model, &self.evidence.clone(), tell);
         }
         let known_next = diagnosis.next_experiment.take();
         if self.ladder.is_empty() {
@@ -201,6 +230,7 @@ impl Discovery {
         self.curves.clone_from(&diagnosis.axis_map);
         self.latest = Some(Box::new(diagnosis.clone()));
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
+        tell(News::Curves(self.curves_of(&diagnosis)));
         let next = match &self.limits {
             _ if is_known => known_next,
             Some(limits) => recommend(&diagnosis, &self.evidence, limits)?,
@@ -213,6 +243,73 @@ impl Discovery {
             tell(News::Recommended(Box::new(next)));
         }
         Ok(())
+    }
+
+    /// The model as it is; where values are missing it is fitted first.
+    fn compare(&mut self, error_of: ErrorOf, tell: Tell<'_>) -> Result<(), FitError> {
+        let (mut evidence, mut model) = (self.evidence.clone(), self.model.clone());
+        if model.require_complete().is_err() {
+            let fit;
+            (evidence, fit) = evidence.with_baseline(&model)?;
+            model = fit.model;
+        }
+        let compared = compare(&model, &evidence, error_of)?;
+        let noise = compared.noise;
+        tell(News::Compared(Box::new(compared)));
+        self.is_traced = false;
+        self.trace(&model, &evidence, tell);
+        let mut curves = Vec::new();
+        let error = error_curve(&model, &evidence.holdout, &noise);
+        curves.extend(error.ok().flatten());
+        for id in model.effect_ids() {
+            let curve = effect_curve(&model, id, &evidence.holdout, &noise);
+            curves.extend(curve.ok().flatten());
+        }
+        tell(News::Curves(curves));
+        Ok(())
+    }
+
+    /// Tells the traces of a model, unless they have been told. They are a help: an answer stands without them.
+    fn trace(&mut self, model: &Model, evidence: &Evidence, tell: Tell<'_>) {
+        let is_told = std::mem::take(&mut self.is_traced);
+        if let (false, Ok(traces)) = (is_told, Traces::of(model, evidence, &self.recorded)) {
+            tell(News::Traced(Box::new(traces)));
+        }
+    }
+
+    /// The error alone, then the effects in the model, the named ones and the candidates that have a size; a help, as the
+    /// traces are.
+    fn curves_of(&self, diagnosis: &Diagnosis) -> Vec<EffectCurve> {
+        let present = diagnosis.baseline.model.effect_ids().into_iter();
+        let named = diagnosis.effects.iter().copied();
+        let candidates = diagnosis.candidates.iter();
+        let sized = candidates.filter(|candidate| !candidate.parameters.is_empty());
+        let mut ids: Vec<&'static str> = Vec::new();
+        for id in present.chain(named).chain(sized.map(|own| own.effect)) {
+            if !ids.contains(&id) {
+                ids.push(id);
+            }
+        }
+        let samples = self.evidence.holdout.samples().max(1);
+        let room = (MOST_SAMPLES_OF_CURVES / samples).clamp(1, MOST_CURVES);
+        let ids = ids.into_iter().take(room).map(Some);
+        let mut curves = Vec::new();
+        for id in std::iter::once(None).chain(ids) {
+            // What happened once, happened in the fit run.
+            let effect = id.and_then(effect::find);
+            let happens_once = effect.is_some_and(|effect| {
+                let mut specs = effect.parameters().iter();
+                specs.any(|spec| spec.role == ParameterRole::EventTime)
+            });
+            let run = if happens_once {
+                &self.evidence.training
+            } else {
+                &self.evidence.holdout
+            };
+            let curve = diagnosis.curve_of(id, run, &diagnosis.baseline.noise);
+            curves.extend(curve.ok().flatten());
+        }
+        curves
     }
 
     fn undo(&mut self, tell: Tell<'_>) -> Result<(), FitError> {
@@ -318,12 +415,17 @@ impl Discovery {
             self.ladder.extend(result.ladder.last().cloned());
         }
         let result = Box::new(result);
+        let model = result.fit.model.clone();
         tell(if adds {
             News::Added(result)
         } else {
             News::Removed(result)
         });
         if accepted {
+            // The change is seen at once; what is missing then takes longer.
+            self.is_traced = false;
+            self.trace(&model, &self.evidence.clone(), tell);
+            self.is_traced = true;
             self.diagnose(tell)?;
         }
         Ok(())
@@ -410,8 +512,8 @@ mod tests {
     /// The answer with which the news end.
     #[track_caller]
     fn answer(news: &[News]) -> &Diagnosis {
-        match news.last() {
-            Some(News::Diagnosed(diagnosis)) => diagnosis,
+        match news {
+            [.., News::Diagnosed(diagnosis), News::Curves(_)] => diagnosis,
             other => panic!("no answer: {other:?}"),
         }
     }
@@ -601,13 +703,24 @@ mod tests {
         let news = told(&mut discovery, Order::Diagnose);
         let [
             News::Compared(_),
+            News::Traced(traces),
+            News::Curves(before),
             News::Diagnosed(diagnosis),
+            News::Curves(curves),
             News::Recommended(next),
         ] = &news[..]
         else {
             panic!("{news:?}");
         };
         assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        assert_eq!((traces.runs.len(), before.len()), (2, 1));
+        let drawn: Vec<_> = curves.iter().map(|curve| curve.effect).collect();
+        assert_eq!(drawn, [None, Some("quadratic_load")]);
+        // The error alone is that of the model as it stands, which lacks the fan.
+        assert_eq!(
+            (curves[0].equation, curves[0].axis),
+            ("torque", "speed_rad_s")
+        );
         assert_eq!(next.sentence, "turn it backward");
         // Of a changed model there is none yet.
         let news = told(&mut discovery, Order::Add("quadratic_load"));

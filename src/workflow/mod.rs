@@ -8,6 +8,7 @@
 //!
 //! guide.rs says of each step what it needs, what it unlocks and which command does the same.
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
+//! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
 //!
 //! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
@@ -17,6 +18,7 @@ mod commission;
 mod discovery;
 mod guide;
 mod keyed;
+mod leaning;
 pub mod reproduce;
 mod reveal;
 
@@ -29,4 +31,5 @@ pub use discovery::{
     Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
 };
 pub use guide::{Called, Step};
+pub use leaning::{LeaningCell, LeaningWatch, Provisional};
 pub use reveal::{Answer, Outcome, Revelation, reveal};

@@ -429,6 +429,8 @@ fn usage_errors_are_two_lines_and_status_2() {
          identify a.csv --model
          run --sed 3
          compare a.csv --min-fit much
+         compare a.csv --screen
+         view a.csv
          run --headless --port=
          run --headless --port sim: --emulator zk-22fc-plane
          emulate --link telepathy
@@ -442,6 +444,7 @@ fn usage_errors_are_two_lines_and_status_2() {
     for (text, is_told) in [
         ("diagnose runs/a runs/b", true),
         ("compare runs/a runs/b", true),
+        ("view runs/a runs/b", true),
         ("compare runs/a --fit", false),
         ("replay runs/a runs/b", false),
     ] {

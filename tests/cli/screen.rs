@@ -148,6 +148,22 @@ fn d_goes_on_by_hand_after_a_commissioning() {
 }
 
 #[test]
+fn v_shows_measured_and_model_after_a_commissioning() {
+    let folder = Desk::new();
+    let arguments = line("commission --port sim: --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, folder.folder(), (120, 40));
+    session.wait_for("v traces");
+    session.press("v");
+    session.wait_for("speed: measured - model");
+    session.wait_for("run 1 of 3");
+    session.press("q");
+    session.wait_for(ADD);
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    session.expect_terminal_as_it_was();
+}
+
+#[test]
 fn d_goes_on_by_hand_after_a_run_and_its_result_stays() {
     let folder = Desk::new();
     let arguments = line("run --port sim: --seed 7 --out runs", &[]);
@@ -278,4 +294,45 @@ fn a_signal_after_the_screen_ends_the_program() {
     assert_eq!(session.end(), 130, "{}", session.text());
     has(&session.text(), &["interrupted"]);
     assert!(!folder.path("page.html").exists());
+}
+
+#[test]
+fn a_recorded_run_is_seen_again_and_searched_only_when_d_asks_for_it() {
+    let folder = Desk::new();
+    let runs = Runs::hidden();
+    for command in ["view {} --holdout {}", "compare {} --holdout {} --screen"] {
+        let arguments = line(command, &[&runs.fit, &runs.holdout]);
+        let mut session = Session::start(&arguments, folder.folder(), (100, 30));
+        session.wait_for("COMPARISON");
+        session.wait_for("speed: measured - model");
+        session.press("v");
+        session.wait_for("run 1 of 2");
+        session.press("j");
+        session.wait_for("┊");
+        session.press("\t");
+        session.wait_for("fit run: ");
+        session.press("o");
+        session.wait_for("Enter shows or hides");
+        session.press("\u{1b}");
+        session.wait("the list closed", |screen| {
+            !screen.contents().contains("Enter shows or hides")
+        });
+        session.press("q");
+        session.wait_for("d diagnose");
+        session.press("c");
+        session.wait_for("equation lacks");
+        session.press("q");
+        session.wait_for("d diagnose");
+        session.press("e");
+        session.wait_for("too high");
+        session.press("q");
+        session.wait_for("d diagnose");
+        lacks(&session.text(), &["supported"]);
+        session.press("d");
+        session.wait_for(ADD);
+        session.wait_for("stribeck_friction");
+        session.press("q");
+        assert_eq!(session.end(), 0, "{}", session.text());
+        session.expect_terminal_as_it_was();
+    }
 }

@@ -203,8 +203,8 @@ impl Diagnosis {
     }
 
     /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
-    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the model with
-    /// every named effect along the axis that it follows most.
+    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the baseline along
+    /// the axis that it follows most.
     pub fn curve_of(
         &self,
         id: Option<&str>,
@@ -227,7 +227,7 @@ impl Diagnosis {
         });
         match with_effect {
             Some((id, model)) => effect_curve(&model, id, run, noise),
-            None => error_curve(&self.model.model, run, noise),
+            None => error_curve(&self.baseline.model, run, noise),
         }
     }
 
@@ -761,6 +761,22 @@ mod tests {
         let found = third(&elsewhere);
         assert_eq!(found.confirmed, Some(false), "{}", found.sentence);
         assert!(found.error_after.unwrap() > found.error_before.unwrap());
+
+        // Of an error that is below the noise nothing is explained.
+        let below = Diagnosis {
+            holdout_before: 0.95,
+            holdout_after: 0.72,
+            explained_percent: 0.0,
+            ..there
+        };
+        assert_eq!(below.answer(), Answer::NoErrorLeft);
+        let said = sentence(&below);
+        let start = "no error left to explain: held-out error 0.95 times the noise floor";
+        assert!(
+            said.starts_with(start) && said.contains("quadratic_load"),
+            "{said}"
+        );
+        assert!(!said.contains("% explained"), "{said}");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare      error per signal beside the floor; residual lights
+//!    |-> traces       every signal measured and of the model, over the time of its run
 //!    |-> versus       two models on one run: the better, and whether that is more than chance
 //!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
@@ -31,6 +32,7 @@ mod progress;
 mod reached;
 mod residual;
 mod score;
+mod traces;
 mod versus;
 
 pub use candidates::{Candidate, Status};
@@ -41,8 +43,8 @@ pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
-    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located,
-    MapDigits, OwnChange, axis_map, effect_curve, error_curve, locate,
+    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
+    Located, MapCell, MapDigits, Off, OwnChange, axis_map, effect_curve, error_curve, lean, locate,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
@@ -51,6 +53,7 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};
 pub use score::{Fitted, Score, SignalScore};
+pub use traces::{Part, Quantity, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
 pub use versus::{Better, SignalVersus, Versus, versus};
 
 #[cfg(test)]

@@ -10,11 +10,12 @@
 //! |   then status, size, interval             |
 //! | ladder: held-out error and noise floor    |
 //! | keys                                      |
-//! +-------------------------------------------+   over it: pages (card, map, curve, next run)
+//! +-------------------------------------------+   over it: pages (card, traces, map, curve, next run)
 //! ```
 //!
 //! `state` has the teaching flow too, in which no name is shown before the person has given one.
 
+mod charts;
 mod state;
 mod view;
 
@@ -29,8 +30,31 @@ use ratatui::Frame;
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
+use crate::diagnosis::ErrorOf;
 use crate::workflow::{News, Order};
 use state::{Event, State};
+
+/// With what the screen opens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Opens {
+    /// What is missing is searched at once.
+    Search,
+    /// The same, with the traces over it as soon as they are there.
+    Traces,
+    /// The comparison alone.
+    Comparison(ErrorOf),
+}
+
+impl Opens {
+    /// With what it opens where another screen was left like this; `None` where it was left for something else.
+    pub const fn asked_by(exit: Exit) -> Option<Self> {
+        match exit {
+            Exit::Diagnosis => Some(Self::Search),
+            Exit::Traces => Some(Self::Traces),
+            _ => None,
+        }
+    }
+}
 
 /// What the screen is given; the worker holds the other ends.
 #[derive(Debug)]
@@ -39,6 +63,7 @@ pub struct DiagnosisSources {
     pub title: String,
     /// No name is shown before the person has given one.
     pub guess_first: bool,
+    pub opens: Opens,
     pub news: Receiver<News>,
     pub orders: Sender<Order>,
     /// Set by signals (SIGTERM, SIGHUP): the screen closes by itself.
@@ -52,14 +77,19 @@ pub struct DiagnosisScreen {
 }
 
 impl DiagnosisScreen {
-    /// The first diagnosis is ordered by itself.
+    /// What it begins with is ordered by itself.
     pub fn new(sources: DiagnosisSources) -> Self {
         // A worker that has gone is told of by its news.
-        let _ = sources.orders.send(Order::Diagnose);
-        Self {
-            state: State::new(sources.title.clone(), sources.guess_first),
-            sources,
-        }
+        let title = sources.title.clone();
+        let (order, mut state) = match sources.opens {
+            Opens::Comparison(error_of) => {
+                (Order::Compare(error_of), State::of_a_comparison(title))
+            }
+            _ => (Order::Diagnose, State::new(title, sources.guess_first)),
+        };
+        state.opens_traces = sources.opens == Opens::Traces;
+        let _ = sources.orders.send(order);
+        Self { state, sources }
     }
 
     fn act(&mut self, event: Event) -> Option<Exit> {
@@ -86,6 +116,11 @@ impl Screen for DiagnosisScreen {
             if let Some(exit) = self.act(event) {
                 return (true, Some(exit));
             }
+        }
+        if self.state.is_moving() {
+            is_told = true;
+            // A frame asks for nothing.
+            let _ = self.state.update(Event::Frame);
         }
         let hangs_up = self.sources.hang_up.load(Ordering::Acquire);
         (is_told, hangs_up.then_some(Exit::Interrupted))

@@ -5,14 +5,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::diagnosis::{
-    AddResult, AxisMap, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Event as Found,
-    NextExperiment, Status,
+    AddResult, AxisMap, Candidate, Comparison, CurvePoint, Diagnosis, DiagnosisVerdict,
+    EffectCurve, Event as Found, NextExperiment, Status,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect::{self, Axis};
 use crate::text::number::probability;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
+use crate::tui::traces::{FRAMES, TracesPage};
 use crate::workflow::{News, Order};
 
 const GUESS_FIRST: &str = "guess first: g takes the selected row, Esc shows the names";
@@ -25,6 +26,8 @@ pub(super) enum Event {
     News(News),
     /// The worker has ended and carries nothing out any more.
     WorkerGone,
+    /// One frame of a change that is being drawn.
+    Frame,
 }
 
 /// An effect while the search is under way.
@@ -66,8 +69,10 @@ pub(super) enum Over {
     Map(usize),
     /// What these runs do not tell, and the run that would, from this line on.
     Next(usize),
-    /// The curve that the error follows along this axis of [`State::curves`], from this row on.
-    Curve(usize, usize),
+    /// This one of [`State::drawn`], the cursor on this point, where it is on one.
+    Curve(usize, Option<usize>),
+    /// Measured and model over time.
+    Traces,
     /// From this row on.
     Help(usize),
 }
@@ -102,6 +107,8 @@ impl Row<'_> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct State {
     pub(super) title: String,
+    /// Nothing is searched before it is asked for.
+    pub(super) is_a_comparison: bool,
     /// What the worker is doing.
     pub(super) working: Option<String>,
     pub(super) comparison: Option<Arc<Comparison>>,
@@ -112,6 +119,13 @@ pub(super) struct State {
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
     /// The run that would tell more.
     pub(super) next: Option<Arc<NextExperiment>>,
+    pub(super) traces: TracesPage,
+    /// They come over the page as soon as they are there.
+    pub(super) opens_traces: bool,
+    /// The error alone, and the effects that can be drawn through it.
+    pub(super) curves: Vec<Arc<EffectCurve>>,
+    /// Frames until the fall of the error is drawn.
+    pub(super) falling: u8,
     /// Effects of the model as it stands.
     pub(super) present: Vec<&'static str>,
     pub(super) ladder: Vec<Step>,
@@ -145,6 +159,44 @@ impl State {
             },
             ..Self::default()
         }
+    }
+
+    /// The screen of a comparison alone: nothing is searched before it is asked for.
+    pub(super) fn of_a_comparison(title: String) -> Self {
+        Self {
+            is_a_comparison: true,
+            working: Some("comparing".to_owned()),
+            ..Self::new(title, false)
+        }
+    }
+
+    /// Whether there is a comparison and nobody has asked for more.
+    pub(super) fn only_compares(&self) -> bool {
+        self.is_a_comparison && self.working.is_none() && self.comparison.is_some()
+    }
+
+    /// Whether something is being drawn frame by frame; it ends by itself.
+    pub(super) const fn is_moving(&self) -> bool {
+        self.falling > 0 || self.traces.is_moving()
+    }
+
+    /// Share of the fall of the error that is drawn.
+    pub(super) fn fallen_share(&self) -> f64 {
+        1.0 - f64::from(self.falling) / f64::from(FRAMES)
+    }
+
+    /// What the curve page goes through: the curve of the selected effect, where it has one, else the error alone; then what
+    /// an unexplained error follows, each with its place in the diagnosis.
+    pub(super) fn drawn(&self) -> Vec<(Arc<EffectCurve>, Option<usize>)> {
+        let rows = self.rows();
+        let selected = rows.get(self.selected(&rows)).and_then(Row::effect);
+        let selected = selected.map(|effect| effect.card().id);
+        let of = |id: Option<&str>| self.curves.iter().find(|curve| curve.effect == id);
+        let own = selected.and_then(|id| of(Some(id))).or_else(|| of(None));
+        let mut drawn: Vec<_> = own.map(|own| (Arc::clone(own), None)).into_iter().collect();
+        let maps = self.curves().into_iter();
+        drawn.extend(maps.map(|(place, map)| (Arc::new(of_a_map(map)), Some(place))));
+        drawn
     }
 
     /// The rows of the list, in the order in which they are shown.
@@ -198,6 +250,10 @@ impl State {
         match event {
             Event::Press(press) => return self.press(press),
             Event::News(news) => self.hear(news),
+            Event::Frame => {
+                self.falling = self.falling.saturating_sub(1);
+                self.traces.frame();
+            }
             Event::WorkerGone => {
                 let without_answer = self.working.take().is_some();
                 if std::mem::take(&mut self.writing) {
@@ -216,9 +272,22 @@ impl State {
             News::Progress(found) => self.found(found),
             News::Compared(comparison) => {
                 self.comparison = Some(Arc::from(comparison));
-                self.before = false;
+                self.show_before(false);
             }
             News::Diagnosed(diagnosis) => self.diagnosed(*diagnosis),
+            News::Traced(traces) => {
+                self.traces.take(*traces);
+                if std::mem::take(&mut self.opens_traces) {
+                    self.over = Over::Traces;
+                }
+            }
+            News::Curves(curves) => {
+                self.curves = curves.into_iter().map(Arc::new).collect();
+                if self.is_a_comparison {
+                    // The last of it.
+                    self.working = None;
+                }
+            }
             News::Recommended(next) => self.next = Some(Arc::from(next)),
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
@@ -289,6 +358,7 @@ impl State {
             let last = result.ladder.last();
             let step = last.map(|rung| Step::new(name, rung.holdout_rmse, &result.fit.noise));
             self.ladder.extend(step);
+            self.falling = FRAMES;
             self.present = result.fit.model.effect_ids();
             self.comparison = Some(Arc::new(result.after.clone()));
             // What is missing now is searched anew.
@@ -301,7 +371,7 @@ impl State {
         } else {
             self.say("refused; u takes the last change back");
         }
-        self.before = false;
+        self.show_before(false);
         self.change = Some((added, Arc::new(result)));
     }
 
@@ -309,6 +379,7 @@ impl State {
     fn search_begins(&mut self, changed: &'static str) {
         self.diagnosis = None;
         self.next = None;
+        self.curves.clear();
         self.judged.clear();
         self.taken.clear();
         self.selected = Some(changed);
@@ -325,6 +396,8 @@ impl State {
             Press::Interrupt => return Some(Effect::Leave(Exit::Interrupted)),
             Press::Stop if self.leaving => self.leaving = false,
             _ if self.leaving => self.say(LEAVING),
+            Press::Move(_) | Press::Stop
+                if self.over == Over::Traces && self.traces.press(press) => {}
             Press::Quit if self.over != Over::Nothing => self.over = Over::Nothing,
             Press::Quit if self.writing => {
                 self.leaving = true;
@@ -333,6 +406,19 @@ impl State {
             Press::Quit => return Some(Effect::Leave(self.exit())),
             Press::Move(rows) => self.go(rows),
             _ if matches!(self.over, Over::Help(_)) => self.over = Over::Nothing,
+            Press::Traces => self.see_traces(),
+            _ if self.over == Over::Traces && self.traces.press(press) => {}
+            Press::Cursor(way) => self.move_cursor(way),
+            // The worst place is also a way into the page.
+            Press::Worst => {
+                self.see_traces();
+                self.traces.press(press);
+            }
+            Press::Diagnose if self.only_compares() => {
+                self.is_a_comparison = false;
+                self.order("fitting the model".to_owned());
+                return Some(Effect::Order(Order::Diagnose));
+            }
             Press::Open => self.open(),
             Press::Add => return self.add(),
             Press::Remove => return self.remove(),
@@ -368,10 +454,11 @@ impl State {
 
     fn go(&mut self, by: i32) {
         let by = by as isize;
-        if let Over::Card(line) | Over::Next(line) | Over::Help(line) | Over::Curve(_, line) =
-            &mut self.over
-        {
+        if let Over::Card(line) | Over::Next(line) | Over::Help(line) = &mut self.over {
             *line = line.saturating_add_signed(by);
+            return;
+        }
+        if matches!(self.over, Over::Traces | Over::Map(_)) {
             return;
         }
         let rows = self.rows();
@@ -479,8 +566,14 @@ impl State {
                 result.effect
             )
         };
-        self.before = !self.before;
+        self.show_before(!self.before);
         self.say(text);
+    }
+
+    /// Comparison and traces of the model before the last change, or as it stands.
+    fn show_before(&mut self, before: bool) {
+        self.before = before;
+        self.traces.see_before(before);
     }
 
     fn remove(&mut self) -> Option<Effect> {
@@ -531,25 +624,51 @@ impl State {
         };
     }
 
-    /// Goes through the curves that the error follows.
+    fn see_traces(&mut self) {
+        self.over = match self.over {
+            Over::Traces => Over::Nothing,
+            over if self.traces.is_empty() => {
+                self.say("not yet: the model is being fitted");
+                over
+            }
+            _ => Over::Traces,
+        };
+    }
+
+    /// From point to point of the curve in sight.
+    fn move_cursor(&mut self, way: i32) {
+        let Over::Curve(index, at) = self.over else {
+            return;
+        };
+        let drawn = self.drawn();
+        let points = drawn.get(index).map_or(0, |(curve, _)| curve.points.len());
+        let first = if way > 0 { 0 } else { points.saturating_sub(1) };
+        let next = at.map_or(first, |at| at.saturating_add_signed(way as isize));
+        let next = (points > 0).then(|| next.min(points - 1));
+        self.over = Over::Curve(index, next);
+    }
+
+    /// Goes through the curves: of the selected effect, then those that an unexplained error follows.
     fn curve(&mut self) {
-        let curves = self.curves().len();
+        let curves = self.drawn().len();
         self.over = match self.over {
             _ if self.guessing == Guessing::Choosing => {
                 self.say(GUESS_FIRST);
                 Over::Nothing
             }
-            _ if self.diagnosis.is_none() => {
-                self.say("not yet: the curve is drawn where no effect explains the error");
-                self.over
+            over if curves == 0 && self.working.is_some() => {
+                self.say("not yet: the curve is drawn when the model has been compared");
+                over
             }
             _ if curves == 0 => {
-                self.say("there is no curve: the error is explained, or follows no axis");
+                self.say(
+                    "there is no curve: these runs have too few windows with speed and current",
+                );
                 Over::Nothing
             }
-            Over::Curve(index, _) if index + 1 < curves => Over::Curve(index + 1, 0),
+            Over::Curve(index, _) if index + 1 < curves => Over::Curve(index + 1, None),
             Over::Curve(..) => Over::Nothing,
-            _ => Over::Curve(0, 0),
+            _ => Over::Curve(0, None),
         };
     }
 
@@ -559,14 +678,24 @@ impl State {
             self.say(reason);
             return None;
         }
-        let index = match self.over {
-            Over::Curve(index, _) => index,
-            _ => 0,
+        let drawn = self.drawn();
+        let in_sight = match self.over {
+            Over::Curve(index, _) => drawn.get(index).and_then(|(_, place)| *place),
+            _ => None,
         };
         let is_open = self.guessing != Guessing::Choosing;
         let curves = self.curves();
-        let Some((place, map)) = curves.get(index).filter(|_| is_open) else {
-            self.curve();
+        let mut wanted = curves.iter();
+        let map = match in_sight {
+            Some(in_sight) => wanted.find(|(place, _)| *place == in_sight),
+            None => wanted.next(),
+        };
+        let Some((place, map)) = map.filter(|_| is_open) else {
+            if is_open && self.diagnosis.is_some() {
+                self.say("there is no curve to add: the error is explained, or follows no axis");
+            } else {
+                self.curve();
+            }
             return None;
         };
         let (place, equation, axis) = (*place, map.equation, map.axis);
@@ -628,6 +757,42 @@ impl State {
             self.guessing = Guessing::Off;
             self.selected = None;
         }
+    }
+}
+
+/// The curve that an unexplained error follows, as one that is drawn.
+fn of_a_map(map: &AxisMap) -> EffectCurve {
+    let axis = Axis::from_key(map.axis);
+    let points = map.knots.iter().zip(&map.values).enumerate();
+    let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
+        at: *at,
+        mean: *mean,
+        std: map.std.get(knot).copied().unwrap_or(f64::NAN),
+        count: 0,
+    };
+    EffectCurve {
+        effect: None,
+        equation: map.equation,
+        unit: if map.equation == "voltage" {
+            "V"
+        } else {
+            "N.m"
+        },
+        axis: map.axis,
+        axis_unit: axis.map_or("", Axis::unit),
+        axis_name: map
+            .axis_label()
+            .split(',')
+            .next()
+            .unwrap_or_default()
+            .to_owned(),
+        why_axis: Some(map.sentence.clone()),
+        points: points.map(point).collect(),
+        line: Vec::new(),
+        with_it: Vec::new(),
+        noise: None,
+        rms_without: f64::NAN,
+        rms_with: None,
     }
 }
 

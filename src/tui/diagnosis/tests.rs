@@ -7,12 +7,17 @@ use ratatui::backend::TestBackend;
 
 use super::state::{Event, Guess, Guessing, Over, State, compared};
 use super::view::view;
-use crate::diagnosis::{AddResult, Diagnosis, DiagnosisVerdict, Event as Found, Status};
-use crate::identification::noise::FloorSource;
+use crate::diagnosis::{
+    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, Event as Found, Status,
+    effect_curve, error_curve,
+};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::plant::testing::with_a_fan;
 use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
-use crate::tui::testing::{self, number};
+use crate::tui::testing::{self, fan_model, fan_traces, number};
+use crate::tui::traces::FRAMES;
 use crate::workflow::{News, Order};
 
 /// What is left once the effect is in the model.
@@ -98,6 +103,58 @@ fn at_the_floor() -> State {
     state
 }
 
+/// Curves of a run with a fan: the error alone, and the fan drawn through it.
+fn fan_curves() -> Vec<EffectCurve> {
+    let run = with_a_fan(1);
+    let noise = NoiseFloor::from_standstill(&run).unwrap();
+    let error = error_curve(&fan_model(false), &run, &noise).unwrap();
+    let fan = effect_curve(&fan_model(true), "quadratic_load", &run, &noise).unwrap();
+    [error, fan].into_iter().flatten().collect()
+}
+
+/// The answer to a run with a fan, with its traces and curves.
+fn of_a_fan() -> State {
+    let mut state = begun(false);
+    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
+    let mut found = diagnosis();
+    found.candidates[0] = candidate(1, "quadratic_load", Status::Supported, 1.03);
+    (found.effect, found.effects) = (Some("quadratic_load"), vec!["quadratic_load"]);
+    found.sentence = found
+        .sentence
+        .replace("stribeck_friction", "quadratic_load");
+    answer(&mut state, found);
+    hear(&mut state, News::Curves(fan_curves()));
+    state
+}
+
+/// The fan was added; its fall is drawn half.
+fn falling() -> State {
+    let mut state = of_a_fan();
+    press(&mut state, Press::Add);
+    hear(&mut state, added("quadratic_load", true));
+    hear(&mut state, News::Traced(Box::new(fan_traces(true))));
+    for _ in 0..FRAMES / 2 {
+        state.update(Event::Frame);
+    }
+    state
+}
+
+/// Nothing but a comparison.
+fn compared_alone() -> State {
+    let mut state = State::of_a_comparison("run-a, held out run-b".to_owned());
+    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
+    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
+    hear(&mut state, News::Curves(fan_curves()));
+    state
+}
+
+fn pressed(mut state: State, keys: &[Press]) -> State {
+    for key in keys {
+        assert_eq!(press(&mut state, *key), None, "{key:?}");
+    }
+    state
+}
+
 fn terminal(state: &State, width: u16, height: u16) -> Terminal<TestBackend> {
     testing::terminal((width, height), |frame| view(state, frame))
 }
@@ -139,14 +196,50 @@ fn fixed_screens() {
     }
 }
 
-const OVER: [Over; 7] = [
+/// The sizes that every page is looked at in.
+const SIZES: [(u16, u16); 4] = [(40, 10), (80, 24), (120, 40), (200, 50)];
+
+#[test]
+fn fixed_pages() {
+    let traces = pressed(of_a_fan(), &[Press::Traces]);
+    let worst = pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)]);
+    let signals = pressed(of_a_fan(), &[Press::Traces, Press::Signals, Press::Move(1)]);
+    let curve = pressed(of_a_fan(), &[Press::Curve]);
+    let point = pressed(curve.clone(), &[Press::Cursor(-1), Press::Cursor(-1)]);
+    let map = pressed(of_a_fan(), &[Press::Map]);
+    for (name, state) in [
+        ("fan", of_a_fan()),
+        ("traces", traces),
+        ("curve", curve),
+        ("map", map),
+        ("compared", compared_alone()),
+        ("falling", falling()),
+    ] {
+        for (width, height) in SIZES {
+            let name = format!("page_{name}_{width}x{height}");
+            assert_snapshot!(name, text(&state, width, height));
+        }
+    }
+    for (name, state) in [
+        ("worst", worst),
+        ("signals", signals),
+        ("curve_cursor", point),
+        ("drawn_over", pressed(falling(), &[Press::Traces])),
+    ] {
+        assert_snapshot!(format!("page_{name}_80x24"), text(&state, 80, 24));
+    }
+}
+
+const OVER: [Over; 9] = [
     Over::Card(3),
     Over::Map(0),
     Over::Map(1),
     Over::Next(1),
     Over::Help(0),
     Over::Help(7),
-    Over::Curve(0, 2),
+    Over::Curve(0, Some(2)),
+    Over::Curve(7, None),
+    Over::Traces,
 ];
 
 fn state() -> impl Strategy<Value = State> {
@@ -157,7 +250,9 @@ fn state() -> impl Strategy<Value = State> {
         Just(Over::Map(1)),
         (0..400_usize).prop_map(Over::Next),
         (0..400_usize).prop_map(Over::Help),
-        (0..3_usize, 0..40_usize).prop_map(|(index, row)| Over::Curve(index, row)),
+        (0..3_usize, prop::option::of(0..40_usize))
+            .prop_map(|(index, point)| Over::Curve(index, point)),
+        Just(Over::Traces),
     ];
     let verdict = prop::sample::select(vec![
         DiagnosisVerdict::Effect,
@@ -166,7 +261,7 @@ fn state() -> impl Strategy<Value = State> {
         DiagnosisVerdict::Unexplained,
     ]);
     let numbers = prop::collection::vec(number(), 8);
-    let (kind, down) = (0..5_usize, 0..40_i32);
+    let (kind, down) = (0..8_usize, 0..40_i32);
     (
         kind,
         over,
@@ -182,6 +277,9 @@ fn state() -> impl Strategy<Value = State> {
                 1 => searching(false),
                 2 => searching(true),
                 3 => at_the_floor(),
+                4 => of_a_fan(),
+                5 => falling(),
+                6 => compared_alone(),
                 _ => answered(),
             };
             let mut answer = diagnosis();
@@ -198,7 +296,7 @@ fn state() -> impl Strategy<Value = State> {
                     parameter.std = Some(numbers[7]);
                 }
             }
-            if kind > 2 {
+            if kind > 2 && kind != 6 {
                 hear(&mut state, News::Diagnosed(Box::new(answer)));
             } else {
                 let found = Found::Screened {
@@ -235,7 +333,11 @@ proptest! {
 
 #[test]
 fn every_small_size() {
-    for state in [begun(false), searching(true), answered(), at_the_floor()] {
+    let more = [of_a_fan(), falling(), compared_alone()];
+    for state in [begun(false), searching(true), answered(), at_the_floor()]
+        .into_iter()
+        .chain(more)
+    {
         for over in OVER.into_iter().chain([Over::Nothing]) {
             let mut state = state.clone();
             state.over = over;
@@ -270,6 +372,9 @@ fn every_state() -> Vec<State> {
         answered(),
         at_the_floor(),
         failed,
+        of_a_fan(),
+        falling(),
+        compared_alone(),
     ];
     for index in 0..states.len() {
         for over in OVER {
@@ -571,6 +676,94 @@ fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
     press(&mut bare, Press::Map);
     assert_eq!(bare.over, Over::Nothing);
     assert!(told(&bare).starts_with("there is no map"));
+}
+
+#[test]
+fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
+    let mut state = of_a_fan();
+    press(&mut state, Press::Curve);
+    shows(
+        &state,
+        &["without quadratic_load", "with it", "over speed, rad/s"],
+    );
+    let after_it = press(&mut state, Press::Curve);
+    assert_eq!((after_it, state.over), (None, Over::Nothing));
+    // The next row has no size: the error alone.
+    press(&mut state, DOWN);
+    press(&mut state, Press::Curve);
+    shows(&state, &["error of the model", "no effect is drawn"]);
+    // What no effect explains follows, and can be added as a curve.
+    let mut found = diagnosis();
+    found.verdict = DiagnosisVerdict::Unexplained;
+    found.axis_map = vec![AxisMap {
+        equation: "torque",
+        axis: "speed_rad_s",
+        r2: 0.8,
+        knots: vec![0.0, 50.0, 100.0],
+        values: vec![0.0, 0.1, 0.05],
+        std: vec![0.01; 3],
+        error_over_noise: None,
+        sentence: "80 % of the torque error follows the speed".to_owned(),
+    }];
+    answer(&mut state, found);
+    press(&mut state, Press::Curve);
+    assert_eq!(state.over, Over::Curve(1, None));
+    shows(&state, &["80 % of the torque error follows the speed"]);
+    let effect = press(&mut state, Press::Table);
+    assert_eq!(effect, Some(Effect::Order(Order::AddCurve(0))));
+}
+
+#[test]
+fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
+    for key in [Press::Curve, Press::Traces, Press::Worst] {
+        let mut state = State::new(String::new(), false);
+        press(&mut state, key);
+        assert_eq!(state.over, Over::Nothing, "{key:?}");
+        assert!(
+            told(&state).starts_with("not yet"),
+            "{key:?}: {}",
+            told(&state)
+        );
+    }
+}
+
+#[test]
+fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
+    let mut state = of_a_fan();
+    assert!(!state.is_moving());
+    press(&mut state, Press::Add);
+    hear(&mut state, added("quadratic_load", true));
+    hear(&mut state, News::Traced(Box::new(fan_traces(true))));
+    let bar = |state: &State| {
+        let shown = text(state, 120, 40);
+        let row = shown.lines().find(|row| row.contains("+ quadratic_load"));
+        let row = row.unwrap_or_else(|| panic!("{shown}"));
+        assert!(row.contains("1.03"), "the figure is true at once: {row}");
+        row.matches('█').count()
+    };
+    let mut lengths = vec![bar(&state)];
+    while state.is_moving() {
+        assert_eq!(state.update(Event::Frame), None);
+        lengths.push(bar(&state));
+        assert!(lengths.len() <= usize::from(FRAMES) + 1, "it ends");
+    }
+    assert!(
+        lengths.windows(2).all(|pair| pair[1] <= pair[0]),
+        "{lengths:?}"
+    );
+    assert!(lengths[0] > 3 * lengths[lengths.len() - 1], "{lengths:?}");
+    assert!(lengths.len() > 10);
+}
+
+#[test]
+fn a_comparison_alone_searches_only_when_it_is_asked_to() {
+    let mut state = compared_alone();
+    assert!(state.only_compares() && state.working.is_none());
+    shows(&state, &["residual", "d diagnose"]);
+    let effect = press(&mut state, Press::Diagnose);
+    assert_eq!(effect, Some(Effect::Order(Order::Diagnose)));
+    assert!(!state.only_compares());
+    assert_eq!(press(&mut state, Press::Diagnose), None, "not twice");
 }
 
 #[test]

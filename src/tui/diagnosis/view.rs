@@ -10,20 +10,22 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
+use super::charts;
 use super::state::{Guessing, Over, Row, State, Step};
 use crate::diagnosis::{
-    AddResult, Answer, Candidate, Comparison, Diagnosis, DiagnosisVerdict, MapDigits, Reached,
-    ResidualLights, Status,
+    AddResult, Answer, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
+    Status,
 };
 use crate::plant::effect;
 use crate::report::SignalFigures;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::{percent, probability, shortest, significant, with_std};
+use crate::text::number::{percent, probability, significant};
 use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
 use crate::tui::keys::On;
 use crate::tui::live::parameter_name;
 use crate::tui::theme;
+use crate::tui::traces::{self, TracesPage};
 
 /// Rungs that are shown; the latest ones where there are more.
 const MOST_RUNGS: usize = 5;
@@ -55,6 +57,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     let failing_rows = failing_rows(state, area.width).min(most);
     let rungs = state.ladder.len().min(MOST_RUNGS) as u16;
     let change_rows = u16::try_from(changes(state, area.width).len()).unwrap_or(0);
+    let strip_rows = strip_rows(state, area);
     let ladder_rows = match area.height {
         0..=13 => 0,
         _ if rungs == 0 => 0,
@@ -66,10 +69,11 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         let most = if tall { 4 } else { 1 };
         rows_of(&format!("> {text}"), width.saturating_sub(1), most)
     });
-    let [top, verdict, where_area, list, ladder_area, bottom] = Layout::vertical([
+    let [top, verdict, where_area, strip, list, ladder_area, bottom] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(verdict_rows),
         Constraint::Length(failing_rows),
+        Constraint::Length(strip_rows),
         Constraint::Fill(1),
         Constraint::Length(ladder_rows),
         Constraint::Length(bottom_rows),
@@ -80,20 +84,26 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         .wrap(Wrap { trim: false })
         .render(verdict, buffer);
     let body = Rect {
-        height: where_area.height + list.height + ladder_area.height,
+        height: where_area.height + strip.height + list.height + ladder_area.height,
         ..where_area
     };
     match state.over {
         Over::Nothing | Over::Help(_) => {
             failing(state, where_area, buffer);
-            candidates(state, list, buffer);
+            if state.only_compares() {
+                traces::view(&state.traces, list, buffer);
+            } else {
+                traces::strip(&state.traces, strip, buffer);
+                candidates(state, list, buffer);
+            }
             ladder(state, ladder_area, buffer);
         }
         _ if body.height == 0 => {}
         Over::Card(line) => card(state, line, body, buffer),
-        Over::Map(index) => map(state, index, body, buffer),
+        Over::Map(index) => charts::map(state, index, body, buffer),
+        Over::Traces => traces::view(&state.traces, body, buffer),
         Over::Next(line) => next(state, line, body, buffer),
-        Over::Curve(index, line) => curve(state, index, line, body, buffer),
+        Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
     if let Over::Help(row) = state.over {
         let under_top = Rect {
@@ -107,6 +117,18 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     hints(message, &keys, always, bottom, buffer);
 }
 
+/// Rows of the traces on the page itself, where it is large.
+fn strip_rows(state: &State, area: Rect) -> u16 {
+    if state.traces.is_empty() || state.only_compares() || area.height < WITH_TRACES {
+        return 0;
+    }
+    (area.height / 4).min(HIGHEST_STRIP)
+}
+
+/// Height from which on the page itself shows traces, and the most that they take of it.
+const WITH_TRACES: u16 = 36;
+const HIGHEST_STRIP: u16 = 14;
+
 fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
     let work = match (&state.working, &state.failure) {
         (Some(work), _) => Span::styled(format!(" … {work} "), theme::CAREFUL),
@@ -115,9 +137,14 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         (None, None) => Span::styled(" ready ", theme::GOOD),
     };
     let width = (work.width() as u16).min(area.width);
-    let room = usize::from(area.width - width).saturating_sub(" DIAGNOSIS ".len());
+    let screen = if state.is_a_comparison {
+        " COMPARISON "
+    } else {
+        " DIAGNOSIS "
+    };
+    let room = usize::from(area.width - width).saturating_sub(screen.len());
     Line::from(vec![
-        Span::styled(" DIAGNOSIS ", theme::BOLD),
+        Span::styled(screen, theme::BOLD),
         Span::styled(cut(&state.title, room), theme::DIM),
     ])
     .render(area, buffer);
@@ -135,6 +162,9 @@ fn verdict_line(state: &State) -> Line<'static> {
     }
     if state.guessing == Guessing::Choosing {
         return Line::styled(guess_first(state), theme::BOLD);
+    }
+    if let (true, Some(comparison)) = (state.only_compares(), &state.comparison) {
+        return Line::styled(format!(" {}", comparison.headline()), theme::BOLD);
     }
     let Some(diagnosis) = &state.diagnosis else {
         let judged = state.judged.values();
@@ -214,33 +244,44 @@ fn word(diagnosis: &Diagnosis) -> (String, Style) {
 /// The keys that do something now, the first first, and those that are always shown.
 fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
     const LEAVE: &str = "? help  q leave";
-    let curves = state.curves().len();
+    let followed = state.curves().len();
+    let drawn = state.drawn().len();
     let (keys, always) = match state.over {
+        Over::Traces if state.traces.is_choosing() => ("Up Down select|Enter show", "Esc back"),
+        Over::Traces => (TracesPage::KEYS, "v Esc back"),
         Over::Card(_) => ("Up Down scroll|a add|r remove", "Esc back"),
         Over::Next(_) => ("Up Down scroll", "n Esc back"),
         Over::Map(0) => ("e the other equation", "Esc back"),
         Over::Map(_) => ("", "e Esc back"),
-        Over::Curve(index, _) if index + 1 < curves => {
-            ("t add it|c the next curve|Up Down scroll", "Esc back")
+        Over::Curve(index, _) if index + 1 < drawn => {
+            ("c the next curve|Left Right cursor|t add curve", "Esc back")
         }
-        Over::Curve(..) => ("t add it|Up Down scroll", "c Esc back"),
+        Over::Curve(..) if followed > 0 => ("Left Right cursor|t add curve", "c Esc back"),
+        Over::Curve(..) => ("Left Right cursor|a add|r remove", "c Esc back"),
         Over::Help(_) => ("Up Down scroll", "any other key closes the help"),
         Over::Nothing if state.guessing == Guessing::Choosing => (
-            "g guess it|Esc show names|Up Down choose|Enter card|e map",
+            "g guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
         ),
-        Over::Nothing if state.working.is_some() => {
-            ("Up Down select|Enter card|g guess first|e map", LEAVE)
+        Over::Nothing if state.only_compares() => {
+            ("d diagnose|v traces|j worst place|c curve|e map", LEAVE)
         }
-        Over::Nothing if curves > 0 => (
-            "c curve|t add it|a add|r remove|w write|n next run|e map",
+        Over::Nothing if state.working.is_some() => (
+            "v traces|Up Down select|Enter card|g guess first|e map",
+            LEAVE,
+        ),
+        Over::Nothing if followed > 0 => (
+            "c curve|t add it|v traces|a add|r remove|w write|n next run|e map",
             LEAVE,
         ),
         Over::Nothing if state.ladder.len() > 1 => (
-            "a add|r remove|u undo|b before|w write|n next run|Enter card|e map",
+            "a add|v traces|c curve|r remove|u undo|b before|w write|n next run|Enter card|e map",
             LEAVE,
         ),
-        Over::Nothing => ("a add|r remove|w write|Enter card|n next run|e map", LEAVE),
+        Over::Nothing => (
+            "a add|v traces|c curve|r remove|w write|Enter card|n next run|e map",
+            LEAVE,
+        ),
     };
     (
         keys.split('|').filter(|key| !key.is_empty()).collect(),
@@ -523,8 +564,18 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     let errors = state.ladder.iter().map(|step| step.error);
     let largest = errors.filter(|error| error.is_finite()).fold(1.0, f64::max);
     let hidden = state.ladder.len().saturating_sub(room);
-    let steps = state.ladder.iter().skip(hidden);
-    lines.extend(steps.map(|step| rung(step, largest, floor, usize::from(inner.width))));
+    let width = usize::from(inner.width);
+    let before = std::iter::once(None).chain(state.ladder.iter().map(Some));
+    let steps = before.zip(&state.ladder).enumerate().skip(hidden);
+    lines.extend(steps.map(|(index, (before, step))| {
+        // The bar of the last change falls, or rises, from the one above it; the figure is the true one at once.
+        let is_last = index + 1 == state.ladder.len();
+        let from = before
+            .filter(|_| is_last)
+            .map_or(step.error, |before| before.error);
+        let bar = from + state.fallen_share() * (step.error - from);
+        rung(step, bar, largest, floor, width)
+    }));
     Paragraph::new(lines).render(inner, buffer);
 }
 
@@ -540,11 +591,11 @@ fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
         .collect()
 }
 
-fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
+fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<'static> {
     let length = width.saturating_sub(NAME + 26).clamp(4, LONGEST);
     // The floor has a cell of its own, also when the error is at it.
     let cell = |error: f64| ((error / largest).clamp(0.0, 1.0) * length as f64).round() as usize;
-    let (full, mark) = (cell(step.error), floor.then(|| cell(1.0)));
+    let (full, mark) = (cell(bar), floor.then(|| cell(1.0)));
     let bar: String = (0..=length)
         .map(|at| match (Some(at) == mark, at < full) {
             (true, _) => '│',
@@ -642,122 +693,6 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
         lines.push(paragraph(title, text));
     }
     page(lines, first, inner, buffer);
-}
-
-/// Longest half of a bar.
-const LONGEST_HALF: usize = 30;
-/// Columns of a knot and its value.
-const FIGURES: usize = 34;
-
-/// What the error follows where no effect explains it: its curve along one axis, knot by knot. `index` counts the curves,
-/// the clearest first; `first` is the first knot in sight.
-pub(super) fn curve(state: &State, index: usize, first: usize, area: Rect, buffer: &mut Buffer) {
-    let curves = state.curves();
-    let Some((_, map)) = curves.get(index) else {
-        return;
-    };
-    let title = format!("{}, over {}", map.title(), map.axis_label());
-    let place = format!("{} of {}", index + 1, curves.len());
-    let inner = titled_with(&title, &place, area, buffer);
-    let width = usize::from(inner.width);
-    let mut lines: Vec<Line<'static>> = wrapped(&map.sentence, width.saturating_sub(1))
-        .into_iter()
-        .map(|row| Line::styled(format!(" {row}"), theme::BOLD))
-        .collect();
-    let room = usize::from(inner.height).saturating_sub(lines.len());
-    let finite = map.values.iter().filter(|value| value.is_finite());
-    let largest = finite.fold(0.0, |most: f64, value| most.max(value.abs()));
-    let half = (width.saturating_sub(FIGURES + 1) / 2).clamp(1, LONGEST_HALF);
-    let first = first.min(map.knots.len().saturating_sub(room));
-    for knot in (first..map.knots.len()).take(room) {
-        let (value, std) = (map.values[knot], map.std.get(knot).copied());
-        let (left, right) = bars(value / largest, half);
-        // What its own uncertainty could be is not a finding.
-        let is_told = std.is_none_or(|std| value.abs() > CERTAIN * std);
-        let style = if is_told { theme::CAREFUL } else { theme::DIM };
-        let (knot, value) = (significant(map.knots[knot], 3), with_std(value, std));
-        lines.push(Line::from(vec![
-            Span::raw(format!(" {knot:>9} {value:>20} ")),
-            Span::styled(left, style),
-            Span::raw("│"),
-            Span::styled(right, style),
-        ]));
-    }
-    Paragraph::new(lines).render(inner, buffer);
-}
-
-/// Standard deviations from which on a value is told from zero.
-const CERTAIN: f64 = 2.6;
-
-/// Both halves of a bar around zero.
-fn bars(share: f64, half: usize) -> (String, String) {
-    let share = if share.is_finite() { share } else { 0.0 };
-    let cells = ((share.abs().min(1.0) * half as f64).round() as usize).min(half);
-    let (full, empty) = ("█".repeat(cells), " ".repeat(half - cells));
-    if share < 0.0 {
-        (empty + &full, " ".repeat(half))
-    } else {
-        (" ".repeat(half), full + &empty)
-    }
-}
-
-/// The error of one equation over speed x current, as digits: readable without colour. `index` 0 is the equation that
-/// fails worse.
-pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
-    let compared = state.compared();
-    let Some((comparison, map)) = compared.and_then(|found| Some((found, found.map.as_ref()?)))
-    else {
-        return;
-    };
-    let worse = comparison.balances.first();
-    let torque_first = worse.is_none_or(|balance| balance.equation == "torque");
-    let (equation, unit) = if torque_first == (index == 0) {
-        ("torque", "N.m")
-    } else {
-        ("voltage", "V")
-    };
-    let MapDigits { largest, rows } = map.digits(equation);
-    let nine = significant(largest, 3);
-    let title = format!("{equation} error over speed x current: 9 is {nine} {unit}, · never there");
-    let inner = titled(&title, area, buffer);
-    let room = usize::from(inner.height).saturating_sub(1);
-    let columns = map.current_edges_a.len().saturating_sub(1).max(1);
-    let cell_width = (usize::from(inner.width).saturating_sub(14) / columns).clamp(1, 6);
-    // Two rows for each speed where there is room, so that the map is nearly square.
-    let repeat = (room / rows.len().max(1)).clamp(1, 2);
-    let mut lines = Vec::new();
-    for (middle, digits) in &rows {
-        for copy in 0..repeat {
-            let label = if copy == 0 {
-                format!("{middle:>6.0} rad/s ")
-            } else {
-                " ".repeat(13)
-            };
-            let mut line = Line::from(Span::styled(label, theme::DIM));
-            line.extend(digits.iter().map(|digit| {
-                let mark = digit.map_or("·".to_owned(), |digit| digit.to_string());
-                let style = digit.map_or(theme::DIM, shade);
-                Span::styled(mark.repeat(cell_width), style)
-            }));
-            lines.push(line);
-        }
-    }
-    lines.truncate(room);
-    if let (Some(from), Some(to)) = (map.current_edges_a.first(), map.current_edges_a.last()) {
-        let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
-        let gap = (columns * cell_width).saturating_sub(from.chars().count());
-        let axis = format!("{:13}{from}{to:>gap$}", "");
-        lines.push(Line::styled(axis, theme::DIM));
-    }
-    Paragraph::new(lines).render(inner, buffer);
-}
-
-const fn shade(digit: usize) -> Style {
-    match digit {
-        0..=2 => theme::GOOD,
-        3..=5 => theme::CAREFUL,
-        _ => theme::BAD,
-    }
 }
 
 /// What these runs do not tell, and the run that would.

@@ -27,7 +27,7 @@ use ratatui::Frame;
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
 use crate::bench::{Intent, SnapshotCell};
-use crate::workflow::ProgressCell;
+use crate::workflow::{LeaningCell, ProgressCell};
 use model::{Event, Model};
 
 pub(super) use view::name as parameter_name;
@@ -36,6 +36,8 @@ pub(super) use view::name as parameter_name;
 #[derive(Debug)]
 pub struct LiveSources {
     pub snapshots: SnapshotCell,
+    /// What the residual leans on so far.
+    pub leaning: LeaningCell,
     /// The steps of a workflow, where there is one.
     pub workflow: Option<ProgressCell>,
     pub intents: Sender<Intent>,
@@ -85,6 +87,10 @@ impl LiveScreen {
         let snapshot = sources.snapshots.latest();
         if !Arc::ptr_eq(&snapshot, &model.snapshot) {
             events.push(Event::Snapshot(snapshot));
+        }
+        let leaning = sources.leaning.latest();
+        if !Arc::ptr_eq(&leaning, &model.leaning) {
+            events.push(Event::Leaning(leaning));
         }
         if let Some(latest) = sources.workflow.as_ref().map(ProgressCell::latest) {
             let shown = model.workflow.as_ref();
@@ -146,6 +152,11 @@ impl WorkerCell {
     #[must_use = "the work counts as finished as soon as this is dropped"]
     pub fn finish_on_drop(&self) -> FinishOnDrop {
         FinishOnDrop(self.clone())
+    }
+
+    /// Whether nothing more will happen.
+    pub fn is_finished(&self) -> bool {
+        self.state(false) != WorkerState::Working
     }
 
     fn state(&self, hang_up: bool) -> WorkerState {

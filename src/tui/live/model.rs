@@ -7,7 +7,7 @@ use crate::bench::{Intent, Phase, Snapshot, Target};
 use crate::sample::DriveState;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
-use crate::workflow::{Progress, Step};
+use crate::workflow::{Progress, Provisional, Step};
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
@@ -40,6 +40,7 @@ pub(super) enum Event {
     Snapshot(Arc<Snapshot>),
     Workflow(Arc<Progress>),
     Worker(WorkerState),
+    Leaning(Arc<Provisional>),
 }
 
 /// The state of the screen.
@@ -50,6 +51,8 @@ pub(super) struct Model {
     pub(super) frozen: Option<Arc<Snapshot>>,
     pub(super) workflow: Option<Arc<Progress>>,
     pub(super) worker: WorkerState,
+    /// What the residual leans on so far.
+    pub(super) leaning: Arc<Provisional>,
     pub(super) page: Page,
     /// First row of the help, where it is shown.
     pub(super) help: Option<usize>,
@@ -140,6 +143,7 @@ impl Model {
         match event {
             Event::Press(press) => return self.press(press),
             Event::Worker(state) => return self.worker_is(state),
+            Event::Leaning(leaning) => self.leaning = leaning,
             Event::Snapshot(snapshot) => {
                 self.snapshot = snapshot;
                 self.confirm_start &= self.waits_for_start();
@@ -203,7 +207,8 @@ impl Model {
                 return vec![Effect::Send(Intent::Mark(text))];
             }
             Press::Diagnose if self.can_diagnose() => return vec![Effect::Leave(Exit::Diagnosis)],
-            Press::Diagnose => {
+            Press::Traces if self.can_diagnose() => return vec![Effect::Leave(Exit::Traces)],
+            Press::Diagnose | Press::Traces => {
                 self.say("not yet: the diagnosis begins where a run has gone to its end");
             }
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),

@@ -12,8 +12,10 @@ use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
 use super::{WorkerCell, WorkerState};
 use crate::bench::{
-    Excitation, Intent, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind,
+    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Target, Timing,
+    TracePoint, Trip, TripKind,
 };
+use crate::diagnosis::Leaning;
 use crate::drive::LinkStatistics;
 use crate::report::page::Table;
 use crate::report::{Card, Tone};
@@ -21,7 +23,7 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Called, Progress, Role, Step, StepState, StepView};
+use crate::workflow::{Called, Progress, Provisional, Role, Step, StepState, StepView};
 
 fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
     ParameterEstimate::found(key, unit, value, std, None)
@@ -46,9 +48,26 @@ fn trace(seconds: f64) -> Vec<TracePoint> {
                 speed_rad_s: measured(speed),
                 model_speed_rad_s: speed * 1.1,
                 reference_rad_s: f64::NAN,
+                command_v: voltage,
+                applied_s: time_s,
             }
         })
         .collect()
+}
+
+/// Larger while the speed moves; none at standstill.
+fn innovations(seconds: f64) -> Vec<InnovationPoint> {
+    let points = trace(seconds).into_iter().step_by(5);
+    let point = |point: TracePoint| InnovationPoint {
+        time_s: point.time_s,
+        current_a: 0.1 * point.current_a,
+        speed_rad_s: if point.speed_rad_s == 0.0 {
+            f64::NAN
+        } else {
+            0.3 * point.current_a * (40.0 * point.time_s).sin()
+        },
+    };
+    points.map(point).collect()
 }
 
 fn notice(level: Level, text: &str) -> Notice {
@@ -79,6 +98,7 @@ fn running() -> Snapshot {
         total_s: 24.0,
         segment: Some("prbs".to_owned()),
         trace: Arc::new(trace(8.4)),
+        innovations: Arc::new(innovations(8.4)),
         estimates: Arc::new(estimates),
         excitation: Arc::new(Excitation::from([
             ("resistance_ohm", 0.98),
@@ -265,6 +285,25 @@ fn with(model: &Model, change: impl FnOnce(&mut Model)) -> Model {
     changed
 }
 
+/// The same while its residual leans on something.
+fn leaning(snapshot: Snapshot) -> Model {
+    let mut model = model(snapshot);
+    let leaning = |effect, share| Leaning {
+        effect,
+        equation: "torque",
+        share,
+        windows: 212,
+    };
+    model.update(Event::Leaning(Arc::new(Provisional {
+        effects: vec![
+            leaning("quadratic_load", 0.93),
+            leaning("viscous_friction", 0.41),
+        ],
+        seconds: 8.4,
+    })));
+    model
+}
+
 fn finished(mut model: Model) -> Model {
     finish(&mut model);
     model
@@ -272,7 +311,7 @@ fn finished(mut model: Model) -> Model {
 
 #[test]
 fn fixed_snapshots_and_the_other_screens() {
-    let (run, waiting) = (model(running()), model(hardware()));
+    let (run, waiting) = (leaning(running()), model(hardware()));
     let (trip, asked) = (
         model(tripped()),
         with(&waiting, |own| own.confirm_start = true),
@@ -295,6 +334,7 @@ fn fixed_snapshots_and_the_other_screens() {
         ("running_80x24", &run, 80, 24),
         ("running_120x40", &run, 120, 40),
         ("running_40x10", &run, 40, 10),
+        ("running_200x50", &run, 200, 50),
         ("tripped_80x24", &trip, 80, 24),
         ("tripped_40x10", &finished(trip.clone()), 40, 10),
         ("done_80x24", &finished(model(done())), 80, 24),
@@ -315,6 +355,21 @@ fn fixed_snapshots_and_the_other_screens() {
     ] {
         assert_snapshot!(name, text(model, width, height));
     }
+}
+
+#[test]
+fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
+    let run = leaning(running());
+    let shown = text(&run, 80, 24);
+    assert!(
+        shown.contains("provisional, 8 s: torque residual leans on"),
+        "{shown}"
+    );
+    let shown = text(&finished(leaning(done())), 80, 24);
+    assert!(!shown.contains("provisional"), "{shown}");
+    let guessing = with(&run, |own| own.guess_first = true);
+    let shown = text(&guessing, 80, 24);
+    assert!(!shown.contains("quadratic_load"), "{shown}");
 }
 
 #[test]
@@ -414,6 +469,8 @@ fn point() -> impl Strategy<Value = TracePoint> {
         speed_rad_s: of[3],
         model_speed_rad_s: of[4],
         reference_rad_s: of[5],
+        command_v: of[1],
+        applied_s: of[0],
     })
 }
 

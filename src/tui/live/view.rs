@@ -239,6 +239,9 @@ fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     }
 }
 
+/// Rows of the page from which on there is one for what the residual leans on.
+const WITH_LEANING: u16 = 9;
+
 /// The scope, and beside it parameters and link where there is room.
 fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = model.viewed();
@@ -249,8 +252,24 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         15..=29 => 2,
         _ => 4,
     };
-    let [body, bottom] =
-        Layout::vertical([Constraint::Fill(1), Constraint::Length(notice_rows)]).areas(area);
+    // What is provisional while the run goes on is no result when it is over.
+    let phase = model.snapshot.phase;
+    let goes_on = !model.is_finished() && phase.is_some_and(Phase::is_recorded);
+    let lean_rows = u16::from(goes_on && area.height >= WITH_LEANING);
+    let [body, lean, bottom] = Layout::vertical([
+        Constraint::Fill(1),
+        Constraint::Length(lean_rows),
+        Constraint::Length(notice_rows),
+    ])
+    .areas(area);
+    // It would give a name before the person has.
+    if model.leaning.seconds > 0.0 && !model.guess_first {
+        let text = cut(
+            &model.leaning.line(),
+            usize::from(lean.width).saturating_sub(1),
+        );
+        Line::styled(format!(" {text}"), theme::CAREFUL).render(lean, buffer);
+    }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
         scope(snapshot, model.window_s(), frozen, body, buffer);
@@ -343,7 +362,7 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
         let workflow = model.workflow.as_ref();
         workflow.is_some_and(|workflow| workflow.is_offered(step).is_ok())
     };
-    let mut keys = vec!["d diagnosis by hand"];
+    let mut keys = vec!["d diagnosis by hand", "v traces"];
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
     keys.extend([next, "Up Down scroll"]);

@@ -216,6 +216,11 @@ impl Search<'_> {
         (fit.follows >= WORTH_MENTIONING_SHARE && fit.strength >= BEYOND_CHANCE).then_some(fit)
     }
 
+    /// How much of the error follows these rows; `None` where that is not worth a sentence.
+    pub(super) fn followed_share(&self, rows: &[Vec<f64>]) -> Option<f64> {
+        self.fit(rows).map(|fit| fit.follows)
+    }
+
     /// Where along `at` most of what a fit explains lies.
     fn region(&self, rows: &[Vec<f64>], fit: &Fit, at: impl Fn(&Window) -> f64) -> Option<Region> {
         let along = self.of().zip(rows).map(|(window, row)| Point {
@@ -616,7 +621,7 @@ pub(super) fn name_of_variable(variable: &str) -> Option<&'static str> {
     Some(name_and_unit(variable).0).filter(|name| !name.is_empty())
 }
 
-pub(super) const fn name_of(key: MotorKey) -> &'static str {
+pub(in crate::diagnosis) const fn name_of(key: MotorKey) -> &'static str {
     match key {
         MotorKey::Resistance => "resistance",
         MotorKey::Inductance => "inductance",

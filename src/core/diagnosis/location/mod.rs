@@ -7,6 +7,7 @@
 //!                  |           the narrowest range that holds most of it; one sentence each
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |-> leaning which effect the residual follows so far, to first order, while a run goes on
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -18,6 +19,7 @@
 mod axis;
 mod curve;
 mod effect_curve;
+mod leaning;
 mod windows;
 
 use serde::Serialize;
@@ -25,8 +27,10 @@ use serde::Serialize;
 pub use self::curve::{AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
+pub use self::leaning::{Leaning, lean};
 
-use self::axis::{figure, name_of, name_of_variable};
+pub(super) use self::axis::name_of;
+use self::axis::{figure, name_of_variable};
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
@@ -412,18 +416,51 @@ pub struct ErrorMap {
     pub count: Vec<Vec<usize>>,
     pub torque_rms_n_m: Vec<Vec<Option<f64>>>,
     pub voltage_rms_v: Vec<Vec<Option<f64>>>,
+    /// Means of the same: positive where the model's torque against positive motion, or its voltage drop, is too low.
+    pub torque_mean_n_m: Vec<Vec<Option<f64>>>,
+    pub voltage_mean_v: Vec<Vec<Option<f64>>>,
 }
 
-/// The map of one equation as digits, readable without colour: 9 is its largest error.
+/// Which way a model is off in a cell of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Off {
+    TooLow,
+    TooHigh,
+    /// Now the one, now the other.
+    BothWays,
+}
+
+/// One cell of the map: from 0 to 9, its largest error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapCell {
+    pub digit: usize,
+    pub off: Off,
+}
+
+impl MapCell {
+    /// Digits where the model is too low, letters where it is too high, shades where it is both: read without colour.
+    pub fn glyph(self) -> char {
+        let of = |glyphs: &str| glyphs.chars().nth(self.digit).unwrap_or('?');
+        match self.off {
+            Off::TooLow => of("0123456789"),
+            Off::TooHigh => of("0abcdefghi"),
+            Off::BothWays => of("0░░░▒▒▒▓▓▓"),
+        }
+    }
+}
+
+/// The map of one equation, readable without colour.
 pub struct MapDigits {
     pub largest: f64,
     /// The highest speed first: the middle of the row in rad/s, and its cells, none where the run never was or where there
     /// is no error at all.
-    pub rows: Vec<(f64, Vec<Option<usize>>)>,
+    pub rows: Vec<(f64, Vec<Option<MapCell>>)>,
 }
 
 /// Digit of the largest error.
 const LARGEST_DIGIT: f64 = 9.0;
+/// Share of the root mean square that a mean must have for its sign to be told.
+const SIGNED_SHARE: f64 = 0.5;
 
 impl ErrorMap {
     /// What one equation lacks, cell by cell.
@@ -436,17 +473,30 @@ impl ErrorMap {
 
     pub fn digits(&self, equation: &str) -> MapDigits {
         let cells = self.cells(equation);
+        let means = match equation {
+            "torque" => &self.torque_mean_n_m,
+            _ => &self.voltage_mean_v,
+        };
         let known = |value: &Option<f64>| value.filter(|value| value.is_finite());
         let largest = cells.iter().flatten().filter_map(known).fold(0.0, f64::max);
-        let digit = |value: &Option<f64>| {
-            let share = known(value).filter(|_| largest > 0.0)? / largest;
-            Some(whole((LARGEST_DIGIT * share).round()))
+        let cell = |(rms, mean): (&Option<f64>, &Option<f64>)| {
+            let rms = known(rms).filter(|_| largest > 0.0)?;
+            let mean = known(mean).unwrap_or(0.0);
+            let off = if mean.abs() < SIGNED_SHARE * rms {
+                Off::BothWays
+            } else if mean > 0.0 {
+                Off::TooLow
+            } else {
+                Off::TooHigh
+            };
+            let digit = whole((LARGEST_DIGIT * rms / largest).round());
+            Some(MapCell { digit, off })
         };
         let middles = self.speed_edges_rad_s.windows(2);
         let middles = middles.map(|edges| 0.5 * (edges[0] + edges[1]));
-        let rows = middles.zip(cells);
+        let rows = middles.zip(cells.iter().zip(means));
         let mut rows: Vec<_> = rows
-            .map(|(middle, row)| (middle, row.iter().map(digit).collect()))
+            .map(|(middle, (row, means))| (middle, row.iter().zip(means).map(cell).collect()))
             .collect();
         rows.reverse();
         MapDigits { largest, rows }
@@ -467,7 +517,7 @@ impl ErrorMap {
         };
         let mut count = vec![vec![0; CELLS]; CELLS];
         let equations = [Balance::Torque, Balance::Voltage];
-        let mut sums = equations.map(|_| vec![vec![(0.0, 0_usize); CELLS]; CELLS]);
+        let mut sums = equations.map(|_| vec![vec![(0.0, 0.0, 0_usize); CELLS]; CELLS]);
         for window in &windows.each {
             if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
                 continue;
@@ -479,21 +529,30 @@ impl ErrorMap {
                 let error = window.error(equation);
                 if error.is_finite() {
                     cells[row][column].0 += error * error;
-                    cells[row][column].1 += 1;
+                    cells[row][column].1 += error;
+                    cells[row][column].2 += 1;
                 }
             }
         }
-        let rms = |(power, n): &(f64, usize)| (*n > 0).then(|| (power / *n as f64).sqrt());
-        let [torque_rms_n_m, voltage_rms_v] = sums.map(|cells| {
-            let rows = cells.iter();
-            rows.map(|row| row.iter().map(rms).collect()).collect()
-        });
+        type Sums = (f64, f64, usize);
+        let of = |value: fn(&Sums) -> f64| {
+            let cell = |sums: &Sums| (sums.2 > 0).then(|| value(sums));
+            let [torque, voltage] = &sums;
+            [torque, voltage].map(|cells| {
+                let rows = cells.iter();
+                rows.map(|row| row.iter().map(cell).collect()).collect()
+            })
+        };
+        let [torque_rms_n_m, voltage_rms_v] = of(|(power, _, n)| (power / *n as f64).sqrt());
+        let [torque_mean_n_m, voltage_mean_v] = of(|(_, sum, n)| sum / *n as f64);
         Some(Self {
             speed_edges_rad_s: speed,
             current_edges_a: current,
             count,
             torque_rms_n_m,
             voltage_rms_v,
+            torque_mean_n_m,
+            voltage_mean_v,
         })
     }
 }

@@ -1,0 +1,279 @@
+//! The pictures of the diagnosis: the curve of an effect over its axis, and the signed map of the error.
+
+use std::sync::Arc;
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Widget};
+
+use super::state::State;
+use crate::diagnosis::{CurvePoint, EffectCurve, MapCell, MapDigits, Off};
+use crate::text::lines::wrapped;
+use crate::text::number::{shortest, significant, with_std};
+use crate::tui::frame::titled_with;
+use crate::tui::plot::{
+    Bounds, LABELS, Stroke, Trace, across, plot, range, round, tick, value_axis,
+};
+use crate::tui::theme;
+
+/// Standard deviations that an error bar reaches to either side.
+const BAR_SIGMAS: f64 = 2.0;
+/// Rows that the words above the chart take at most, where there is room and where there is not.
+const MOST_WORDS: usize = 4;
+const FEW_WORDS: usize = 1;
+/// Rows from which on there is room for words.
+const TALL: u16 = 16;
+/// Share of the range that is left free at either end of the axis.
+const MARGIN: f64 = 0.02;
+
+const WITHOUT: char = '●';
+const WITH: char = '○';
+
+/// Error against its axis, the effect drawn through it. `index` counts what there is to be drawn; the cursor is on a point.
+pub(super) fn curve(
+    state: &State,
+    index: usize,
+    cursor: Option<usize>,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let drawn = state.drawn();
+    let Some((curve, _)) = drawn.get(index) else {
+        return;
+    };
+    let title = format!("{}, over {}", curve.title(), curve.axis_label());
+    let place = if drawn.len() > 1 {
+        format!("{} of {}", index + 1, drawn.len())
+    } else {
+        String::new()
+    };
+    let inner = titled_with(&title, &place, area, buffer);
+    let width = usize::from(inner.width);
+    let most = if inner.height >= TALL {
+        MOST_WORDS
+    } else {
+        FEW_WORDS
+    };
+    let rows = words(curve).into_iter().flat_map(|text| {
+        let rows = wrapped(&text, width.saturating_sub(1).max(1)).into_iter();
+        rows.map(|row| Line::styled(format!(" {row}"), theme::BOLD))
+    });
+    let mut lines: Vec<Line<'static>> = rows.take(most).collect();
+    lines.push(legend(curve));
+    if let Some(point) = cursor.and_then(|at| curve.points.get(at).map(|point| (at, point))) {
+        lines.push(at_cursor(curve, point));
+    }
+    let head = u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    Paragraph::new(lines).render(inner, buffer);
+    let height = inner.height.saturating_sub(head);
+    if height < 3 || inner.width < LABELS + 8 {
+        return;
+    }
+    let below = Rect {
+        y: inner.y + head,
+        height: height - 1,
+        ..inner
+    };
+    chart(curve, cursor, below, buffer);
+}
+
+fn words(curve: &Arc<EffectCurve>) -> Vec<String> {
+    // A map of an unexplained error has its sentence, and no figures of windows.
+    let figures = curve.rms_without.is_finite().then(|| curve.sentence());
+    figures.into_iter().chain(curve.why_axis.clone()).collect()
+}
+
+fn legend(curve: &EffectCurve) -> Line<'static> {
+    let mut spans = vec![Span::styled(format!(" {WITHOUT} "), theme::CAREFUL)];
+    match curve.effect {
+        Some(effect) => {
+            spans.push(Span::raw(format!("without {effect} ")));
+            let line = format!(" {} {effect} at its size ", Stroke::Solid.sample());
+            spans.push(Span::styled(line, theme::SPEED));
+            spans.push(Span::styled(format!(" {WITH} "), theme::GOOD));
+            spans.push(Span::raw("with it "));
+        }
+        None => spans.push(Span::raw("error of the model ")),
+    }
+    spans.push(Span::styled(" │ ± 2 std", theme::DIM));
+    Line::from(spans)
+}
+
+fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'static> {
+    let (place, axis, unit) = (significant(point.at, 3), curve.axis_unit, curve.unit);
+    let mut text = format!(
+        " ┊ {place} {axis}: {} {unit}",
+        with_std(point.mean, Some(point.std))
+    );
+    if let Some(with) = curve.with_it.get(at) {
+        text += &format!(", with it {}", with_std(with.mean, Some(with.std)));
+    }
+    if point.count > 0 {
+        text += &format!(", {} windows", point.count);
+    }
+    Line::styled(text, theme::BOLD)
+}
+
+/// The chart with the labels of its axis in the row below `area`.
+fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Buffer) {
+    let points = || curve.points.iter().chain(&curve.with_it);
+    let places = points().map(|point| point.at);
+    let places = range(places.chain(curve.line.iter().map(|at| at.0)));
+    let ends = points().flat_map(|point| {
+        let bar = if point.std.is_finite() {
+            BAR_SIGMAS * point.std
+        } else {
+            0.0
+        };
+        [point.mean - bar, point.mean + bar]
+    });
+    let values = range(ends.chain(curve.line.iter().map(|at| at.1)));
+    let (Some((first, last)), Some((least, most))) = (places, values) else {
+        return;
+    };
+    let (low, high) = round(least.min(0.0), most.max(0.0));
+    let margin = MARGIN * (last - first);
+    let bounds = Bounds {
+        from: first - margin,
+        to: last + margin,
+        low,
+        high,
+    };
+    let inner = Rect {
+        x: area.x + LABELS,
+        width: area.width - LABELS,
+        ..area
+    };
+    value_axis(low, high, inner, buffer);
+    let here = cursor.and_then(|at| curve.points.get(at));
+    if let Some(x) = here.and_then(|point| bounds.column(point.at, inner)) {
+        for y in inner.y..inner.bottom() {
+            buffer[(x, y)].set_char('┊').set_style(theme::DIM);
+        }
+    }
+    let line = Trace {
+        points: curve.line.clone(),
+        longest_s: f64::INFINITY,
+        stroke: Stroke::Solid,
+        style: theme::SPEED,
+        beyond: None,
+    };
+    plot(&[line], bounds, inner, buffer);
+    for (points, mark, style) in [
+        (&curve.with_it, WITH, theme::GOOD),
+        (&curve.points, WITHOUT, theme::CAREFUL),
+    ] {
+        for point in points {
+            dot(point, mark, style, bounds, inner, buffer);
+        }
+    }
+    let labels = [first, f64::midpoint(first, last), last].map(tick);
+    let [left, middle, right] = &labels;
+    let right = format!("{right} {}", curve.axis_unit);
+    let below = Rect {
+        y: area.bottom(),
+        height: 1,
+        ..area
+    };
+    across([left, middle, &right], theme::DIM, below, buffer);
+}
+
+/// One point with its error bar.
+fn dot(
+    point: &CurvePoint,
+    mark: char,
+    style: Style,
+    bounds: Bounds,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let Some(x) = bounds
+        .column(point.at, area)
+        .filter(|_| point.mean.is_finite())
+    else {
+        return;
+    };
+    let y = bounds.row(point.mean, area);
+    if point.std.is_finite() {
+        let bar = BAR_SIGMAS * point.std;
+        let [top, bottom] = [point.mean + bar, point.mean - bar].map(|end| bounds.row(end, area));
+        for at in (top..=bottom).filter(|at| *at != y) {
+            buffer[(x, at)].set_char('│').set_style(theme::DIM);
+        }
+    }
+    buffer[(x, y)].set_char(mark).set_style(style);
+}
+
+/// The signed error of one equation over speed x current: digits, letters and shades that need no colour. `index` 0 is
+/// the equation that fails worse.
+pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) {
+    let compared = state.compared();
+    let Some((comparison, map)) = compared.and_then(|found| Some((found, found.map.as_ref()?)))
+    else {
+        return;
+    };
+    let worse = comparison.balances.first();
+    let torque_first = worse.is_none_or(|balance| balance.equation == "torque");
+    let (equation, unit) = if torque_first == (index == 0) {
+        ("torque", "N.m")
+    } else {
+        ("voltage", "V")
+    };
+    let MapDigits { largest, rows } = map.digits(equation);
+    let nine = significant(largest, 3);
+    let title = format!("{equation} error over speed x current: 9 and i are {nine} {unit}");
+    let inner = titled_with(&title, "", area, buffer);
+    let room = usize::from(inner.height).saturating_sub(2);
+    let columns = map.current_edges_a.len().saturating_sub(1).max(1);
+    let cell_width = (usize::from(inner.width).saturating_sub(14) / columns).clamp(1, 6);
+    // Two rows for each speed where there is room, so that the map is nearly square.
+    let repeat = (room / rows.len().max(1)).clamp(1, 2);
+    let mut lines = vec![Line::from(vec![
+        Span::styled(" 1-9 model too low", shade(Off::TooLow)),
+        Span::styled("  a-i too high", shade(Off::TooHigh)),
+        Span::styled("  ░▒▓ both ways", shade(Off::BothWays)),
+        Span::styled("  · never there", theme::DIM),
+    ])];
+    // Where there are fewer rows than speeds, some of them over the whole range.
+    let step = rows.len().div_ceil(room.max(1)).max(1);
+    for (middle, cells) in rows.iter().skip(step / 2).step_by(step) {
+        for copy in 0..repeat {
+            let label = if copy == 0 {
+                format!("{middle:>6.0} rad/s ")
+            } else {
+                " ".repeat(13)
+            };
+            let mut line = Line::from(Span::styled(label, theme::DIM));
+            line.extend(cells.iter().map(|cell| {
+                let mark = cell.map_or('·', MapCell::glyph);
+                let seen = cell.filter(|cell| cell.digit > 0);
+                let style = seen.map_or(theme::DIM, |cell| shade(cell.off));
+                Span::styled(mark.to_string().repeat(cell_width), style)
+            }));
+            lines.push(line);
+        }
+    }
+    lines.truncate(room + 1);
+    if let (Some(from), Some(to)) = (map.current_edges_a.first(), map.current_edges_a.last()) {
+        let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
+        let gap = (columns * cell_width).saturating_sub(from.chars().count());
+        let left_out = if step > 1 {
+            format!("1 row of {step}")
+        } else {
+            String::new()
+        };
+        let axis = format!(" {left_out:<12}{from}{to:>gap$}");
+        lines.push(Line::styled(axis, theme::DIM));
+    }
+    Paragraph::new(lines).render(inner, buffer);
+}
+
+const fn shade(off: Off) -> Style {
+    match off {
+        Off::TooLow => theme::TOO_LOW,
+        Off::TooHigh => theme::TOO_HIGH,
+        Off::BothWays => theme::CAREFUL,
+    }
+}

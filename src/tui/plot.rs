@@ -1,0 +1,346 @@
+//! Charts drawn with cells: lines of dots in Braille, of which every column shows the smallest and the largest value that
+//! fell into it, with round axes.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+
+use super::theme;
+use crate::text::number::shortest;
+
+/// Columns of the axis labels, with the axis.
+pub(super) const LABELS: u16 = 7;
+
+/// Smallest and largest of the values that a chart can show; none where there is none.
+pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values
+        .filter(|value| value.is_finite() && value.abs() < 1e15)
+        .fold(None, |range: Option<(f64, f64)>, value| {
+            let (low, high) = range.unwrap_or((value, value));
+            Some((low.min(value), high.max(value)))
+        })
+}
+
+/// Round bounds that hold both.
+pub(super) fn round(low: f64, high: f64) -> (f64, f64) {
+    // Beside a large value a small difference is none that the axis could tell.
+    let least = 1e-9_f64.max(1e-9 * low.abs().max(high.abs()));
+    let high = if high - low < least { low + 1.0 } else { high };
+    let step = nice_step((high - low) / 8.0);
+    ((low / step).floor() * step, (high / step).ceil() * step)
+}
+
+/// 1, 2, 2.5 or 5 times a power of ten, not below `rough`.
+fn nice_step(rough: f64) -> f64 {
+    let power = 10_f64.powf(rough.log10().floor());
+    let factor = [1.0, 2.0, 2.5, 5.0]
+        .into_iter()
+        .find(|factor| factor * power >= rough)
+        .unwrap_or(10.0);
+    factor * power
+}
+
+/// Labels of the top, the bottom and zero, and a dotted line there.
+pub(super) fn value_axis(low: f64, high: f64, plot_area: Rect, buffer: &mut Buffer) {
+    let rows = f64::from(plot_area.height);
+    let last = plot_area.height.saturating_sub(1);
+    let zero = ((high / (high - low) * rows) as u16).min(last);
+    for row in 0..plot_area.height {
+        let label = match row {
+            0 => tick(high),
+            _ if row == last => tick(low),
+            _ if row == zero && low < 0.0 && high > 0.0 => tick(0.0),
+            _ => String::new(),
+        };
+        let mark = if label.is_empty() { '│' } else { '┤' };
+        let width = usize::from(LABELS - 1);
+        let label: String = label.chars().take(width).collect();
+        let y = plot_area.y + row;
+        let label = format!("{label:>width$}{mark}");
+        buffer.set_string(plot_area.x - LABELS, y, label, theme::DIM);
+        if row == zero && low < 0.0 {
+            for x in plot_area.x..plot_area.right() {
+                buffer[(x, y)].set_char('·').set_style(theme::DIM);
+            }
+        }
+    }
+}
+
+/// Three labels under a chart: at its left end, in the middle where there is room, at its right end.
+pub(super) fn across(
+    [left, middle, right]: [&str; 3],
+    style: Style,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let width = usize::from(area.width.saturating_sub(LABELS));
+    let length = |labels: &[&str]| {
+        labels
+            .iter()
+            .map(|label| label.chars().count())
+            .sum::<usize>()
+    };
+    let fits = length(&[left, middle, right]) + 2 <= width;
+    let middle = if fits { middle } else { "" };
+    let free = width.saturating_sub(length(&[left, middle, right]));
+    let line = format!(
+        "{left}{:free_left$}{middle}{:free_right$}{right}",
+        "",
+        "",
+        free_left = free / 2,
+        free_right = free - free / 2,
+    );
+    let x = area.x + LABELS.min(area.width);
+    buffer.set_stringn(x, area.y, line, width, style);
+}
+
+/// A round number in the width of the axis.
+pub(super) fn tick(value: f64) -> String {
+    let text = shortest(value, 3);
+    if text.len() < usize::from(LABELS) {
+        text
+    } else {
+        format!("{value:.0e}")
+    }
+}
+
+/// Dots of one cell.
+const DOTS_X: usize = 2;
+const DOTS_Y: usize = 4;
+/// Bits of the dots of a cell, by row and column (Unicode, Braille patterns).
+const BITS: [[u8; DOTS_X]; DOTS_Y] = [[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]];
+/// A step in time longer than so many usual ones is a gap.
+const GAP_FACTOR: f64 = 1.75;
+
+/// How a line is told from another without colour: by the cells that it leaves out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stroke {
+    Solid,
+    /// Whole cells on and off: a dash of single dots would look like noise.
+    Dashed,
+    /// One cell of four.
+    Dotted,
+}
+
+impl Stroke {
+    /// Whether a column of dots is drawn.
+    const fn draws(self, x: usize) -> bool {
+        let cell = x / DOTS_X;
+        match self {
+            Self::Solid => true,
+            Self::Dashed => cell.is_multiple_of(2),
+            Self::Dotted => cell.is_multiple_of(4),
+        }
+    }
+
+    /// A sample of it for a legend.
+    pub(super) const fn sample(self) -> &'static str {
+        match self {
+            Self::Solid => "⣀⣀⣀",
+            Self::Dashed => "⣀ ⣀",
+            Self::Dotted => "⣀  ",
+        }
+    }
+}
+
+/// One line of a chart. A value that is not finite, and a step longer than `longest_s`, is a gap.
+pub(super) struct Trace {
+    /// Place and value, in order.
+    pub(super) points: Vec<(f64, f64)>,
+    pub(super) longest_s: f64,
+    pub(super) stroke: Stroke,
+    pub(super) style: Style,
+    /// Columns with a value that is larger than this, whatever its sign, have this style.
+    pub(super) beyond: Option<(f64, Style)>,
+}
+
+/// What the corners of the area stand for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    pub(super) from: f64,
+    pub(super) to: f64,
+    pub(super) low: f64,
+    pub(super) high: f64,
+}
+
+impl Bounds {
+    /// The cell of a place on the lower axis; `None` outside.
+    pub(super) fn column(&self, at: f64, area: Rect) -> Option<u16> {
+        let share = (at - self.from) / (self.to - self.from);
+        (0.0..=1.0).contains(&share).then(|| {
+            let cell = (share * f64::from(area.width)) as u16;
+            area.x + cell.min(area.width.saturating_sub(1))
+        })
+    }
+
+    /// The cell of a value; those outside stick to the edge.
+    pub(super) fn row(&self, value: f64, area: Rect) -> u16 {
+        let cell = row(value, *self, usize::from(area.height)) / DOTS_Y;
+        area.y + cell as u16
+    }
+}
+
+/// Draws the traces, later ones over earlier ones.
+pub(super) fn plot(traces: &[Trace], bounds: Bounds, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    let (width, height) = (usize::from(area.width), usize::from(area.height));
+    if width == 0 || height == 0 {
+        return;
+    }
+    let mut cells = vec![(0_u8, Style::new()); width * height];
+    for trace in traces {
+        let columns = columns(&trace.points, trace.longest_s, bounds, width * DOTS_X);
+        for (x, span) in columns.into_iter().enumerate() {
+            let Some((low, high)) = span.filter(|_| trace.stroke.draws(x)) else {
+                continue;
+            };
+            let is_beyond = |limit: f64| low < -limit || high > limit;
+            let beyond = trace.beyond.filter(|(limit, _)| is_beyond(*limit));
+            let (top, bottom) = (row(high, bounds, height), row(low, bounds, height));
+            for y in top..=bottom {
+                let cell = &mut cells[(y / DOTS_Y) * width + x / DOTS_X];
+                cell.0 |= BITS[y % DOTS_Y][x % DOTS_X];
+                cell.1 = beyond.map_or(trace.style, |(_, style)| style);
+            }
+        }
+    }
+    for (index, (bits, style)) in cells.into_iter().enumerate().filter(|(_, cell)| cell.0 > 0) {
+        let (x, y) = ((index % width) as u16, (index / width) as u16);
+        let symbol = char::from_u32(0x2800 + u32::from(bits)).unwrap_or('?');
+        let cell = &mut buffer[(area.x + x, area.y + y)];
+        cell.set_char(symbol).set_style(style);
+    }
+}
+
+/// Row of dots of a value, the top one being 0; values outside stick to the edge.
+fn row(value: f64, bounds: Bounds, height: usize) -> usize {
+    let dots = height * DOTS_Y;
+    let share = ((bounds.high - value) / (bounds.high - bounds.low)).clamp(0.0, 1.0);
+    ((share * dots as f64) as usize).min(dots.saturating_sub(1))
+}
+
+/// Smallest and largest value per column of dots, with straight lines between neighbours that have no gap between them.
+fn columns(
+    points: &[(f64, f64)],
+    longest_s: f64,
+    bounds: Bounds,
+    count: usize,
+) -> Vec<Option<(f64, f64)>> {
+    let mut columns = vec![None; count];
+    let span_s = bounds.to - bounds.from;
+    if count == 0 || !(span_s > 0.0 && span_s.is_finite()) {
+        return columns;
+    }
+    let position = |time_s: f64| (time_s - bounds.from) / span_s * count as f64;
+    let mut put = |column: f64, value: f64| {
+        if (0.0..count as f64).contains(&column) {
+            let span: &mut Option<(f64, f64)> = &mut columns[(column as usize).min(count - 1)];
+            let (low, high) = span.unwrap_or((value, value));
+            *span = Some((low.min(value), high.max(value)));
+        }
+    };
+    let mut before: Option<(f64, f64)> = None;
+    for &(time_s, value) in points {
+        if !(time_s.is_finite() && value.is_finite()) {
+            before = None;
+            continue;
+        }
+        let here = position(time_s);
+        // The last instant belongs to the last column.
+        put(here.min(here.floor().max(count as f64 - 1.0)), value);
+        if let Some((last_s, last)) = before
+            && (0.0..=longest_s).contains(&(time_s - last_s))
+        {
+            let there = position(last_s);
+            let first = there.max(0.0).floor() + 1.0;
+            for edge in first as usize..=(here.min(count as f64).max(0.0) as usize) {
+                let edge = edge as f64;
+                let share = ((edge - there) / (here - there)).clamp(0.0, 1.0);
+                if share.is_finite() {
+                    let between = last + share * (value - last);
+                    put(edge - 0.5, between);
+                    put(edge, between);
+                }
+            }
+        }
+        before = Some((time_s, value));
+    }
+    columns
+}
+
+/// Steps of which the usual one is found.
+const LOOKS: usize = 2000;
+
+/// Step of time from which on there is a gap: so many times the median one of up to [`LOOKS`]; infinite where there are not
+/// two points. `at` gives the time of each of `count` points.
+pub(super) fn longest_step_s(count: usize, at: impl Fn(usize) -> f64) -> f64 {
+    let stride = count.div_ceil(LOOKS).max(1);
+    let steps = (1..count).step_by(stride).map(|k| at(k) - at(k - 1));
+    let mut steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
+    if steps.is_empty() {
+        return f64::INFINITY;
+    }
+    let middle = steps.len() / 2;
+    GAP_FACTOR * *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn longest(points: &[(f64, f64)]) -> f64 {
+        longest_step_s(points.len(), |k| points[k].0)
+    }
+
+    const BOUNDS: Bounds = Bounds {
+        from: 0.0,
+        to: 10.0,
+        low: -1.0,
+        high: 1.0,
+    };
+
+    #[test]
+    fn a_spike_of_one_row_is_seen_however_many_rows_a_column_holds() {
+        let points: Vec<_> = (0..10_000)
+            .map(|row| (f64::from(row) * 1e-3, if row == 4321 { 0.9 } else { 0.0 }))
+            .collect();
+        let columns = columns(&points, longest(&points), BOUNDS, 20);
+        assert_eq!(columns[8], Some((0.0, 0.9)));
+        assert_eq!(columns.iter().flatten().count(), 20);
+        assert_eq!(columns[3], Some((0.0, 0.0)));
+    }
+
+    #[test]
+    fn a_gap_stays_a_gap_and_neighbours_are_joined() {
+        // One point a second, two columns a second; the values of 4 s and the rows of 7 and 8 s are missing.
+        let points: Vec<_> = (0..10)
+            .filter(|second| !(7..9).contains(second))
+            .map(|second| (f64::from(second), if second == 4 { f64::NAN } else { 0.5 }))
+            .collect();
+        let columns = columns(&points, longest(&points), BOUNDS, 20);
+        let seen: String = columns
+            .iter()
+            .map(|column| if column.is_some() { '#' } else { '.' })
+            .collect();
+        assert_eq!(seen, "#######...###.....#.");
+    }
+
+    #[test]
+    fn the_top_is_the_high_bound() {
+        let area = Rect::new(0, 0, 4, 2);
+        let mut buffer = Buffer::empty(area);
+        let line = |value, stroke| Trace {
+            points: (0..=100).map(|k| (f64::from(k) * 0.1, value)).collect(),
+            longest_s: 1.0,
+            stroke,
+            style: Style::new(),
+            beyond: None,
+        };
+        let lines = [line(1.0, Stroke::Solid), line(-1.0, Stroke::Dashed)];
+        plot(&lines, BOUNDS, area, &mut buffer);
+        let text: Vec<String> = (0..2)
+            .map(|y| (0..4).map(|x| buffer[(x, y)].symbol()).collect())
+            .collect();
+        assert_eq!(text, ["⠉⠉⠉⠉", "⣀ ⣀ "]);
+    }
+}

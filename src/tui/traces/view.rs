@@ -1,0 +1,438 @@
+//! The page of traces as a function of its state: one panel under the other, one time axis below them.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Clear, Paragraph, Widget};
+
+use super::{Panel, Shows, TracesPage, first_panels};
+use crate::diagnosis::{Quantity, RunTraces, SignalTrace};
+use crate::sample::Channel;
+use crate::text::lines::cut;
+use crate::text::number::{MISSING, significant};
+use crate::tui::frame::titled_with;
+use crate::tui::plot::{
+    Bounds, LABELS, Stroke, Trace, across, longest_step_s, plot, range, round, value_axis,
+};
+use crate::tui::theme;
+
+/// Rows of a panel at least, and where there is little room: its title and dots.
+const SMALLEST: u16 = 5;
+const SMALLEST_OF_ALL: u16 = 3;
+/// Rows below which panels are as small as they can be.
+const LOW: u16 = 10;
+/// Standard deviations of the noise that the band holds, and from which on a residual is marked.
+const BAND_SIGMAS: f64 = 2.0;
+const MARKED_SIGMAS: f64 = 3.0;
+/// From this width on legends are written out.
+const WIDE: u16 = 76;
+
+/// Draws the page.
+pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    let Some(run) = page.run() else {
+        Line::styled(" no traces yet: the model is being fitted", theme::DIM).render(area, buffer);
+        return;
+    };
+    let runs = page.traces.as_ref().map_or(1, |traces| traces.runs.len());
+    let place = if runs > 1 {
+        format!("run {} of {runs}", page.run + 1)
+    } else {
+        String::new()
+    };
+    let title = format!("{}: {}", run.part.name(), run.run);
+    let inner = titled_with(&title, &place, area, buffer);
+    panels(page, run, inner, buffer);
+    if let Some(at) = page.choosing {
+        chooser(page, run, at, inner, buffer);
+    }
+}
+
+/// Measured and model of the first signal alone, as a part of another page.
+pub(in crate::tui) fn strip(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    if let Some(run) = page.run() {
+        let title = format!("{}: {}", run.part.name(), run.run);
+        let inner = titled_with(&title, "v traces", area, buffer);
+        panels(page, run, inner, buffer);
+    }
+}
+
+/// The panels that fit: of those that nobody chose no signal without its residual.
+fn fitting(page: &TracesPage, height: u16) -> Vec<Panel> {
+    let all = page.panels();
+    let mut shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
+    let smallest = if height < LOW {
+        SMALLEST_OF_ALL
+    } else {
+        SMALLEST
+    };
+    let room = usize::from((height / smallest).max(1));
+    shown.truncate(room);
+    if page.chosen.is_none()
+        && shown.len() > 1
+        && let Some((place, Shows::Both)) = shown.last()
+        && all.contains(&(*place, Shows::Residual))
+    {
+        shown.pop();
+    }
+    shown
+}
+
+fn panels(page: &TracesPage, run: &RunTraces, area: Rect, buffer: &mut Buffer) {
+    if area.height < 2 || area.width < LABELS + 4 {
+        return;
+    }
+    let shown = fitting(page, area.height - 1);
+    let mut rows: Vec<Constraint> = shown
+        .iter()
+        .map(|(_, shows)| Constraint::Fill(if *shows == Shows::Both { 4 } else { 3 }))
+        .collect();
+    rows.push(Constraint::Length(1));
+    let areas = Layout::vertical(rows).split(area);
+    for ((place, shows), area) in shown.iter().zip(areas.iter()) {
+        if let Some(signal) = run.signals.get(*place) {
+            match shows {
+                Shows::Both => both(page, run, signal, *area, buffer),
+                Shows::Residual => residual(page, run, signal, *area, buffer),
+            }
+        }
+    }
+    if let Some(area) = areas.last() {
+        let (from_s, to_s) = page.window_s();
+        let [from, to] =
+            [from_s, to_s].map(|time_s| format!("{} s", seconds(time_s, to_s - from_s)));
+        let middle = page.cursor_s.map_or_else(
+            || "time from the run's start".to_owned(),
+            |at_s| format!("┊ {} s", seconds(at_s, to_s - from_s)),
+        );
+        across([&from, &middle, &to], theme::DIM, *area, buffer);
+    }
+}
+
+/// As many decimals as the window needs.
+fn seconds(time_s: f64, window_s: f64) -> String {
+    let decimals = if window_s < 0.2 {
+        4
+    } else if window_s < 5.0 {
+        3
+    } else {
+        2
+    };
+    format!("{time_s:.decimals$}")
+}
+
+/// The points of a signal that are seen, with one on either side, so that lines enter and leave the chart.
+fn seen(
+    signal: &SignalTrace,
+    values: &mut dyn Iterator<Item = f64>,
+    (from_s, to_s): (f64, f64),
+) -> Vec<(f64, f64)> {
+    let times = &signal.time_s;
+    let first = times.partition_point(|t| *t < from_s).saturating_sub(1);
+    let end = (times.partition_point(|t| *t <= to_s) + 1).min(times.len());
+    let count = end.saturating_sub(first);
+    let own = times.iter().skip(first).copied();
+    let points = own.zip(values.skip(first)).take(count);
+    if !signal.is_held {
+        return points.collect();
+    }
+    let mut steps: Vec<(f64, f64)> = Vec::with_capacity(2 * count + 1);
+    for (time_s, value) in points {
+        if let Some((_, held)) = steps.last().copied() {
+            steps.push((time_s, held));
+        }
+        steps.push((time_s, value));
+    }
+    // It holds on.
+    if let Some((_, held)) = steps.last().copied() {
+        steps.push((to_s, held));
+    }
+    steps
+}
+
+/// The value at the cursor: of the last sample before it, held or the nearest.
+fn at_cursor(signal: &SignalTrace, values: &[f64], at_s: f64) -> f64 {
+    let times = &signal.time_s;
+    let after = times.partition_point(|t| *t <= at_s);
+    let before = after.saturating_sub(1);
+    let nearest = match (times.get(before), times.get(after)) {
+        (Some(left), Some(right)) if !signal.is_held && right - at_s < at_s - left => after,
+        _ => before,
+    };
+    values.get(nearest).copied().unwrap_or(f64::NAN)
+}
+
+fn reading(value: f64) -> String {
+    if value.is_finite() {
+        significant(value, 4)
+    } else {
+        MISSING.to_owned()
+    }
+}
+
+const fn style_of(quantity: Quantity) -> Style {
+    match quantity {
+        Quantity::Channel(Channel::Current | Channel::Torque) => theme::CURRENT,
+        Quantity::Channel(Channel::Speed | Channel::Reference | Channel::Angle) => theme::SPEED,
+        Quantity::Channel(_) => theme::VOLTAGE,
+        Quantity::Estimate(_) => theme::PLAIN,
+    }
+}
+
+/// The part of a panel below its title.
+fn below_title(area: Rect) -> Rect {
+    Rect {
+        x: area.x + LABELS,
+        y: area.y + 1,
+        width: area.width - LABELS,
+        height: area.height.saturating_sub(1),
+    }
+}
+
+fn vertical(at_s: f64, mark: char, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
+    if let Some(x) = bounds.column(at_s, area) {
+        for y in area.y..area.bottom() {
+            buffer[(x, y)].set_char(mark).set_style(theme::DIM);
+        }
+    }
+}
+
+/// Marks of the time axis that all panels have: where the hold-out begins, and the cursor.
+fn marks(page: &TracesPage, run: &RunTraces, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
+    if let Some(at_s) = run.held_out_from_s {
+        vertical(at_s, '╎', bounds, area, buffer);
+    }
+    if let Some(at_s) = page.cursor_s {
+        vertical(at_s, '┊', bounds, area, buffer);
+    }
+}
+
+/// Measured and model; while a change is drawn, the new model up to a place and the old one beyond it.
+fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, buffer: &mut Buffer) {
+    let window_s = page.window_s();
+    let longest_s = if signal.is_held {
+        f64::INFINITY
+    } else {
+        longest_step_s(signal.time_s.len(), |k| signal.time_s[k])
+    };
+    let line = |points, stroke, style| Trace {
+        points,
+        longest_s,
+        stroke,
+        style,
+        beyond: None,
+    };
+    let measured = seen(signal, &mut signal.measured.iter().copied(), window_s);
+    let mut model = seen(signal, &mut signal.model.iter().copied(), window_s);
+    let before = page.signal_before(signal).map_or_else(Vec::new, |before| {
+        seen(before, &mut before.model.iter().copied(), window_s)
+    });
+    let border_s = window_s.0 + page.drawn_share() * (window_s.1 - window_s.0);
+    if page.is_moving() {
+        model.retain(|point| point.0 <= border_s);
+    }
+    let edge = |sigmas: f64| {
+        let pairs = signal.measured.iter().zip(&signal.std);
+        let mut edge = pairs.map(|(value, std)| value + sigmas * std);
+        seen(signal, &mut edge, window_s)
+    };
+    let edges = [edge(-BAND_SIGMAS), edge(BAND_SIGMAS)];
+    let values = [&measured, &model, &before].map(|points| range(points.iter().map(|p| p.1)));
+    let (low, high) = values
+        .into_iter()
+        .flatten()
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        .unwrap_or((0.0, 1.0));
+    let (low, high) = round(low, high);
+
+    let style = style_of(signal.quantity);
+    let head = format!(" {}, {}", signal.quantity.name(), signal.quantity.unit());
+    let mut title = Line::from(Span::styled(head, theme::BOLD));
+    let cursor = |values: &[f64]| {
+        page.cursor_s.map_or_else(String::new, |at_s| {
+            format!(" {}", reading(at_cursor(signal, values, at_s)))
+        })
+    };
+    let is_wide = area.width >= WIDE;
+    let word = |long: &'static str, short: &'static str| if is_wide { long } else { short };
+    let mut legend = |stroke: Stroke, name: &str, values: &[f64], style| {
+        let text = format!("  {} {name}{}", stroke.sample(), cursor(values));
+        title.push_span(Span::styled(text, style));
+    };
+    let measured_word = match signal.quantity {
+        Quantity::Channel(channel) if channel.is_commanded() => word("commanded", "cmd"),
+        Quantity::Channel(_) => word("measured", "meas"),
+        Quantity::Estimate(_) => word("estimated on line", "est"),
+    };
+    legend(Stroke::Solid, measured_word, &signal.measured, style);
+    if !signal.std.is_empty() {
+        let half: Vec<f64> = signal.std.iter().map(|std| BAND_SIGMAS * std).collect();
+        legend(Stroke::Dotted, "± 2 std", &half, theme::DIM);
+    }
+    if signal.has_model() {
+        legend(Stroke::Dashed, "model", &signal.model, theme::MODEL);
+        if let Some(before) = page.signal_before(signal) {
+            let name = if page.is_before {
+                word("model after the change", "after")
+            } else {
+                word("model before the change", "before")
+            };
+            legend(Stroke::Dotted, name, &before.model, theme::DIM);
+        }
+    }
+    title.render(Rect { height: 1, ..area }, buffer);
+
+    let inner = below_title(area);
+    value_axis(low, high, inner, buffer);
+    let bounds = Bounds {
+        from: window_s.0,
+        to: window_s.1,
+        low,
+        high,
+    };
+    marks(page, run, bounds, inner, buffer);
+    let [below, above] = edges;
+    let traces = [
+        line(below, Stroke::Dotted, theme::DIM),
+        line(above, Stroke::Dotted, theme::DIM),
+        line(before, Stroke::Dotted, theme::DIM),
+        line(measured, Stroke::Solid, style),
+        line(model, Stroke::Dashed, theme::MODEL),
+    ];
+    plot(&traces, bounds, inner, buffer);
+}
+
+/// Measured less model, with the band of the noise.
+fn residual(
+    page: &TracesPage,
+    run: &RunTraces,
+    signal: &SignalTrace,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let window_s = page.window_s();
+    let before = page.signal_before(signal);
+    let border_s = window_s.0 + page.drawn_share() * (window_s.1 - window_s.0);
+    let mut points = seen(signal, &mut signal.residual(), window_s);
+    // While a change is drawn, what lies beyond the border is still that of the model before.
+    if let (true, Some(before)) = (page.is_moving(), before) {
+        points.retain(|point| point.0 <= border_s);
+        let old = seen(before, &mut before.residual(), window_s);
+        points.extend(old.into_iter().filter(|point| point.0 > border_s));
+    }
+    let longest_s = longest_step_s(signal.time_s.len(), |k| signal.time_s[k]);
+    let band = signal.noise.map_or(0.0, |noise| BAND_SIGMAS * noise);
+    let (least, most) = range(points.iter().map(|point| point.1)).unwrap_or((-1.0, 1.0));
+    // Of both models, so that the axis stands still while a change is drawn.
+    let old = before.filter(|_| page.is_moving());
+    let old = old.and_then(|before| range(before.residual()));
+    let (least, most) = old.map_or((least, most), |old| (least.min(old.0), most.max(old.1)));
+    let largest = least.abs().max(most.abs()).max(1.5 * band);
+    let (low, high) = round(-largest, largest);
+
+    let known = points.iter().map(|point| point.1).filter(|r| r.is_finite());
+    let (squares, count) = known.fold((0.0, 0.0), |(sum, n), r| (sum + r * r, n + 1.0));
+    let rms = f64::sqrt(squares / count);
+    let unit = signal.quantity.unit();
+    let is_wide = area.width >= WIDE;
+    let head = if is_wide {
+        format!(" {}: measured - model, {unit}", signal.quantity.name())
+    } else {
+        format!(" {} residual, {unit}", signal.quantity.name())
+    };
+    let mut title = Line::from(Span::styled(head, theme::BOLD));
+    if let Some(at_s) = page.cursor_s {
+        let [measured, model] =
+            [&signal.measured, &signal.model].map(|values| at_cursor(signal, values, at_s));
+        title.push_span(format!("  ┊ {}", reading(measured - model)));
+    }
+    // Of two models at once it would be of neither.
+    if rms.is_finite() && !page.is_moving() {
+        let text = match signal.noise {
+            Some(noise) if is_wide => format!(
+                "  rms {} = {:.2} x noise; ┈ {BAND_SIGMAS} x noise",
+                significant(rms, 3),
+                rms / noise
+            ),
+            Some(noise) => format!("  rms {:.1} x noise", rms / noise),
+            None => format!("  rms {}, no noise is known", significant(rms, 3)),
+        };
+        title.push_span(Span::styled(text, theme::DIM));
+    }
+    title.render(Rect { height: 1, ..area }, buffer);
+
+    let inner = below_title(area);
+    value_axis(low, high, inner, buffer);
+    let bounds = Bounds {
+        from: window_s.0,
+        to: window_s.1,
+        low,
+        high,
+    };
+    if band > 0.0 && inner.height > 2 {
+        for edge in [-band, band] {
+            let y = bounds.row(edge, inner);
+            for x in inner.x..inner.right() {
+                buffer[(x, y)].set_char('┈').set_style(theme::GOOD);
+            }
+        }
+    }
+    marks(page, run, bounds, inner, buffer);
+    let marked = signal
+        .noise
+        .map(|noise| (MARKED_SIGMAS * noise, theme::BAD));
+    let trace = Trace {
+        points,
+        longest_s,
+        stroke: Stroke::Solid,
+        style: theme::PLAIN,
+        beyond: marked,
+    };
+    plot(&[trace], bounds, inner, buffer);
+}
+
+/// The list of everything that can be shown, over the middle of the page.
+fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &mut Buffer) {
+    let all = page.panels();
+    let shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
+    let name = |(place, shows): &Panel| {
+        let name = run
+            .signals
+            .get(*place)
+            .map_or("", |own| own.quantity.name());
+        match shows {
+            Shows::Both => match run.signals.get(*place).map(|own| own.quantity) {
+                Some(Quantity::Estimate(_)) => format!("estimate: {name}"),
+                _ => name.to_owned(),
+            },
+            Shows::Residual => format!("{name}: residual"),
+        }
+    };
+    let height = area
+        .height
+        .min(u16::try_from(all.len() + 2).unwrap_or(u16::MAX));
+    let width = area.width.min(44);
+    let place = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    let room = usize::from(height.saturating_sub(2)).max(1);
+    let first = (at + 1).saturating_sub(room);
+    let rows = all.iter().enumerate().skip(first).take(room);
+    let rows = rows.map(|(row, panel)| {
+        let mark = if shown.contains(panel) { "✓" } else { " " };
+        let arrow = if row == at { "▶" } else { " " };
+        let text = format!("{arrow} {mark} {}", name(panel));
+        let text = cut(&text, usize::from(width.saturating_sub(2)));
+        Line::styled(text, if row == at { theme::BOLD } else { theme::PLAIN })
+    });
+    Clear.render(place, buffer);
+    let block = Block::bordered().title(" Enter shows or hides, Esc closes ");
+    Paragraph::new(rows.collect::<Vec<_>>())
+        .block(block)
+        .render(place, buffer);
+}
