@@ -162,7 +162,7 @@ fn blocks(scores: &[Score; 2], levels: [f64; 3]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0_usize); BLOCKS];
     for (one, other, level) in judged() {
         let mut others = other.iter().peekable();
-        for (time_s, error) in one.iter() {
+        for (time_s, error) in *one {
             while others.next_if(|point| point.0 < *time_s).is_some() {}
             let same = others.peek().filter(|point| point.0 <= *time_s);
             let Some((_, rival)) = same else { continue };
