@@ -55,7 +55,7 @@ fn report(criterion: &mut Criterion) {
     };
     folder.write_manifest(&manifest).expect("written");
     std::fs::write(folder.samples(), write_run(&run)).expect("written");
-    println!("page of {ROWS} rows: {} bytes", page(&run).len());
+    eprintln!("page of {ROWS} rows: {} bytes", page(&run).len());
 
     let mut group = criterion.benchmark_group("report");
     group.bench_function("write", |bencher| bencher.iter(|| page(&run)));

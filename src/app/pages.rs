@@ -95,7 +95,7 @@ impl<'a> FreeRuns<'a> {
         };
         let found_ones: Vec<Option<&str>> = match found.effects.as_slice() {
             [] => vec![None],
-            effects => effects.iter().map(|id| Some(id.as_ref())).collect(),
+            effects => effects.iter().map(|id| Some(*id)).collect(),
         };
         let mut curves = Vec::new();
         for id in found_ones {

@@ -39,7 +39,9 @@ pub(super) fn encode(
             if let Some(first) = piece.first().filter(|_| index > 0) {
                 push(first.0, f64::NAN);
             }
-            piece.iter().for_each(|(place, value)| push(*place, *value));
+            for (place, value) in piece {
+                push(*place, *value);
+            }
         }
         base64(&mut text, &bytes);
         text.push('\n');
