@@ -100,6 +100,9 @@ fn at_the_floor() -> State {
     press(&mut state, Press::Add);
     hear(&mut state, added("stribeck_friction", true));
     hear(&mut state, News::Diagnosed(Box::new(nothing_more())));
+    while state.is_moving() {
+        state.update(Event::Frame);
+    }
     state
 }
 
