@@ -24,7 +24,7 @@ const SEEN: f64 = 2.0;
 const MOST_DOUBLINGS: u32 = 8;
 const PERIOD_S: f64 = 0.002;
 const DURATION_S: f64 = 12.0;
-const SLEW_V_PER_S: f64 = 800.0;
+const SLEW_V_PER_S: f64 = 300.0;
 
 /// Rest, a slow climb and fall both ways, then steps with reversals, creeping and rests between them.
 fn excitation() -> Vec<(f64, f64)> {

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use super::by_hand::{self, Shown};
 use super::ending::{Audience, Left, conduct};
-use super::failure::Failure;
+use super::failure::{Failure, USAGE};
 use super::files::read_text;
 use super::rig::{Rig, RigOptions};
 use super::run::{CommissionDone, RunDone, escalation_failure, run};
@@ -58,6 +58,11 @@ pub(crate) fn follow(
             Ok(line) => {
                 said.push(format!("{}: {line}", step.title()));
                 done.progress.done_on_request(step, Ok(line));
+            }
+            // What was asked for too much is said, and nothing was energised; everything else ends the program.
+            Err(failure) if failure.status == USAGE => {
+                let reason = failure.headline().to_owned();
+                done.progress.done_on_request(step, Err(reason));
             }
             Err(failure) => break Err(failure),
         }

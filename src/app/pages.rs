@@ -10,7 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::Plan;
-use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -211,8 +211,19 @@ pub(crate) fn comparison<T>(
     prepared: &Prepared,
     comparison: &Comparison,
     take: impl FnOnce(&ComparisonReport<'_>) -> T,
-) -> T {
+) -> Result<T, Failure> {
     let about = &prepared.about;
+    let evidence = &prepared.evidence;
+    let (run, noise) = (&evidence.holdout, evidence.noise);
+    let model = &prepared.model.file.model;
+    let free_run = match evidence.training.input {
+        Input::Voltage => Some(output_error::predict(model, run, &noise)?.trajectory),
+        Input::Current | Input::Torque => None,
+    };
+    let curve = match &free_run {
+        Some(_) => error_curve(model, run, &noise)?,
+        None => None,
+    };
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
@@ -220,8 +231,15 @@ pub(crate) fn comparison<T>(
         model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
+        series: free_run.as_ref().map(|trajectory| ConfirmRun {
+            scenario: run,
+            before: trajectory,
+            after: None,
+            noise: &noise,
+        }),
+        curve: curve.as_ref(),
     };
-    take(&report)
+    Ok(take(&report))
 }
 
 /// Writes a page where none is yet.

@@ -157,6 +157,11 @@ pub(super) struct EvidenceArguments {
 }
 
 impl EvidenceArguments {
+    /// The maps alone.
+    pub(super) fn map_words(&self) -> String {
+        self.map.words()
+    }
+
     /// The options as they are given here, for the commands that go on; each with a space before it.
     pub(super) fn words(&self) -> String {
         let path = |name: &str, path: &Option<PathBuf>| {

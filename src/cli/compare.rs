@@ -92,14 +92,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let above = if full { report.in_full() } else { Vec::new() };
         let html = arguments.html.as_ref().map(|_| report.html());
         (report.card(), above, html)
-    });
+    })?;
     if let (Some(path), Some(html)) = (&arguments.html, html) {
         pages::write(path, &html)?;
         card.ends_with(path.display().to_string());
     }
     card.go_on(format!(
-        "drivebench diagnose {}{}",
+        "drivebench diagnose {}{}{}",
         output::quoted(&arguments.run),
+        model_words(arguments),
         arguments.evidence.words()
     ));
     let mut value = prepared.result(&comparison);
@@ -126,6 +127,12 @@ fn both(
     let result = VersusResult::of(&prepared, second, &arguments.run)?;
     drop(shown);
     output::result(&result, arguments.json, VersusResult::text)
+}
+
+/// The model as it is given, with a space before it.
+fn model_words(arguments: &Arguments) -> String {
+    let model = arguments.model.first().map(|path| output::quoted(path));
+    model.map_or_else(String::new, |model| format!(" --model {model}"))
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {

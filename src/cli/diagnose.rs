@@ -147,7 +147,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     card.say("by hand", by_hand.lines(), 1);
     if by_hand.is_empty() {
-        go_on(&mut card, arguments, &diagnosis);
+        go_on(&mut card, arguments, &prepared.model.from, &diagnosis);
     } else if let Some(model) = &written {
         let model = output::quoted_word(model);
         card.go_on(format!("drivebench tune --model {model}"));
@@ -169,7 +169,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The commands that go on from here: add what was found, or make the run that would tell more.
-fn go_on(card: &mut Card, arguments: &Arguments, diagnosis: &Diagnosis) {
+fn go_on(card: &mut Card, arguments: &Arguments, from: &str, diagnosis: &Diagnosis) {
     let run = output::quoted(&arguments.run);
     let model = arguments.model.as_deref().map(output::quoted);
     let model = model.map_or_else(String::new, |model| format!(" --model {model}"));
@@ -195,12 +195,13 @@ fn go_on(card: &mut Card, arguments: &Arguments, diagnosis: &Diagnosis) {
         }
     }
     if diagnosis.effect.is_none() && diagnosis.verdict == DiagnosisVerdict::None {
-        let model = model.replace(" --model ", "");
-        let model = if model.is_empty() {
-            format!("{run}/model.toml")
+        card.go_on(if from == "baseline" {
+            format!(
+                "drivebench identify {run}{} --output model.toml",
+                arguments.evidence.map_words()
+            )
         } else {
-            model
-        };
-        card.go_on(format!("drivebench tune --model {model}"));
+            format!("drivebench tune --model {}", output::quoted_word(from))
+        });
     }
 }

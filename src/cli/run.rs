@@ -100,7 +100,7 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     let followed = guided::follow(done.work, done.left, &options, &source);
     // However it was left: the result of the loop is there all the same.
     let mut done = followed.done;
-    done.card.say("then", followed.said, 1);
+    done.card.say("then", followed.said, 4);
     let above = if live.full { done.full } else { Vec::new() };
     output::card(&done.result, live.json, live.full, above, || done.card)?;
     followed.outcome

@@ -238,17 +238,28 @@ impl CommissionReport<'_> {
     fn comparison_section(&self, page: &mut Page) {
         page.section("Model beside measurement");
         if let Some(run) = self.series {
-            page.figure(
-                stacked("measured and simulated current and speed over time", TIME, &panels(run), MOST_POINTS),
-                format!(
-                    "Free run of the model over {:?} from its {} alone; time counts from the start of that run. A line is broken where samples are missing.",
-                    run.scenario.name,
-                    input_name(run.scenario.input).0,
-                ),
-            );
+            traces(page, run);
         }
         comparison::figures(page, &self.comparisons());
     }
+}
+
+/// Measured and simulated signals and what the models leave over.
+pub(super) fn traces(page: &mut Page, run: ConfirmRun<'_>) {
+    page.figure(
+        stacked(
+            "measured and simulated current and speed over time",
+            TIME,
+            &panels(run),
+            MOST_POINTS,
+        ),
+        format!(
+            "Free run of the model over {:?} from its {} alone; time counts from the start of that run. A line is broken where \
+             samples are missing.",
+            run.scenario.name,
+            input_name(run.scenario.input).0,
+        ),
+    );
 }
 
 const fn tone(answer: Answer) -> Tone {

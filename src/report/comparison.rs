@@ -4,10 +4,10 @@
 use super::card::{COLUMNS, Card};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
-use super::{Context, tables};
+use super::{ConfirmRun, Context, commission, findings, tables};
 use crate::diagnosis::{
-    AddResult, Comparison, FailureLocation, HoldoutFrom, MapCell, MapDigits, SignalComparison,
-    SignalScore, Signals,
+    AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
+    SignalComparison, SignalScore, Signals,
 };
 use crate::identification::noise::FloorSource;
 use crate::plant::effect;
@@ -31,6 +31,10 @@ pub struct ComparisonReport<'a> {
     pub holdout_objected: bool,
     /// Of the model that is compared; may be empty.
     pub parameters: &'a [ParameterEstimate],
+    /// The model's free run over what is held out, where there is a voltage.
+    pub series: Option<ConfirmRun<'a>>,
+    /// What the worse equation lacks along its axis.
+    pub curve: Option<&'a EffectCurve>,
 }
 
 impl ComparisonReport<'_> {
@@ -99,7 +103,14 @@ impl ComparisonReport<'_> {
         tables::data_notes(&mut page, self.context);
         let models = [("model", Some(found))];
         page.section("Model beside measurement");
+        if let Some(run) = self.series {
+            commission::traces(&mut page, run);
+        }
         figures(&mut page, &models);
+        if let Some(curve) = self.curve {
+            page.section("What the equations lack");
+            findings::effect_curve(&mut page, curve);
+        }
         places(&mut page, &models);
         if !self.parameters.is_empty() {
             tables::parameter_section(&mut page, None, &[], self.parameters);

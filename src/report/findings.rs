@@ -125,7 +125,7 @@ fn listed(names: Vec<String>) -> Option<String> {
 }
 
 /// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
-fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+pub(super) fn effect_curve(page: &mut Page, curve: &EffectCurve) {
     let why = curve.why_axis.iter();
     let why = why.map(|why| format!(" {}.", capitalised(why)));
     page.figure(

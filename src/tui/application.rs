@@ -197,8 +197,9 @@ impl Owned {
                 break;
             }
         }
-        enter_screen()?;
-        self.terminal.clear()
+        // A new one draws every cell; the old one is not dropped, as ever.
+        self.terminal = ManuallyDrop::new(enter()?);
+        Ok(())
     }
 
     /// Whether a thread other than the screen's has panicked.
@@ -226,13 +227,9 @@ impl Drop for Owned {
     }
 }
 
-fn enter_screen() -> io::Result<()> {
-    enable_raw_mode()?;
-    execute!(io::stdout(), EnterAlternateScreen, Hide)
-}
-
 fn enter() -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
-    enter_screen()?;
+    enable_raw_mode()?;
+    execute!(io::stdout(), EnterAlternateScreen, Hide)?;
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
 

@@ -378,9 +378,12 @@ impl Commission {
         self.offered(Step::Experiment, next.as_deref().ok_or(none));
         let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
         let is_unknown = self.bench.motor.is_unknown();
-        let offer = match tuned {
+        let refused = self.bench.check_speed("the bench file", "").err();
+        let refused = refused.map(|error| error.to_string());
+        let offer = match (tuned, refused.as_deref()) {
             _ if is_unknown => Err("put what was found into [motor] first"),
-            Some(step) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
+            (Some(step), _) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
+            (_, Some(refused)) => Err(refused),
             _ => Ok("with the model that was found"),
         };
         self.offered(Step::SpeedLoop, offer);

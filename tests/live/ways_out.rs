@@ -173,7 +173,7 @@ fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
     let error = done.error();
     has(&error, &["record could not be kept"]);
     has(&done.stderr, &["the run goes on"]);
-    has(&done.stdout, &["done: ", "back_emf"]);
+    has(&done.stdout, &["DONE: ", "back_emf"]);
     lab.expect_stopped("a full disk");
     let manifest = lab.desk.read("manifest.json");
     has(&manifest, &["\"finished\": false"]);
