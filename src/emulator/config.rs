@@ -217,11 +217,21 @@ pub struct LineConfig {
     /// The drive thinks for so long before it answers.
     pub turnaround_ms: f64,
     /// Share of the answers over a wire that come late, and by how much; the drive in memory is never late.
+    #[serde(skip_serializing_if = "is_zero")]
     pub late_share: f64,
+    #[serde(skip_serializing_if = "is_zero")]
     pub late_ms: f64,
     /// Silence between Modbus frames; left out: 3.5 characters, and 1750 us above 19200 baud.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_us: Option<f64>,
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde gives a reference"
+)]
+const fn is_zero(value: &f64) -> bool {
+    value.to_bits() == 0
 }
 
 impl Default for LineConfig {

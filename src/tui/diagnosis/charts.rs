@@ -1,5 +1,6 @@
 //! The pictures of the diagnosis: the curve of an effect over its axis, and the signed map of the error.
 
+use std::fmt::Write as _;
 use std::sync::Arc;
 
 use ratatui::buffer::Buffer;
@@ -108,10 +109,10 @@ fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'st
         with_std(point.mean, Some(point.std))
     );
     if let Some(with) = curve.with_it.get(at) {
-        text += &format!(", with it {}", with_std(with.mean, Some(with.std)));
+        let _ = write!(text, ", with it {}", with_std(with.mean, Some(with.std)));
     }
     if point.count > 0 {
-        text += &format!(", {} windows", point.count);
+        let _ = write!(text, ", {} windows", point.count);
     }
     Line::styled(text, theme::BOLD)
 }

@@ -35,9 +35,10 @@ use crate::workflow::{News, Order};
 use state::{Event, State};
 
 /// With what the screen opens.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Opens {
     /// What is missing is searched at once.
+    #[default]
     Search,
     /// The same, with the traces over it as soon as they are there.
     Traces,
@@ -82,12 +83,13 @@ impl DiagnosisScreen {
         // A worker that has gone is told of by its news.
         let title = sources.title.clone();
         let (order, mut state) = match sources.opens {
-            Opens::Comparison(error_of) => {
-                (Order::Compare(error_of), State::of_a_comparison(title))
-            }
+            Opens::Comparison(error_of) => (
+                Order::Compare(error_of),
+                State::of_a_comparison(title, error_of),
+            ),
             _ => (Order::Diagnose, State::new(title, sources.guess_first)),
         };
-        state.opens_traces = sources.opens == Opens::Traces;
+        state.opens = sources.opens;
         let _ = sources.orders.send(order);
         Self { state, sources }
     }

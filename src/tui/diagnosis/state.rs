@@ -4,9 +4,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::Opens;
 use crate::diagnosis::{
     AddResult, AxisMap, Candidate, Comparison, CurvePoint, Diagnosis, DiagnosisVerdict,
-    EffectCurve, Event as Found, NextExperiment, Status,
+    EffectCurve, ErrorOf, Event as Found, NextExperiment, Status,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect::{self, Axis};
@@ -107,8 +108,8 @@ impl Row<'_> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct State {
     pub(super) title: String,
-    /// Nothing is searched before it is asked for.
-    pub(super) is_a_comparison: bool,
+    /// With what it opened, until something else was asked for.
+    pub(super) opens: Opens,
     /// What the worker is doing.
     pub(super) working: Option<String>,
     pub(super) comparison: Option<Arc<Comparison>>,
@@ -120,8 +121,6 @@ pub(super) struct State {
     /// The run that would tell more.
     pub(super) next: Option<Arc<NextExperiment>>,
     pub(super) traces: TracesPage,
-    /// They come over the page as soon as they are there.
-    pub(super) opens_traces: bool,
     /// The error alone, and the effects that can be drawn through it.
     pub(super) curves: Vec<Arc<EffectCurve>>,
     /// Frames until the fall of the error is drawn.
@@ -162,17 +161,21 @@ impl State {
     }
 
     /// The screen of a comparison alone: nothing is searched before it is asked for.
-    pub(super) fn of_a_comparison(title: String) -> Self {
+    pub(super) fn of_a_comparison(title: String, error_of: ErrorOf) -> Self {
         Self {
-            is_a_comparison: true,
+            opens: Opens::Comparison(error_of),
             working: Some("comparing".to_owned()),
             ..Self::new(title, false)
         }
     }
 
+    pub(super) const fn is_a_comparison(&self) -> bool {
+        matches!(self.opens, Opens::Comparison(_))
+    }
+
     /// Whether there is a comparison and nobody has asked for more.
     pub(super) fn only_compares(&self) -> bool {
-        self.is_a_comparison && self.working.is_none() && self.comparison.is_some()
+        self.is_a_comparison() && self.working.is_none() && self.comparison.is_some()
     }
 
     /// Whether something is being drawn frame by frame; it ends by itself.
@@ -277,13 +280,13 @@ impl State {
             News::Diagnosed(diagnosis) => self.diagnosed(*diagnosis),
             News::Traced(traces) => {
                 self.traces.take(*traces);
-                if std::mem::take(&mut self.opens_traces) {
-                    self.over = Over::Traces;
+                if self.opens == Opens::Traces {
+                    (self.opens, self.over) = (Opens::Search, Over::Traces);
                 }
             }
             News::Curves(curves) => {
                 self.curves = curves.into_iter().map(Arc::new).collect();
-                if self.is_a_comparison {
+                if self.is_a_comparison() {
                     // The last of it.
                     self.working = None;
                 }
@@ -415,7 +418,7 @@ impl State {
                 self.traces.press(press);
             }
             Press::Diagnose if self.only_compares() => {
-                self.is_a_comparison = false;
+                self.opens = Opens::Search;
                 self.order("fitting the model".to_owned());
                 return Some(Effect::Order(Order::Diagnose));
             }

@@ -8,7 +8,7 @@ use ratatui::backend::TestBackend;
 use super::state::{Event, Guess, Guessing, Over, State, compared};
 use super::view::view;
 use crate::diagnosis::{
-    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, Event as Found, Status,
+    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found, Status,
     effect_curve, error_curve,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
@@ -100,6 +100,9 @@ fn at_the_floor() -> State {
     press(&mut state, Press::Add);
     hear(&mut state, added("stribeck_friction", true));
     hear(&mut state, News::Diagnosed(Box::new(nothing_more())));
+    while state.is_moving() {
+        state.update(Event::Frame);
+    }
     state
 }
 
@@ -141,7 +144,7 @@ fn falling() -> State {
 
 /// Nothing but a comparison.
 fn compared_alone() -> State {
-    let mut state = State::of_a_comparison("run-a, held out run-b".to_owned());
+    let mut state = State::of_a_comparison("run-a, held out run-b".to_owned(), ErrorOf::Model);
     hear(&mut state, News::Compared(Box::new(comparison(0.76))));
     hear(&mut state, News::Traced(Box::new(fan_traces(false))));
     hear(&mut state, News::Curves(fan_curves()));

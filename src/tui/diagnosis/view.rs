@@ -137,7 +137,7 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         (None, None) => Span::styled(" ready ", theme::GOOD),
     };
     let width = (work.width() as u16).min(area.width);
-    let screen = if state.is_a_comparison {
+    let screen = if state.is_a_comparison() {
         " COMPARISON "
     } else {
         " DIAGNOSIS "

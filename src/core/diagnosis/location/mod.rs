@@ -462,6 +462,9 @@ const LARGEST_DIGIT: f64 = 9.0;
 /// Share of the root mean square that a mean must have for its sign to be told.
 const SIGNED_SHARE: f64 = 0.5;
 
+/// Sums of squares and of errors in a cell, and their number.
+type Sums = (f64, f64, usize);
+
 impl ErrorMap {
     /// What one equation lacks, cell by cell.
     pub fn cells(&self, equation: &str) -> &[Vec<Option<f64>>] {
@@ -534,7 +537,6 @@ impl ErrorMap {
                 }
             }
         }
-        type Sums = (f64, f64, usize);
         let of = |value: fn(&Sums) -> f64| {
             let cell = |sums: &Sums| (sums.2 > 0).then(|| value(sums));
             let [torque, voltage] = &sums;
