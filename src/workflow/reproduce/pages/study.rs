@@ -864,6 +864,6 @@ mod tests {
         insta::assert_snapshot!(study.report().text());
         let files = study.report().files();
         let svg = files.iter().find(|(name, _)| name == "reliability.svg");
-        assert!(svg.is_some_and(|(_, svg)| svg.matches("class=\"knot\"").count() == 2));
+        assert!(svg.is_some_and(|(_, svg)| svg.matches("class=\"knot after\"").count() == 2));
     }
 }
