@@ -105,6 +105,10 @@ impl Row<'_> {
 
 /// The state of the screen.
 #[derive(Clone, Debug, Default)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each answers a question of its own, in any combination"
+)]
 pub(super) struct State {
     pub(super) title: String,
     /// Nothing is searched before it is asked for.
