@@ -35,7 +35,7 @@ def record():
         for name, seed in (("fit", "1"), ("judge", "2")):
             run = [PROGRAM, "run", "--headless", "--port", "sim:", "--out", name, "--run-seed", seed]
             subprocess.run(run, cwd=folder, check=True, capture_output=True)
-        [fit], [judge] = (list(Path(folder, name).iterdir()) for name in ("fit", "judge"))
+        fit, judge = (Path(folder, name, "latest").resolve() for name in ("fit", "judge"))
         arguments = ["diagnose", f"fit/{fit.name}", "--holdout", f"judge/{judge.name}", "--screen"]
         child = pexpect.spawn(PROGRAM, arguments, cwd=folder, dimensions=(ROWS, COLUMNS), encoding="utf-8",
                               env={"TERM": "xterm-256color", "PATH": "/usr/bin:/bin", "HOME": folder, "LANG": "C.UTF-8"})
