@@ -25,8 +25,10 @@ COLUMNS, ROWS = 100, 30
 READY, SETTLED_S, LOOK_S, MOST_S = "ready", 1.0, 2.0, 120.0
 # A picture of the screen at most so often, s, and the last one so long.
 FRAME_S, LAST_S = 0.15, 4.0
-# Keys with what they are for: the effect is added.
-KEYS = sys.argv[2:] or ["a"]
+# Pieces of output nearer to each other than this belong to one screen.
+PIECE_S = 0.05
+# Keys: the traces and back, the effect is added, the traces once more.
+KEYS = sys.argv[2:] or ["v", "v", "a", "v"]
 
 
 def record():
@@ -35,7 +37,7 @@ def record():
         for name, seed in (("fit", "1"), ("judge", "2")):
             run = [PROGRAM, "run", "--headless", "--port", "sim:", "--out", name, "--run-seed", seed]
             subprocess.run(run, cwd=folder, check=True, capture_output=True)
-        [fit], [judge] = (list(Path(folder, name).iterdir()) for name in ("fit", "judge"))
+        fit, judge = (Path(folder, name, "latest").resolve() for name in ("fit", "judge"))
         arguments = ["diagnose", f"fit/{fit.name}", "--holdout", f"judge/{judge.name}", "--screen"]
         child = pexpect.spawn(PROGRAM, arguments, cwd=folder, dimensions=(ROWS, COLUMNS), encoding="utf-8",
                               env={"TERM": "xterm-256color", "PATH": "/usr/bin:/bin", "HOME": folder, "LANG": "C.UTF-8"})
@@ -126,9 +128,11 @@ def frames(said):
         # Before the screen begins, and from where it is left, there is nothing to see.
         if "\x1b[?1049l" in text:
             break
-        last = index + 1 == len(said) or said[index + 1][0] - at > FRAME_S
+        # Between two pieces of one screen there is none to be seen.
+        rest_s = said[index + 1][0] - at if index + 1 < len(said) else FRAME_S
+        last = rest_s >= FRAME_S
         drawn = [picture(screen.buffer[row]) for row in range(ROWS)]
-        if (clock - kept >= FRAME_S or last) and sum(map(bool, drawn)) > ROWS // 2:
+        if (clock - kept >= FRAME_S and rest_s > PIECE_S or last) and sum(map(bool, drawn)) > ROWS // 2:
             if not shown:
                 clock = 0.0
             if not shown or shown[-1][1] != drawn:
