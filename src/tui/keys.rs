@@ -129,7 +129,7 @@ const HELP: [(On, &str, &str); 33] = [
     (
         On::Live,
         "v",
-        "measured and model over time, after the report",
+        "measured and model over time, after the run",
     ),
     (
         On::Live,
