@@ -10,6 +10,7 @@ use super::tune::{KeptGains, viscous_n_m_s_per_rad};
 use crate::control::{Actuator, Holding};
 use crate::plant::ModelFile;
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
+use crate::sample::Run;
 
 /// What is asked to be exported.
 pub(crate) struct ExportRequest<'a> {
@@ -103,6 +104,23 @@ fn as_json(
         value["regulator"] = Value::Object(values.into_iter().collect());
     }
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
+}
+
+/// Writes a run as Parquet, and says how many rows it has.
+#[cfg(feature = "parquet")]
+pub(crate) fn write_parquet(run: &Run, path: &Path) -> Result<usize, Failure> {
+    let bytes = crate::recording::parquet(run)
+        .map_err(|error| Failure::internal(format!("the run has no Parquet form: {error}")))?;
+    super::output::file(path, &bytes)?;
+    Ok(run.rows())
+}
+
+/// Parquet is refused where this program was built without it.
+#[cfg(not(feature = "parquet"))]
+pub(crate) fn write_parquet(_run: &Run, _path: &Path) -> Result<usize, Failure> {
+    let headline = "this program was built without Parquet";
+    let help = "samples.csv is read by pandas, Polars and DuckDB as it is; or build with `cargo install --path . --features parquet`";
+    Err(Failure::usage(headline, help))
 }
 
 impl From<ExportError> for Failure {

@@ -142,9 +142,9 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
 }
 
 /// A new file, whole or not at all as far as a signal is concerned.
-pub(crate) fn file(path: &Path, text: &str) -> Result<(), Failure> {
+pub(crate) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
     let _whole = signals::writing();
-    let written = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
+    let written = File::create_new(path).and_then(|mut file| file.write_all(content.as_ref()));
     written.map_err(|error| cannot_write(path, &error))
 }
 

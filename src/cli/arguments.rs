@@ -55,9 +55,9 @@ impl MapArguments {
         let given = maps
             .into_iter()
             .filter_map(|(name, map)| Some((name, map.as_deref()?)));
-        given
-            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
-            .collect()
+        given.fold(String::new(), |words, (name, map)| {
+            words + " --" + name + " " + &output::quoted_word(map)
+        })
     }
 
     /// Opens the run with its map; what the command line says of origins goes before what a manifest says.

@@ -2,22 +2,28 @@
 
 use std::path::PathBuf;
 
-use super::arguments::run_path;
+use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::output;
-use crate::app::export::{ExportRequest, export};
+use crate::app::export::{ExportRequest, export, write_parquet};
 use crate::report::export::Target;
 
-/// Write a model, with the gains of its regulator, as JSON, C, Python, MATLAB/Octave or Modelica
+/// Write a model, with the gains of its regulator, as JSON, C, Python, MATLAB/Octave or Modelica; or a run as Parquet
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench export --model model.toml --to c --output motor.h
   drivebench tune --model model.toml --json > gains.json
-  drivebench export --model model.toml --to python --gains gains.json --limit-v 110 --output motor.py")]
+  drivebench export --model model.toml --to python --gains gains.json --limit-v 110 --output motor.py
+  drivebench export --run runs/latest --to parquet --output run.parquet")]
 pub(super) struct Arguments {
     /// Model file, complete
-    #[arg(long, value_parser = run_path())]
-    model: PathBuf,
+    #[arg(long, value_parser = run_path(), required_unless_present = "run")]
+    model: Option<PathBuf>,
+    /// Run folder, samples.csv, or any CSV with --map
+    #[arg(long, value_parser = run_path(), conflicts_with_all = ["model", "gains"], requires = "output")]
+    run: Option<PathBuf>,
+    #[command(flatten)]
+    map: MapArguments,
     /// Format
     #[arg(long, value_enum)]
     to: Format,
@@ -44,23 +50,22 @@ enum Format {
     Matlab,
     /// A model with an input of the voltage
     Modelica,
+    /// The run as columns, for pandas, Polars, DuckDB; in programs that were built with the feature of this name
+    Parquet,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
+    let (Some(model), Some(target)) = (&arguments.model, arguments.to.target()) else {
+        return run(arguments);
+    };
     let stem = arguments.output.as_ref().and_then(|path| path.file_stem());
     let name = stem.map(|stem| stem.to_string_lossy());
     let (text, title) = export(&ExportRequest {
-        model: &arguments.model,
-        target: match arguments.to {
-            Format::Json => None,
-            Format::C => Some(Target::C),
-            Format::Python => Some(Target::Python),
-            Format::Matlab => Some(Target::Matlab),
-            Format::Modelica => Some(Target::Modelica),
-        },
+        model,
+        target,
         gains: arguments.gains.as_deref().zip(arguments.limit_v),
         name: name.as_deref(),
     })?;
@@ -69,4 +74,31 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     output::file(path, &text)?;
     output::line(&format!("{}: {title}", path.display()))
+}
+
+impl Format {
+    /// What a model is written as, `Some(None)` for JSON; `None` where it is a format of runs.
+    const fn target(self) -> Option<Option<Target>> {
+        match self {
+            Self::Json => Some(None),
+            Self::C => Some(Some(Target::C)),
+            Self::Python => Some(Some(Target::Python)),
+            Self::Matlab => Some(Some(Target::Matlab)),
+            Self::Modelica => Some(Some(Target::Modelica)),
+            Self::Parquet => None,
+        }
+    }
+}
+
+/// The run, where both run and format are of one.
+fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let (Some(run), Some(path), Format::Parquet) =
+        (&arguments.run, &arguments.output, arguments.to)
+    else {
+        let headline = "a run is written as parquet, and a model as anything else";
+        let help = "give --run RUN --to parquet, or --model MODEL.toml with another format";
+        return Err(Failure::usage(headline, help));
+    };
+    let rows = write_parquet(&arguments.map.load(run)?.run, path)?;
+    output::line(&format!("{}: {rows} rows", path.display()))
 }

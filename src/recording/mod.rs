@@ -19,6 +19,8 @@ mod error;
 mod journal;
 mod manifest;
 mod open_run;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod recorder;
 mod row_order;
 mod run_folder;
@@ -30,6 +32,8 @@ pub use error::{RecordingError, RowProblem};
 pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
 pub use manifest::Manifest;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
+#[cfg(feature = "parquet")]
+pub use parquet::parquet;
 pub use recorder::{Kept, Recorder};
 pub use row_order::{CommandRow, RowOrder};
 pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};

@@ -45,7 +45,7 @@ struct Part {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Body {
     Sentences(Vec<String>),
-    /// Name, its share of the longest bar in thousandths, figure.
+    /// Name, its cells of the longest bar, figure.
     Bars(Vec<(String, usize, String)>),
     Table {
         table: Table,
@@ -117,18 +117,15 @@ impl Card {
             .map(|bar| bar.1)
             .filter(|value| value.is_finite());
         let largest = finite.fold(0.0, f64::max);
-        let thousandths = |value: f64| {
-            let share = value / largest;
-            let share = if share.is_finite() {
-                share.clamp(0.0, 1.0)
-            } else {
-                0.0
-            };
-            (1000.0 * share).round() as usize
+        // What is there has a cell of its own, however short.
+        let cells = |value: f64| {
+            (0..LONGEST)
+                .filter(|cell| value * LONGEST as f64 > *cell as f64 * largest)
+                .count()
         };
         let bars: Vec<_> = bars
             .into_iter()
-            .map(|(name, value, figure)| (name, thousandths(value), figure))
+            .map(|(name, value, figure)| (name, cells(value), figure))
             .collect();
         let least = bars.len().min(2);
         self.put(label, Body::Bars(bars), least);
@@ -228,7 +225,7 @@ fn shortened(text: &str, width: usize, most: usize) -> Vec<String> {
     if rows.len() > most {
         rows.truncate(most);
         if let Some(last) = rows.last_mut() {
-            *last = cut(last, width.saturating_sub(2)) + " …";
+            *last = cut(&format!("{last} …"), width);
         }
     }
     rows
@@ -259,13 +256,11 @@ fn bars(all: &[(String, usize, String)], width: usize) -> Vec<String> {
     let widest = all.iter().map(|(name, ..)| name.chars().count()).max();
     let name_width = widest.unwrap_or(0).min(width / 2);
     let length = width.saturating_sub(name_width + FIGURE + 4).min(LONGEST);
-    let row = |(name, thousandths, figure): &(String, usize, String)| {
+    let row = |(name, cells, figure): &(String, usize, String)| {
         let name = cut(name, name_width);
-        // What is there has a mark of its own, however short.
-        let cells = (length * thousandths).div_ceil(1000);
         let row = format!(
             "{name:<name_width$}  {figure:>FIGURE$}  {}",
-            "█".repeat(cells)
+            "█".repeat((length * cells).div_ceil(LONGEST))
         );
         cut(row.trim_end(), width)
     };
@@ -305,8 +300,10 @@ mod tests {
             let text = card().text(width);
             let rows: Vec<&str> = text.lines().collect();
             assert_eq!(rows.len(), LINES, "{text}");
-            let widest = rows.iter().map(|row| row.chars().count()).max();
-            assert!(widest <= Some(width.min(COLUMNS).max(88)), "{text}");
+            // A path is not broken, whatever the room.
+            let broken = rows.iter().filter(|row| !row.contains("runs/"));
+            let widest = broken.map(|row| row.chars().count()).max();
+            assert!(widest <= Some(width.min(COLUMNS)), "{text}");
             assert!(rows[0].starts_with("EFFECT FOUND: missing"), "{text}");
             assert!(rows[LINES - 1].ends_with("-fit/report.html"), "{text}");
             // What was left out is told, and the answer is not among it.

@@ -83,15 +83,15 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
             .map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
-    card.say("possible", listed(possible.collect()), 1);
+    card.say("possible", listed(&possible.collect::<Vec<_>>()), 1);
     let ruled_out: Vec<String> = with(Status::RuledOut)
         .map(|own| own.effect.to_owned())
         .collect();
-    card.say("ruled out", listed(ruled_out), 1);
+    card.say("ruled out", listed(&ruled_out), 1);
     let unseen: Vec<String> = with(Status::NotExcited)
         .map(|own| own.effect.to_owned())
         .collect();
-    card.say("not shown", listed(unseen), 1);
+    card.say("not shown", listed(&unseen), 1);
     card.say(
         "unknown",
         diagnosis.unknown.iter().map(|part| part.sentence.as_str()),
@@ -109,7 +109,7 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
 }
 
 /// Names in one line, the rest of them counted.
-fn listed(names: Vec<String>) -> Option<String> {
+fn listed(names: &[String]) -> Option<String> {
     let more = names.len().saturating_sub(MOST_LISTED);
     let shown = names
         .iter()
@@ -147,15 +147,20 @@ pub fn effect_picture(curve: &EffectCurve) -> String {
         points: points.iter().map(|p| (p.at, p.mean, p.std)).collect(),
         is_joined: false,
     };
-    let (label, line) = match curve.effect {
-        Some(effect) => (format!("{effect} at its size"), curve.line.as_slice()),
-        None => (String::new(), &[][..]),
+    // Where no effect is drawn there is nothing that the points are without.
+    let (label, line, without) = match curve.effect {
+        Some(effect) => (
+            format!("{effect} at its size"),
+            curve.line.as_slice(),
+            "without the effect",
+        ),
+        None => (String::new(), &[][..], ""),
     };
     let chart = AxisChart {
         title: curve.title(),
         axis: &axis,
         sets: vec![
-            of("without the effect", Style::Before, &curve.points),
+            of(without, Style::Before, &curve.points),
             of("with it", Style::After, &curve.with_it),
         ],
         line: (&label, line),

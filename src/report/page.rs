@@ -294,7 +294,13 @@ impl Page {
     pub fn figure(&mut self, plot: impl Into<Plot>, caption: impl Into<String>) {
         let plot = plot.into();
         if !plot.svg.is_empty() {
-            let caption = caption.into();
+            let mut caption = caption.into();
+            if let Some(column) = &plot.thinned {
+                let _ = write!(
+                    caption,
+                    " Looked at closely, each {column} has its first, lowest, highest and last value."
+                );
+            }
             self.blocks.push(Block::Figure { plot, caption });
         }
     }

@@ -206,13 +206,12 @@ impl Discovery {
         let known = self.known.take();
         let is_known = known.is_some();
         let progress = |event| tell(News::Progress(event));
-        let mut diagnosis = match known {
-            Some(known) => *known,
-            None => {
-                let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
-                found.remember_rivals(&self.rivals);
-                found
-            }
+        let mut diagnosis = if let Some(known) = known {
+            *known
+        } else {
+            let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
+            found.remember_rivals(&self.rivals);
+            found
         };
         if !is_electrical {
             let model = &diagnosis.baseline.model;

@@ -256,6 +256,43 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
 }
 
 #[test]
+fn a_run_goes_out_as_parquet_where_the_program_was_built_with_it() {
+    let run = &Runs::plain().fit;
+    let desk = Desk::new();
+    let file = desk.path("run.parquet");
+    let text = "export --run {} --to parquet --output {}";
+    if cfg!(not(feature = "parquet")) {
+        has(
+            &refusal(text, &[run, &file]),
+            &["built without Parquet", "samples.csv"],
+        );
+        return;
+    }
+    has(&call(text, &[run, &file]).expect(0).stdout, &[" rows"]);
+    let script = "import sys, csv, pyarrow.parquet as pq\n\
+        table = pq.read_table(sys.argv[1]).to_pydict()\n\
+        rows = list(csv.DictReader(open(sys.argv[2])))\n\
+        assert len(rows) == len(table['time_s']) > 1000\n\
+        for key in ('time_s', 'voltage_cmd_v', 'current_a', 'speed_rad_s'):\n    \
+            there = [float(row[key]) if row[key] else None for row in rows]\n    \
+            assert there == table[key], key\n";
+    let known = Command::new("python3")
+        .args(["-c", "import pyarrow"])
+        .output();
+    if !known.is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: pyarrow is not installed: the Parquet file was not read by it");
+        return;
+    }
+    let mut python = Command::new("python3");
+    python
+        .args(["-c", script])
+        .arg(&file)
+        .arg(run.join("samples.csv"));
+    let read = Done::of(&python.output().unwrap());
+    assert_eq!(read.status, 0, "{}", read.stderr);
+}
+
+#[test]
 fn completions_are_scripts_that_their_shells_take() {
     for (shell, part) in [
         ("bash", "_drivebench"),

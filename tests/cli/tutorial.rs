@@ -5,12 +5,10 @@ use std::process::Command;
 
 use super::kit::prelude::*;
 
-const TUTORIAL: &str = include_str!("../../docs/tutorial.md");
-
-/// Blocks of commands, each with the output that is shown beneath it.
-fn blocks() -> Vec<(&'static str, Vec<&'static str>)> {
+/// Blocks of commands of a page, each with the output that is shown beneath it.
+fn blocks(page: &str) -> Vec<(&str, Vec<&str>)> {
     let mut blocks: Vec<(&str, Vec<&str>)> = Vec::new();
-    let fences: Vec<&str> = TUTORIAL.split("```").collect();
+    let fences: Vec<&str> = page.split("```").collect();
     // Every second piece is what a pair of fences holds: the language, then the text.
     for fence in fences.iter().skip(1).step_by(2) {
         let (language, text) = fence.split_once('\n').unwrap();
@@ -44,7 +42,8 @@ fn every_command_of_the_tutorial_runs_and_says_what_is_shown() {
     symlink(repository.join("bench-configs"), desk.path("bench-configs")).unwrap();
     let folder = Path::new(BINARY).parent().unwrap().display();
     let path = format!("{folder}:{}", std::env::var("PATH").unwrap());
-    let blocks = blocks();
+    let page = fs::read_to_string(repository.join("docs/tutorial.md")).unwrap();
+    let blocks = blocks(&page);
     assert!(blocks.len() > 8, "{}", blocks.len());
     for (commands, shown) in blocks {
         let mut shell = Command::new("sh");

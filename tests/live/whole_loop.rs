@@ -25,7 +25,7 @@ drop_v = 1.2
 ";
 
 fn tracking(found: &Value) -> f64 {
-    number(found, "/speed/tracking/0/rms_rad_s")
+    number(found, "/loop/tracking/0/mean_abs_rad_s")
 }
 
 #[test]

@@ -761,6 +761,22 @@ mod tests {
         let found = third(&elsewhere);
         assert_eq!(found.confirmed, Some(false), "{}", found.sentence);
         assert!(found.error_after.unwrap() > found.error_before.unwrap());
+
+        // Of an error that is below the noise nothing is explained.
+        let below = Diagnosis {
+            holdout_before: 0.95,
+            holdout_after: 0.72,
+            explained_percent: 0.0,
+            ..there
+        };
+        assert_eq!(below.answer(), Answer::NoErrorLeft);
+        let said = sentence(&below);
+        let start = "no error left to explain: held-out error 0.95 times the noise floor";
+        assert!(
+            said.starts_with(start) && said.contains("quadratic_load"),
+            "{said}"
+        );
+        assert!(!said.contains("% explained"), "{said}");
     }
 
     #[test]

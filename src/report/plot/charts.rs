@@ -139,7 +139,9 @@ impl AxisChart<'_> {
                 svg.dot(class, place(*at, *value), 3);
             }
             if !set.label.is_empty() && !points.is_empty() {
+                let key = right - width(set.label) - 18.0;
                 right = svg.legend_entry(right, HEAD - 9.0, class, set.label);
+                svg.dot(class, (key, HEAD - 13.0), 3);
             }
         }
         // Where the run never was the line says nothing.

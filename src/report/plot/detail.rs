@@ -8,13 +8,22 @@ use super::decimate::{Pieces, decimate};
 pub const MOST_POINTS: usize = 360_000;
 
 /// One line of text for each line of the picture: base64 of pairs of 32-bit floats, least byte first: place along the axis and
-/// value. A value that is not a number is a gap.
-pub(super) fn encode(lines: &[&Pieces], from: f64, to: f64, most_points: usize) -> String {
+/// value. A value that is not a number is a gap. With it the width of the columns to which a line was thinned, if any was.
+pub(super) fn encode(
+    lines: &[&Pieces],
+    from: f64,
+    to: f64,
+    most_points: usize,
+) -> (String, Option<f64>) {
     let share = most_points / lines.len().max(1);
-    let mut text = String::new();
+    let columns = (share / 4).max(1);
+    let (mut text, mut width) = (String::new(), None);
     for pieces in lines {
         let points: usize = pieces.iter().map(Vec::len).sum();
-        let thinned = (points > share).then(|| decimate(pieces, from, to, share / 4));
+        let thinned = (points > share).then(|| decimate(pieces, from, to, columns));
+        if thinned.is_some() {
+            width = Some((to - from) / columns as f64);
+        }
         let mut bytes = Vec::with_capacity(8 * points.min(share + share / 2));
         let mut push = |place: f64, value: f64| {
             #[expect(
@@ -35,7 +44,7 @@ pub(super) fn encode(lines: &[&Pieces], from: f64, to: f64, most_points: usize) 
         base64(&mut text, &bytes);
         text.push('\n');
     }
-    text
+    (text, width)
 }
 
 /// RFC 4648, which browsers decode themselves.
@@ -80,14 +89,16 @@ mod tests {
     fn a_short_line_is_there_to_the_last_point_and_a_long_one_is_bounded() {
         let short = vec![vec![(0.0, 1.0), (1.0, 2.0)], vec![(3.0, 4.0)]];
         // Four pairs, the gap among them, of eight bytes each.
-        let text = encode(&[&short], 0.0, 3.0, MOST_POINTS);
+        let (text, width) = encode(&[&short], 0.0, 3.0, MOST_POINTS);
+        assert_eq!(width, None);
         assert_eq!(text.len(), 32_usize.div_ceil(3) * 4 + 1);
         let long = vec![
             (0..100_000)
                 .map(|k| (f64::from(k), f64::from(k % 7)))
                 .collect(),
         ];
-        let text = encode(&[&long], 0.0, 1e5, 4_000);
+        let (text, width) = encode(&[&long], 0.0, 1e5, 4_000);
+        assert_eq!(width, Some(100.0));
         assert!(text.len() < 8 * 4_100 * 4 / 3, "{}", text.len());
     }
 }

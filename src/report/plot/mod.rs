@@ -33,13 +33,15 @@ pub struct Plot {
     pub svg: String,
     /// One line of text for each line of the picture, in its order; empty where there is nothing to zoom.
     pub points: String,
+    /// The columns to which those points were thinned, with their unit, where they are not all.
+    pub thinned: Option<String>,
 }
 
 impl From<String> for Plot {
     fn from(svg: String) -> Self {
         Self {
             svg,
-            points: String::new(),
+            ..Self::default()
         }
     }
 }

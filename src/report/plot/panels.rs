@@ -7,6 +7,7 @@ use super::chart::{Along, LEFT, Scale, Svg, WIDTH, polyline, px, width};
 use super::decimate::{Pieces, decimate, held, pieces};
 use super::{Plot, detail};
 use crate::report::page::escape;
+use crate::text::number::significant;
 
 /// Room for a second unit on the right, above each panel, between panels, and below the last one, px.
 const RIGHT: f64 = 58.0;
@@ -271,8 +272,10 @@ pub fn stacked(
     );
     let lines = panels().flat_map(|panel| &panel.series);
     let lines: Vec<&Pieces> = lines.map(|series| &series.pieces).collect();
+    let (points, width) = detail::encode(&lines, time.from, time.to, most_points);
     Plot {
-        points: detail::encode(&lines, time.from, time.to, most_points),
+        points,
+        thinned: width.map(|width| format!("{} {unit}", significant(width, 2))),
         svg: svg.close("plot panels", base + FOOT, description, &more),
     }
 }
