@@ -226,10 +226,7 @@ pub struct LineConfig {
     pub gap_us: Option<f64>,
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde gives a reference"
-)]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
 const fn is_zero(value: &f64) -> bool {
     value.to_bits() == 0
 }

@@ -16,7 +16,6 @@ const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
 
 /// One line: when it is free again, and what travels how long. Times are those of the caller's clock, s.
 #[derive(Clone, Debug)]
-#[expect(clippy::struct_field_names, reason = "the postfix is the unit")]
 pub(super) struct Pace {
     char_s: f64,
     gap_s: f64,

@@ -126,11 +126,7 @@ const HELP: [(On, &str, &str); 33] = [
         "what each step needs, unlocks, and its command",
     ),
     (On::Live, "d", "diagnosis by hand, after the run"),
-    (
-        On::Live,
-        "v",
-        "measured and model over time, after the report",
-    ),
+    (On::Live, "v", "measured and model over time, after the run"),
     (
         On::Live,
         "x",

@@ -145,7 +145,7 @@ impl Discovery {
             self.evidence.confirm.clone(),
         );
         Self {
-            limits: self.limits.clone(),
+            limits: self.limits,
             ..Self::new(
                 self.model.clone(),
                 Evidence::new(run, Some(before), confirm),
