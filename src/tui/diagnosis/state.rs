@@ -106,10 +106,6 @@ impl Row<'_> {
 
 /// The state of the screen.
 #[derive(Clone, Debug, Default)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "each answers a question of its own, in any combination"
-)]
 pub(super) struct State {
     pub(super) title: String,
     /// With what it opened, until something else was asked for.
