@@ -51,10 +51,19 @@ impl Identity {
         )
     }
 
-    /// Vendor and product, and the plate.
+    /// Vendor and product; where the product begins with its vendor, that once.
+    pub fn name(&self) -> String {
+        let name = if self.product.starts_with(&self.vendor) {
+            self.product.clone()
+        } else {
+            format!("{} {}", self.vendor, self.product)
+        };
+        name.trim().to_owned()
+    }
+
+    /// The name and the plate.
     pub fn sentence(&self) -> String {
-        let name = format!("{} {}", self.vendor, self.product);
-        format!("{}, {}", name.trim(), self.plate())
+        format!("{}, {}", self.name(), self.plate())
     }
 }
 

@@ -165,9 +165,8 @@ impl Commission {
             format!(", WAIVED: {}", report.waived.join(", "))
         };
         let line = format!(
-            "{} {}, round trip {:.1} ms, {:.0} Hz reachable",
-            report.identity.vendor,
-            report.identity.product,
+            "{}, round trip {:.1} ms, {:.0} Hz reachable",
+            report.identity.name(),
             1e3 * report.round_trip_p50_s,
             report.reachable_rate_hz,
         );

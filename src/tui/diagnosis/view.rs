@@ -47,7 +47,9 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     let tall = area.height >= 20;
     let width = usize::from(area.width);
     let verdict_line = verdict_line(state);
-    let verdict_rows = rows_of(&verdict_line.to_string(), width, if tall { 3 } else { 1 });
+    let verdict_room = width.saturating_sub(1);
+    let most_rows = if tall { 3 } else { 1 };
+    let verdict_rows = rows_of(&verdict_line.to_string(), verdict_room, most_rows);
     let most = match area.height {
         0..=11 => 0,
         12..=19 => 2,
@@ -82,7 +84,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     top_bar(state, top, buffer);
     Paragraph::new(verdict_line)
         .wrap(Wrap { trim: false })
-        .render(verdict, buffer);
+        .render(inset(verdict), buffer);
     let body = Rect {
         height: where_area.height + strip.height + list.height + ladder_area.height,
         ..where_area
@@ -158,28 +160,30 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
 
 fn verdict_line(state: &State) -> Line<'static> {
     if let Some(failure) = &state.failure {
-        return Line::styled(format!(" ERROR: {failure}"), theme::BAD);
+        return Line::styled(format!("ERROR: {failure}"), theme::BAD);
     }
     if state.guessing == Guessing::Choosing {
         return Line::styled(guess_first(state), theme::BOLD);
     }
     if let (true, Some(comparison)) = (state.only_compares(), &state.comparison) {
-        return Line::styled(format!(" {}", comparison.headline()), theme::BOLD);
+        return Line::styled(comparison.headline(), theme::BOLD);
     }
     let Some(diagnosis) = &state.diagnosis else {
         let judged = state.judged.values();
         let screened = judged.clone().filter(|judged| judged.share.is_some());
         let refitted = judged.filter(|judged| judged.error.is_some());
         let (screened, refitted) = (screened.count(), refitted.count());
-        let mut text = format!(" {screened} effects screened, {refitted} refitted");
+        let mut text = format!("{screened} effects screened, {refitted} refitted");
         for (id, error) in &state.taken {
             let _ = write!(text, "; {id} taken, held-out error {error:.2}");
         }
         return Line::styled(text, theme::CAREFUL);
     };
     let (word, style) = word(diagnosis);
-    let mut line = Line::from(Span::styled(format!(" {word} "), style));
-    line.push_span(diagnosis.after_name().to_owned());
+    let rest = diagnosis.after_name();
+    let colon = if rest.is_empty() { "" } else { ": " };
+    let mut line = Line::from(Span::styled(format!("{word}{colon}"), style));
+    line.push_span(rest.to_owned());
     let names_effects = matches!(
         diagnosis.verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
@@ -196,6 +200,15 @@ fn verdict_line(state: &State) -> Line<'static> {
     line
 }
 
+/// One column in from the left.
+fn inset(area: Rect) -> Rect {
+    Rect {
+        x: area.x + area.width.min(1),
+        width: area.width.saturating_sub(1),
+        ..area
+    }
+}
+
 /// Rows that a text takes, at least one and at most `most`.
 fn rows_of(text: &str, width: usize, most: usize) -> u16 {
     wrapped(text, width).len().clamp(1, most.max(1)) as u16
@@ -210,17 +223,17 @@ fn guess_first(state: &State) -> String {
         } else {
             format!("and takes the held-out error from {before:.2} to {after:.2} {times}")
         };
-        return format!(" the tool has its answer {found}; what is yours?");
+        return format!("the tool has its answer {found}; what is yours?");
     }
     let shares = state.judged.values().filter_map(|judged| judged.share);
     let best = shares.fold(f64::NAN, f64::max);
     if best.is_finite() {
         let percent = 100.0 * best.clamp(0.0, 1.0);
         return format!(
-            " the tool is at work, its best effect explains {percent:.0} %; what is your guess?"
+            "the tool is at work, its best effect explains {percent:.0} %; what is your guess?"
         );
     }
-    " the tool is at work; what is your guess?".to_owned()
+    "the tool is at work; what is your guess?".to_owned()
 }
 
 /// The verdict as a word, which the colour only repeats.
@@ -233,9 +246,9 @@ fn word(diagnosis: &Diagnosis) -> (String, Style) {
         _ => ("~", theme::CAREFUL),
     };
     let word = match answer {
-        Answer::Found => "MISSING:".to_owned(),
-        Answer::NotConfirmed => "MISSING, NOT CONFIRMED:".to_owned(),
-        Answer::InPart => "MISSING, IN PART:".to_owned(),
+        Answer::Found => "MISSING".to_owned(),
+        Answer::NotConfirmed => "MISSING, NOT CONFIRMED".to_owned(),
+        Answer::InPart => "MISSING, IN PART".to_owned(),
         answer => answer.name().to_uppercase(),
     };
     (format!("{mark} {word}"), style)
