@@ -215,9 +215,15 @@ fn lean_beside(
 ) -> Result<(), Failure> {
     spawn("leaning", move || {
         let mut watch = LeaningWatch::default();
+        let mut seen = None;
         while !worker.is_finished() {
-            watch.take(&snapshots.latest());
-            leaning.publish(watch.look().unwrap_or_default());
+            let latest = snapshots.latest();
+            // Between two runs and beside an analysis nothing new comes.
+            if !seen.as_ref().is_some_and(|seen| Arc::ptr_eq(seen, &latest)) {
+                watch.take(&latest);
+                leaning.publish(watch.look().unwrap_or_default());
+                seen = Some(latest);
+            }
             thread::sleep(LEAN);
         }
     })?;

@@ -74,6 +74,8 @@ impl Judging {
 pub(crate) struct ChosenModel {
     pub(crate) file: ModelFile,
     pub(crate) from: String,
+    /// None was given: the five parameters, yet to be found.
+    pub(crate) is_baseline: bool,
 }
 
 /// What asks for the baseline where the run folder has a model, unless a file is called so.
@@ -94,12 +96,16 @@ pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel,
             model: Model::baseline(Motor::new("fitted")),
             ..ModelFile::default()
         };
-        let from = BASELINE.to_owned();
-        return Ok(ChosenModel { file, from });
+        return Ok(ChosenModel {
+            file,
+            from: BASELINE.to_owned(),
+            is_baseline: true,
+        });
     };
     Ok(ChosenModel {
         file: read_model(&path)?,
         from: path.display().to_string(),
+        is_baseline: false,
     })
 }
 
@@ -135,7 +141,7 @@ impl Prepared {
     /// Makes the model the one that is judged. What was given is judged as it is; what the folder of a run keeps is not
     /// given, and is refitted as `diagnose` refits it; without either the baseline is fitted. Its origin says which.
     pub(crate) fn judge_as_diagnose(&mut self, is_given: bool) -> Result<Judged, Failure> {
-        let is_baseline = self.model.from == "baseline";
+        let is_baseline = self.model.is_baseline;
         let is_electrical = self.evidence.training.input == Input::Voltage;
         let refitted = is_baseline || !is_given && is_electrical;
         if refitted {
@@ -183,7 +189,7 @@ pub(crate) fn prepare(
     let mut run = load(files.run, false)?;
     let mut model = model(files.model, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
-    let judging = if model.from == BASELINE {
+    let judging = if model.is_baseline {
         Judging::FitsFirst
     } else {
         judging

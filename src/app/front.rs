@@ -96,8 +96,14 @@ impl Found {
                 name,
             });
         }
-        let newest = found.runs.last().map(|run| run.name.as_str());
         let named = fs::read_link(runs.join(LATEST)).ok();
+        // Runs of one second stand in the order of their names: the link knows which was the last.
+        let is_named = |run: &Run| named.as_deref() == Some(Path::new(&run.name));
+        if let Some(place) = found.runs.iter().position(is_named) {
+            let newest = found.runs.remove(place);
+            found.runs.push(newest);
+        }
+        let newest = found.runs.last().map(|run| run.name.as_str());
         found.has_latest = newest.is_some() && named.as_deref() == newest.map(Path::new);
         found
     }

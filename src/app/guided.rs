@@ -2,23 +2,25 @@
 //! diagnosis by hand; then the page of the loop again.
 //!
 //! ```text
-//! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+-> page of the loop
-//!                  ^              +- l: checks, speed loop with the model that was found +        |
-//!                  |              '- d, v, p: diagnosis by hand -> end                             |
-//!                  '------------------------------------------------------------------------------'
+//! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+
+//!                  ^              +- l: checks, speed loop with the model that was found +
+//!                  |              +- d, v, p: diagnosis by hand --------------------------+
+//!                  '---------------------------------------------------------------------'
 //! ```
 //!
 //! Each energises anew, from the checks on, and a motor of copper is started by hand again.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
-use super::by_hand::{self, Shown};
+use super::by_hand::{self, Shown, Standing};
 use super::ending::{Audience, Left, conduct};
 use super::failure::{Failure, USAGE};
 use super::files::read_text;
 use super::rig::{Rig, RigOptions};
 use super::run::{CommissionDone, RunDone, escalation_failure, run};
+use super::signals;
 use super::speed::{SpeedRequest, speed};
 use crate::bench::BenchFile;
 use crate::plant::{FileHistory, Scenario};
@@ -26,6 +28,8 @@ use crate::recording::RunFile;
 use crate::text::number::significant;
 use crate::tui::{Exit, Opens};
 use crate::workflow::{Discovery, ProgressCell, Step};
+
+const INTERRUPTED: &str = "interrupted; nothing is energised, what was recorded is kept";
 
 /// A commissioning whose screen was left for good, with what followed it.
 pub(crate) struct Followed {
@@ -44,29 +48,49 @@ pub(crate) fn follow(
     source: &(String, String),
 ) -> Followed {
     let mut said = Vec::new();
+    // Every signal from here on ends what follows, whichever part of it is under way.
+    let hang_up = match signals::flag() {
+        Ok(flag) => flag,
+        Err(failure) => {
+            let outcome = Err(failure);
+            return Followed {
+                done,
+                said,
+                outcome,
+            };
+        }
+    };
+    let interrupted = || Failure::interrupted(INTERRUPTED);
     let outcome = loop {
         let Left::Screen(exit) = left else {
             break left.conclude(done.unkept.take());
         };
         let (step, came) = match exit {
-            Exit::Diagnosis | Exit::Guess | Exit::Traces => break diagnose(&mut done, exit),
+            Exit::Diagnosis | Exit::Guess | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
             Exit::Experiment => (Step::Experiment, experiment(&done, options)),
             Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
             _ => break Left::Screen(exit).conclude(done.unkept.take()),
         };
+        let is_hung_up = hang_up.load(Ordering::Acquire);
         match came {
+            Ok(_) if is_hung_up => break Err(interrupted()),
+            Ok(line) if line.is_empty() => {}
             Ok(line) => {
                 said.push(format!("{}: {line}", step.title()));
-                done.progress.done_on_request(step, Ok(line));
+                if step.is_on_request() {
+                    done.progress.done_on_request(step, Ok(line));
+                }
             }
-            // What was asked for too much is said, and nothing was energised; everything else ends the program.
-            Err(failure) if failure.status == USAGE => {
+            // What asks for too much, or leaves a run that cannot be judged, is said; everything else ends the program.
+            Err(failure) if failure.status == USAGE && step.is_on_request() && !is_hung_up => {
                 let reason = failure.headline().to_owned();
                 done.progress.done_on_request(step, Err(reason));
             }
             Err(failure) => break Err(failure),
         }
         left = match again(&done) {
+            Ok(Left::Screen(Exit::Interrupted | Exit::Forced)) => break Err(interrupted()),
+            Ok(_) if hang_up.load(Ordering::Acquire) => break Err(interrupted()),
             Ok(left) => left,
             Err(failure) => break Err(failure),
         };
@@ -76,6 +100,38 @@ pub(crate) fn follow(
         said,
         outcome,
     }
+}
+
+/// How the screen of a run that followed was left: on to what comes of the run, or away.
+fn goes_on(left: Left, run: Option<Failure>) -> Result<(), Failure> {
+    let is_interrupted = matches!(left, Left::Screen(Exit::Interrupted | Exit::Forced));
+    left.conclude(run)?;
+    if is_interrupted {
+        return Err(Failure::interrupted(INTERRUPTED));
+    }
+    Ok(())
+}
+
+/// The options of a rig that follows: what is done once, and a capture that has its file, are not done again.
+fn once_more(options: &RigOptions) -> RigOptions {
+    RigOptions {
+        escalate: false,
+        reset_fault: false,
+        tap: None,
+        ..options.clone()
+    }
+}
+
+/// What came of a diagnosis by hand: the changes before the answer, and the answer.
+fn answered(standing: &Standing) -> String {
+    let changes = standing.heading();
+    let answer = standing.diagnosis.as_ref();
+    let answer = answer.map_or("left before there was an answer", |found| &found.sentence);
+    changes
+        .lines()
+        .chain([answer])
+        .collect::<Vec<_>>()
+        .join("; ")
 }
 
 /// The page of the loop once more, over nothing that is energised.
@@ -98,9 +154,10 @@ fn first_folder(done: &CommissionDone) -> Result<PathBuf, Failure> {
     folder.map(PathBuf::from).ok_or_else(none)
 }
 
-fn diagnose(done: &mut CommissionDone, exit: Exit) -> Result<(), Failure> {
-    let Some(discovery) = done.discovery.take() else {
-        return done.unkept.take().map_or(Ok(()), Err);
+/// The diagnosis by hand; what was changed in it, if anything.
+fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
+    let Some(discovery) = done.discovery.clone() else {
+        return Ok(String::new());
     };
     let fitted_on = first_folder(done)?;
     let guess_first = exit == Exit::Guess;
@@ -108,10 +165,16 @@ fn diagnose(done: &mut CommissionDone, exit: Exit) -> Result<(), Failure> {
     if exit == Exit::Traces {
         shown.opens = Opens::Traces;
     }
-    if by_hand::show(discovery, shown)?.is_interrupted() {
+    let seen = by_hand::show(discovery, shown)?;
+    if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    done.unkept.take().map_or(Ok(()), Err)
+    let is_changed = !seen.standing.heading().is_empty();
+    Ok(if is_changed {
+        answered(&seen.standing)
+    } else {
+        String::new()
+    })
 }
 
 fn shown(title: &str, guess_first: bool, fitted_on: &Path) -> Shown {
@@ -131,8 +194,7 @@ fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Fai
     let bench = BenchFile::parse(&path.display().to_string(), &read_text(&path)?)?;
     let options = RigOptions {
         bench,
-        escalate: false,
-        ..options.clone()
+        ..once_more(options)
     };
     let ended = conduct(Audience::Screen(None), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
@@ -144,7 +206,7 @@ fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Fai
         }
         RunDone::Run(whole) => whole.recorded,
     };
-    ended.left.conclude(recorded.failure())?;
+    goes_on(ended.left, recorded.failure())?;
     let folder = recorded.folder.path().to_owned();
     let scenario = Scenario::from_run(&recorded.load()?.run)?;
     let none = || Failure::internal("a recommended run without a diagnosis before it");
@@ -156,11 +218,8 @@ fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Fai
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    let folder = folder.display();
-    Ok(match &seen.standing.diagnosis {
-        Some(found) => format!("{}; {folder}", found.sentence),
-        None => format!("left before there was an answer; {folder}"),
-    })
+    let answered = answered(&seen.standing);
+    Ok(format!("{answered}; {}", folder.display()))
 }
 
 /// Runs the speed loop of the bench with the model that was found; what came of it.
@@ -170,10 +229,7 @@ fn speed_loop(
     source: &(String, String),
 ) -> Result<String, Failure> {
     let request = SpeedRequest {
-        rig: RigOptions {
-            escalate: false,
-            ..options.clone()
-        },
+        rig: once_more(options),
         source: source.clone(),
         model: Some(first_folder(done)?.join(RunFile::Model.name())),
         controller: None,
@@ -186,7 +242,7 @@ fn speed_loop(
     let recorded = ended.work.recorded;
     let folder = recorded.folder.path();
     by_hand::go_on(&ended.left, folder)?;
-    ended.left.conclude(recorded.failure())?;
+    goes_on(ended.left, recorded.failure())?;
     let folder = folder.display();
     let report = recorded.summary.speed.as_ref();
     let last = report.and_then(|report| report.tracking.last());

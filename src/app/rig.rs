@@ -24,7 +24,7 @@ use crate::bench::{
     plan, reopen, run, stage_session,
 };
 use crate::drive::offer::{self, Purpose};
-use crate::drive::{CutIn, DriveLink, DriveProfile, open_tapped};
+use crate::drive::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
@@ -103,6 +103,8 @@ pub struct Rig {
     pub(crate) way: Opened,
     /// A run has lost its drive: none follows it, and the checks with their pulse are for whoever starts the program anew.
     lost: bool,
+    /// The drive that has answered its checks, whether it has passed them or not.
+    pub(crate) answered: Option<Identity>,
     pub(crate) last_seq: u64,
     /// There are runs of it already, which are worth nothing without the one that follows.
     has_recorded: bool,
@@ -171,6 +173,7 @@ impl Rig {
         let bench = options.bench.clone();
         Self {
             lost: false,
+            answered: None,
             profile,
             profile_text,
             way,
@@ -229,6 +232,7 @@ impl Rig {
             self.rests();
         }
         let report = report?;
+        self.answered = Some(report.identity.clone());
         if controls.is_stopped() {
             return Err(Failure::interrupted(
                 "interrupted in the checks; nothing is energised",

@@ -3,7 +3,7 @@
 use std::io::IsTerminal as _;
 
 use super::by_hand::{self, Left, Shown};
-use super::evidence::Prepared;
+use super::evidence::{Place, Prepared};
 use super::failure::Failure;
 use crate::diagnosis::ErrorOf;
 use crate::tui::Opens;
@@ -21,8 +21,10 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
 /// Shows the complete model beside its runs until the screen is left; from there a person may search what it misses.
 pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failure> {
     let model = prepared.model.file.model.clone();
-    let discovery =
-        Discovery::new(model, prepared.evidence.clone()).with_recorded(prepared.recorded.clone());
+    let place = Place::of(None, prepared)?;
+    let discovery = Discovery::new(model, prepared.evidence.clone())
+        .with_recorded(prepared.recorded.clone())
+        .with_limits(place.limits());
     let shown = Shown {
         title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
         guess_first: false,

@@ -10,6 +10,8 @@ use super::failure::Failure;
 use super::files::read_model;
 use super::{output, progress};
 use crate::diagnosis::{HoldoutFrom, Versus, versus};
+use crate::report::card::COLUMNS;
+use crate::text::lines::wrapped;
 use crate::text::number::{percent, significant};
 
 #[derive(Serialize)]
@@ -78,7 +80,8 @@ impl VersusResult {
                 own.signal
             );
         }
-        let _ = writeln!(text, "\n{}", self.found.sentence);
+        let sentence = wrapped(&self.found.sentence, COLUMNS).join("\n");
+        let _ = writeln!(text, "\n{sentence}");
         text
     }
 }

@@ -156,6 +156,12 @@ pub(super) struct EvidenceArguments {
     map: MapArguments,
 }
 
+/// The model as it is given, with a space before it.
+pub(super) fn model_words(model: Option<&Path>) -> String {
+    let model = model.map(output::quoted);
+    model.map_or_else(String::new, |model| format!(" --model {model}"))
+}
+
 impl EvidenceArguments {
     /// The maps alone.
     pub(super) fn map_words(&self) -> String {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::arguments::{EvidenceArguments, run_path};
+use super::arguments::{EvidenceArguments, model_words, run_path};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
@@ -100,7 +100,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     card.go_on(format!(
         "drivebench diagnose {}{}{}",
         output::quoted(&arguments.run),
-        model_words(arguments),
+        model_words(arguments.model.first().map(PathBuf::as_path)),
         arguments.evidence.words()
     ));
     let mut value = prepared.result(&comparison);
@@ -127,12 +127,6 @@ fn both(
     let result = VersusResult::of(&prepared, second, &arguments.run)?;
     drop(shown);
     output::result(&result, arguments.json, VersusResult::text)
-}
-
-/// The model as it is given, with a space before it.
-fn model_words(arguments: &Arguments) -> String {
-    let model = arguments.model.first().map(|path| output::quoted(path));
-    model.map_or_else(String::new, |model| format!(" --model {model}"))
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {

@@ -82,7 +82,7 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     let options = live.options(arguments.unknown.escalate)?;
     let source = live.source()?;
     let file = live.bench.as_ref().map(|_| source.0.as_str());
-    let called = Called::new(&options.bench, file, live.port.as_deref());
+    let called = Called::new(&options.bench, file, live.words());
     let cell = ProgressCell::default();
     let shown = live.is_headless().then(|| progress::begin("commission"));
     let mut told = shown.is_some().then(StepLog::default);

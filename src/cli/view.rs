@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::arguments::{EvidenceArguments, run_path};
+use super::arguments::{EvidenceArguments, model_words, run_path};
 use super::failure::Failure;
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
@@ -35,11 +35,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     // From here on the screen owns the terminal and hears the signals.
     drop(attended);
     let left = screen::show(&prepared, judged.error_of)?;
-    let answer = left.standing.diagnosis.as_ref();
-    if let Some(diagnosis) = answer {
+    left.standing.heading().lines().for_each(output::message);
+    if let Some(diagnosis) = &left.standing.diagnosis {
         output::message(&diagnosis.sentence);
     }
     let (run, words) = (output::quoted(run), arguments.evidence.words());
-    output::message(&format!("next: drivebench diagnose {run}{words}"));
+    let model = model_words(model);
+    output::message(&format!("next: drivebench diagnose {run}{model}{words}"));
     Ok(())
 }

@@ -174,9 +174,14 @@ impl Card {
         let mut rows = self.with(&shown, width);
         while rows.len() > LINES {
             // The longest list gives way first, of two the later one.
-            let spare = |place: &usize| shown[*place] - self.parts[*place].least;
+            let spare = |place: &usize| shown[*place].saturating_sub(self.parts[*place].least);
             let longest = (0..shown.len()).max_by_key(spare);
-            let Some(place) = longest.filter(|place| spare(place) > 0) else {
+            // Where that is not enough every list gives way but for its first row.
+            let all_but_one = |place: &usize| shown[*place].saturating_sub(1);
+            let longest_of_all = (0..shown.len()).max_by_key(all_but_one);
+            let spared = longest.filter(|place| spare(place) > 0);
+            let of_all = longest_of_all.filter(|place| all_but_one(place) > 0);
+            let Some(place) = spared.or(of_all) else {
                 break;
             };
             shown[place] -= 1;

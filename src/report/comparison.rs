@@ -185,11 +185,13 @@ impl SignalFigures {
 
 /// What adding or removing an effect did: before and after; what goes on from here is for the command to say.
 pub fn change_card(result: &AddResult) -> Card {
-    let (tone, word) = if result.accepted {
-        (Tone::Good, "Accepted")
-    } else {
-        (Tone::Attention, "Refused")
+    let (tone, word) = match (result.forced, result.accepted) {
+        (true, _) => (Tone::Attention, "Forced"),
+        (false, true) => (Tone::Good, "Accepted"),
+        (false, false) => (Tone::Attention, "Refused"),
     };
+    // Of an effect that was taken out, or taken in by force, neither size nor cause is told as if it were there.
+    let is_found = result.accepted && !result.forced && result.fit.model.has(result.effect);
     let mut card = Card::new(tone, word, &result.reason);
     let ladder = result
         .ladder
@@ -210,14 +212,16 @@ pub fn change_card(result: &AddResult) -> Card {
         let times = result.before.noise_floor_from.times();
         card.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
     }
-    card.table(
-        "size",
-        tables::of_card(None, &[], &result.parameters),
-        &[],
-        2,
-    );
+    if !result.accepted || result.fit.model.has(result.effect) {
+        card.table(
+            "size",
+            tables::of_card(None, &[], &result.parameters),
+            &[],
+            2,
+        );
+    }
     on_card(&mut card, &change(result));
-    if let Some(effect) = effect::find(result.effect).filter(|_| result.accepted) {
+    if let Some(effect) = effect::find(result.effect).filter(|_| is_found) {
         card.say("cause", [effect.card().causes], 1);
         card.say("remedy", [effect.card().remedy], 1);
     }
@@ -316,21 +320,16 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
     );
     let residual = |(label, comparison): &(&str, &Comparison)| {
         let residual = &comparison.residual;
-        if !residual.enough_samples {
-            return format!(
-                "Residual of the {label}: too few samples to say whether only noise is left."
-            );
-        }
-        let white = if residual.white {
-            "it is white, as noise is"
+        let sentence = residual.sentence();
+        let chance = if residual.enough_samples {
+            let outside = share(residual.autocorrelation_outside_99_percent);
+            format!(
+                " ({outside} of the autocorrelation lags lie outside their 99 % band; 1 % is chance)"
+            )
         } else {
-            "there is more than noise in it"
+            String::new()
         };
-        format!(
-            "Residual of the {label}: {white} ({} of the autocorrelation lags lie outside their 99 % band; 1 % is \
-             chance).",
-            share(residual.autocorrelation_outside_99_percent)
-        )
+        format!("Residual of the {label}: {sentence}{chance}.")
     };
     page.list(known.iter().map(residual).collect());
     lights(page, &known);

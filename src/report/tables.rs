@@ -63,7 +63,16 @@ pub(crate) fn of_card(
         let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
         model.get(&slot)
     };
-    let mut table = Table::of(after).column("parameter", |own| short_key(&own.key).to_owned());
+    let is_alone = |own: &&ParameterEstimate| {
+        let short = short_key(&own.key);
+        let same = after.iter().filter(|other| short_key(&other.key) == short);
+        same.count() == 1
+    };
+    let mut table = Table::of(after).column("parameter", |own| {
+        let key = own.key.as_str();
+        let key = if is_alone(own) { short_key(key) } else { key };
+        key.to_owned()
+    });
     if nameplate.is_some() {
         table = table.column("nameplate", |own| {
             given(&own.key).map_or("-".to_owned(), |v| number::significant(v, 4))

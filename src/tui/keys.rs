@@ -259,7 +259,8 @@ impl Held {
     pub(super) fn key(&mut self, press: Press) -> Option<Press> {
         let is_same = self.last.replace(press) == Some(press);
         let frames = std::mem::take(&mut self.frames);
-        let stops = matches!(press, Press::Stop | Press::Interrupt);
+        // An effect that is refused is forced by the same key: not by one that is still held.
+        let stops = matches!(press, Press::Stop | Press::Interrupt | Press::Add);
         let may_be_held = stops && is_same && frames <= DELAY_FRAMES;
         self.is_open = may_be_held && frames > REPEAT_FRAMES;
         (!may_be_held).then_some(press)

@@ -119,7 +119,7 @@ impl Commission {
             discovery: None,
             called,
         };
-        commission.begins(Step::Connect);
+        commission.step_is(Step::Connect, StepState::Active, "");
         commission
     }
 
@@ -153,6 +153,11 @@ impl Commission {
         &self.scenarios
     }
 
+    /// The drive has answered: what fails from here on are its checks.
+    pub fn answered(&mut self, name: &str) {
+        self.step_done(Step::Connect, name, Task::Check);
+    }
+
     /// The check was passed.
     pub fn checked(&mut self, report: &CheckReport) {
         let watchdog = report.watchdog_proven_s.map_or_else(
@@ -170,7 +175,7 @@ impl Commission {
             1e3 * report.round_trip_p50_s,
             report.reachable_rate_hz,
         );
-        self.step_done(Step::Connect, line, Task::Check);
+        self.step_done(Step::Connect, &line, Task::Check);
         let passed = report.items.len() - report.waived.len();
         let line = format!(
             "{passed} of {} passed, {watchdog}{waived}",
@@ -182,12 +187,12 @@ impl Commission {
         } else {
             Task::Plan
         };
-        self.step_done(Step::Safety, line, next);
+        self.step_done(Step::Safety, &line, next);
     }
 
     /// What the escalation is doing.
     pub fn escalating(&mut self, line: &str) {
-        line.clone_into(&mut self.step(Step::Find).line);
+        self.step_is(Step::Find, StepState::Active, line);
     }
 
     /// The motor was found: the rest starts from it.
@@ -195,7 +200,7 @@ impl Commission {
         self.nameplate = Model::baseline(found);
         let line = result.sentence.clone();
         self.escalation = Some(result);
-        self.step_done(Step::Find, line, Task::Plan);
+        self.step_done(Step::Find, &line, Task::Plan);
     }
 
     /// The plan was accepted.
@@ -208,7 +213,7 @@ impl Commission {
             crate::units::turns_from_rad(plan.travel_rad),
             plan.duration_s,
         );
-        self.step_done(Step::Plan, line, Task::Record(Role::Fit));
+        self.step_done(Step::Plan, &line, Task::Record(Role::Fit));
     }
 
     /// A run was recorded to its end.
@@ -233,7 +238,7 @@ impl Commission {
         let next = Role::ALL
             .get(index + 1)
             .map_or(Task::Analyse, |role| Task::Record(*role));
-        self.step_done(Step::Record(role), line, next);
+        self.step_done(Step::Record(role), &line, next);
     }
 
     /// The drive recorded a burst within a run; `capture` is where it is kept.
@@ -275,11 +280,11 @@ impl Commission {
             baseline.parameters.len(),
             baseline.iterations
         );
-        self.step_done(Step::Identify, line, Task::Analyse);
+        self.step_done(Step::Identify, &line, Task::Analyse);
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        self.step_done(Step::Compare, before.headline(), Task::Analyse);
+        self.step_done(Step::Compare, &before.headline(), Task::Analyse);
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
@@ -295,7 +300,7 @@ impl Commission {
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(discovery.with_limits(limits));
         self.called.effect = diagnosis.effect;
-        self.step_done(Step::Diagnose, diagnosis.sentence.clone(), Task::Analyse);
+        self.step_done(Step::Diagnose, &diagnosis.sentence, Task::Analyse);
         publish(self.progress());
 
         let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
@@ -310,7 +315,7 @@ impl Commission {
                 diagnosis.noise_floor_from.times()
             )
         };
-        self.step_done(Step::Ladder, line, Task::Analyse);
+        self.step_done(Step::Ladder, &line, Task::Analyse);
         publish(self.progress());
 
         let tuned = self.tuned(&diagnosis);
@@ -318,7 +323,7 @@ impl Commission {
             Ok(reasons) => reasons.first().cloned().unwrap_or_default(),
             Err(reason) => format!("{NO_GAINS}: {reason}"),
         };
-        self.step_done(Step::Tune, line, Task::Save);
+        self.step_done(Step::Tune, &line, Task::Save);
         publish(self.progress());
         self.result = Some(CommissionResult {
             sentence: diagnosis.sentence.clone(),
@@ -367,13 +372,13 @@ impl Commission {
     }
 
     /// Everything is written. What can follow on request is offered.
-    pub fn saved(&mut self, line: String) {
+    pub fn saved(&mut self, line: &str) {
         self.step_done(Step::Report, line, Task::Finished);
         let next = self.result.as_ref().and_then(|result| {
             let next = result.diagnosis.next_experiment.as_ref()?;
             next.bench.as_ref().map(|_| next.sentence.clone())
         });
-        let none = "none would tell more";
+        let none = "none is recommended for these runs";
         self.offered(Step::Experiment, next.as_deref().ok_or(none));
         let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
         let is_unknown = self.bench.motor.is_unknown();
@@ -389,11 +394,10 @@ impl Commission {
     }
 
     fn offered(&mut self, step: Step, offer: Result<&str, &str>) {
-        let own = self.step(step);
-        (own.state, own.line) = match offer {
-            Ok(line) => (StepState::Offered, line.to_owned()),
-            Err(reason) => (StepState::Waiting, reason.to_owned()),
-        };
+        match offer {
+            Ok(line) => self.step_is(step, StepState::Offered, line),
+            Err(reason) => self.step_is(step, StepState::Waiting, reason),
+        }
     }
 
     /// The active step failed; nothing follows.
@@ -406,22 +410,15 @@ impl Commission {
         self.task = Task::Finished;
     }
 
-    /// # Panics
-    /// Never: the loop has each step that it comes to.
-    fn step(&mut self, step: Step) -> &mut StepView {
-        let mut steps = self.steps.iter_mut();
-        steps
-            .find(|own| own.step == step)
-            .expect("a step of the loop")
+    fn step_is(&mut self, step: Step, state: StepState, line: &str) {
+        if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
+            own.state = state;
+            line.clone_into(&mut own.line);
+        }
     }
 
-    fn begins(&mut self, step: Step) {
-        self.step(step).state = StepState::Active;
-    }
-
-    fn step_done(&mut self, step: Step, line: String, next: Task) {
-        let own = self.step(step);
-        (own.state, own.line) = (StepState::Done, line);
+    fn step_done(&mut self, step: Step, line: &str, next: Task) {
+        self.step_is(step, StepState::Done, line);
         let index = self.steps.iter().position(|own| own.step == step);
         if let Some(following) = index.and_then(|index| self.steps.get_mut(index + 1)) {
             following.state = StepState::Active;

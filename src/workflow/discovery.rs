@@ -666,6 +666,7 @@ mod tests {
         assert_eq!(diagnosis.candidates[0].as_good_as, Some("quadratic_load"));
         assert_eq!(diagnosis.answer(), Answer::NothingThatShows);
         let sentence = &diagnosis.sentence;
+        assert!(!sentence.contains("nothing is missing"), "{sentence}");
         assert!(
             sentence.ends_with("cannot tell quadratic_load from viscous_friction"),
             "{sentence}"

@@ -122,12 +122,7 @@ impl Step {
 
     /// The command that does the same by itself; none for what is a part of every run.
     pub fn command(self, called: &Called) -> Option<String> {
-        let live = |command: &str, bench: &str| {
-            let words = ["drivebench", command, bench, &called.port];
-            let words: Vec<&str> = words.into_iter().filter(|word| !word.is_empty()).collect();
-            words.join(" ")
-        };
-        let bench = called.bench.as_str();
+        let live = |command: &str| format!("drivebench {command}{}", called.words);
         let [fit, select, confirm] =
             [Role::Fit, Role::Select, Role::Confirm].map(|role| called.run(role));
         // The folder's own model has the effect already.
@@ -135,11 +130,13 @@ impl Step {
         Some(match self {
             Self::Safety | Self::Report => return None,
             Self::Connect => format!("drivebench probe {}", called.line.as_deref()?),
-            Self::Find => live("run", bench) + " --escalate",
-            Self::Plan => format!("drivebench plan {bench}").trim_end().to_owned(),
+            Self::Find => live("run") + " --escalate",
+            Self::Plan => format!("drivebench plan {}", called.bench)
+                .trim_end()
+                .to_owned(),
             Self::Record(role) => {
                 let seed = called.seed(role);
-                live("run", bench) + &format!(" --run-seed {seed}")
+                live("run") + &format!(" --run-seed {seed}")
             }
             Self::Identify => format!("drivebench identify {fit}"),
             Self::Compare => {
@@ -154,8 +151,8 @@ impl Step {
                 let rate_hz = shortest(called.rate_hz, 6);
                 format!("drivebench tune --model {fit}/model.toml --rate-hz {rate_hz}")
             }
-            Self::Experiment => live("run", &format!("{fit}/next-bench.toml")),
-            Self::SpeedLoop => live("speed", bench) + &format!(" --model {fit}/model.toml"),
+            Self::Experiment => format!("drivebench run {fit}/next-bench.toml"),
+            Self::SpeedLoop => live("speed") + &format!(" --model {fit}/model.toml"),
         })
     }
 }
@@ -165,8 +162,8 @@ impl Step {
 pub struct Called {
     /// The bench file; empty for the embedded one.
     bench: String,
-    /// Where the command line gave another port than the bench file: the argument; else empty.
-    port: String,
+    /// Bench, link and motor as they were named, each with a space before it.
+    words: String,
     /// How the drive's line is named to commands that only look; none where there is no line.
     line: Option<String>,
     rate_hz: f64,
@@ -178,8 +175,9 @@ pub struct Called {
 }
 
 impl Called {
-    /// `file` is the bench file, `None` for the embedded one; `port` where it was given beside it.
-    pub fn new(bench: &BenchFile, file: Option<&str>, port: Option<&str>) -> Self {
+    /// `file` is the bench file, `None` for the embedded one; `words` are what a live command was given, each with a space
+    /// before it.
+    pub fn new(bench: &BenchFile, file: Option<&str>, words: String) -> Self {
         let line = match bench.port() {
             Port::Sim => None,
             Port::Emulator | Port::Tcp(_) | Port::Serial(_) => Some(format!(
@@ -190,7 +188,7 @@ impl Called {
         let runs = bench.runs;
         Self {
             bench: file.unwrap_or_default().to_owned(),
-            port: port.map_or_else(String::new, |port| format!("--port {port}")),
+            words,
             line,
             rate_hz: bench.link.rate_hz,
             seeds: [runs.fit, runs.select, runs.confirm, runs.repeat],
@@ -214,7 +212,8 @@ mod tests {
 
     fn called() -> Called {
         let bench = BenchFile::embedded_default();
-        Called::new(&bench, Some("bench.toml"), Some("/dev/ttyUSB0"))
+        let words = " bench.toml --port /dev/ttyUSB0".to_owned();
+        Called::new(&bench, Some("bench.toml"), words)
     }
 
     #[test]
@@ -250,7 +249,7 @@ mod tests {
             "drivebench speed bench.toml --port /dev/ttyUSB0 --model a/model.toml"
         );
         assert_eq!(Step::Safety.command(&called), None);
-        let embedded = Called::new(&BenchFile::embedded_default(), None, None);
+        let embedded = Called::new(&BenchFile::embedded_default(), None, String::new());
         assert_eq!(command(&embedded, Step::Plan), "drivebench plan");
     }
 }

@@ -75,3 +75,18 @@ fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
     }
     assert_eq!(reports, 6, "four runs, the experiment and the speed loop");
 }
+
+#[test]
+fn ctrl_c_on_the_screen_of_what_follows_ends_the_program() {
+    let desk = Desk::new();
+    let arguments = line("commission --port sim: --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, desk.folder(), (160, 50));
+    session.wait_for("l speed loop");
+    session.press("l");
+    until_the_run_is_done(&mut session);
+    session.press("\u{3}");
+    assert_eq!(session.end(), 130, "{}", session.text());
+    // What was measured before is told all the same.
+    has(&session.text(), &["report.html", "interrupted"]);
+    session.expect_terminal_as_it_was();
+}

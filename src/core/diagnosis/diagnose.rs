@@ -31,6 +31,9 @@ const NEARLY_WHITE: f64 = 1.3;
 const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Effects that are named one by one where these runs would not show them.
 const FEW: usize = 4;
+/// How the sentence begins where every effect is ruled out, and where some may hide.
+const NOTHING_IS_MISSING: &str = "nothing is missing";
+const NOTHING_THAT_SHOWS: &str = "nothing missing that these runs could show";
 /// Error that needs no explanation, in units of a floor that is known.
 const AT_MOST_NOISE: f64 = 1.0;
 
@@ -174,9 +177,13 @@ impl Diagnosis {
         rest.unwrap_or(sentence)
     }
 
-    /// Whether the model as it was given leaves no more than the noise.
+    /// Whether the model as it was given leaves no more than the noise, on every run that it is judged by.
     fn has_no_error(&self) -> bool {
-        self.noise_floor_from != FloorSource::None && self.holdout_before <= AT_MOST_NOISE
+        let confirm = self.confirm.as_ref().and_then(|run| run.error_before);
+        let is_noise = |error: f64| error <= AT_MOST_NOISE;
+        self.noise_floor_from != FloorSource::None
+            && is_noise(self.holdout_before)
+            && confirm.is_none_or(is_noise)
     }
 
     /// Whether every effect is ruled out, so that nothing may hide.
@@ -199,6 +206,11 @@ impl Diagnosis {
             candidates.any(|own| own.effect == pair[1])
         };
         let told: Vec<[&'static str; 2]> = pairs.iter().filter(is_rival).copied().collect();
+        if !self.is_all_judged()
+            && let Some(rest) = self.sentence.strip_prefix(NOTHING_IS_MISSING)
+        {
+            self.sentence = format!("{NOTHING_THAT_SHOWS}{rest}");
+        }
         self.sentence.push_str(&not_told(&told));
     }
 
@@ -575,9 +587,9 @@ fn sentence(diagnosis: &Diagnosis) -> String {
         DiagnosisVerdict::None => format!(
             "{}: held-out error {before:.2} {times}{}",
             if diagnosis.is_all_judged() {
-                "nothing is missing"
+                NOTHING_IS_MISSING
             } else {
-                "nothing missing that these runs could show"
+                NOTHING_THAT_SHOWS
             },
             unseen(diagnosis)
         ),

@@ -126,12 +126,11 @@ impl ResidualLights {
             None => "the input never changes, so that nobody knows whether it goes with that",
         };
         if self.white {
-            let (word, but) = if self.is_noise() {
-                ("only noise is left", "and")
-            } else {
-                ("more than noise is left", "but")
+            return match self.independent_of_input {
+                Some(true) => format!("only noise is left: it is white, and {input}"),
+                Some(false) => format!("more than noise is left: it is white, but {input}"),
+                None => format!("white, as noise is; {input}"),
             };
-            return format!("{word}: it is white, {but} {input}");
         }
         let outside = share(self.autocorrelation_outside_99_percent);
         format!("more than noise is left: not white ({outside} of lags outside), {input}")

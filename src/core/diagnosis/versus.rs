@@ -85,8 +85,10 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
     let counted = blocks.len() >= 2;
     let difference = counted.then(|| mean(&blocks));
     let difference_std = counted.then(|| (variance(&blocks) / blocks.len() as f64).sqrt());
+    // Averaged over signals and blocks in two ways: where these do not agree neither model is called the better.
+    let agrees = |difference: f64| difference * (scores[0].nrms - scores[1].nrms) > 0.0;
     let better = match (difference, difference_std) {
-        (Some(difference), Some(std)) if difference.abs() > limit * std => {
+        (Some(difference), Some(std)) if difference.abs() > limit * std && agrees(difference) => {
             if difference > 0.0 {
                 Better::Second
             } else {

@@ -13,9 +13,10 @@
 //! +-------------------------------------------+   over it: pages (card, traces, map, curve, next run)
 //! ```
 //!
-//! `state` has the teaching flow too, in which no name is shown before the person has given one.
+//! `guess` is the teaching flow, in which no name is shown before the person has given one.
 
 mod charts;
+mod guess;
 mod state;
 mod view;
 

@@ -5,7 +5,8 @@ use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use super::state::{Event, Guess, Guessing, Over, State, compared};
+use super::guess::{Guess, Guessing, compared};
+use super::state::{Event, Over, State};
 use super::view::view;
 use crate::diagnosis::{
     AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found, Status,

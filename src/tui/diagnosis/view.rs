@@ -11,7 +11,8 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::charts;
-use super::state::{Guessing, Over, Row, State, Step};
+use super::guess::Guessing;
+use super::state::{Over, Row, State, Step};
 use crate::diagnosis::{
     AddResult, Answer, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
     Status,

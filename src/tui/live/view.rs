@@ -365,7 +365,7 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     let mut keys = vec!["d diagnosis by hand", "v traces"];
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
-    keys.extend([next, "Up Down scroll"]);
+    keys.extend([next, "Enter explain", "Up Down scroll"]);
     keys
 }
 

@@ -105,7 +105,7 @@ fn panels(page: &TracesPage, run: &RunTraces, area: Rect, buffer: &mut Buffer) {
             [from_s, to_s].map(|time_s| format!("{} s", seconds(time_s, to_s - from_s)));
         let middle = page.cursor_s.map_or_else(
             || "time from the run's start".to_owned(),
-            |at_s| format!("┊ {} s", seconds(at_s, to_s - from_s)),
+            |at_s| format!("cursor at {} s", seconds(at_s, to_s - from_s)),
         );
         across([&from, &middle, &to], theme::DIM, *area, buffer);
     }

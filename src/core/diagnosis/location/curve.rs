@@ -125,13 +125,13 @@ impl AxisMap {
         }
         let mut sentence = format!("{} of the {what} error follows the {along}", share(self.r2));
         if let Some((place, height)) = self.largest() {
-            // As in a place: a time counts from the begin of the run.
-            let (begin, across) = match axis {
-                Axis::Time => (scenario.begin_s(), "s of the run"),
-                axis => (0.0, axis.unit()),
+            // The knots of a time count from the begin of the run already.
+            let across = match axis {
+                Axis::Time => "s of the run",
+                axis => axis.unit(),
             };
-            let ends = [*place.start() - begin, *place.end() - begin, height];
-            let [from, to, height] = ends.map(|v| significant(v, 3));
+            let [from, to, height] =
+                [*place.start(), *place.end(), height].map(|v| significant(v, 3));
             let upwards = equation.unit();
             let place = if from == to {
                 format!("near {from}")
