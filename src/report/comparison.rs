@@ -321,7 +321,7 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
     let residual = |(label, comparison): &(&str, &Comparison)| {
         let residual = &comparison.residual;
         let sentence = residual.sentence();
-        let chance = if residual.enough_samples {
+        let chance = if residual.enough_samples && residual.white {
             let outside = share(residual.autocorrelation_outside_99_percent);
             format!(
                 " ({outside} of the autocorrelation lags lie outside their 99 % band; 1 % is chance)"

@@ -365,7 +365,9 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     let mut keys = vec!["d diagnosis by hand", "v traces"];
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
-    keys.extend([next, "Enter explain", "Up Down scroll"]);
+    keys.push(next);
+    keys.extend((model.page == Page::Steps).then_some("Enter explain"));
+    keys.push("Up Down scroll");
     keys
 }
 
