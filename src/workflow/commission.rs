@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::burst::BurstResult;
 use super::discovery::Discovery;
-use super::guide::{Called, Step};
+use super::guide::{Called, Role, Step};
 use super::keyed::with_keys;
 use crate::bench::{
     BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
@@ -24,29 +24,6 @@ use crate::identification::start;
 use crate::plant::{Model, ModelError, Motor, Scenario, ScenarioError};
 use crate::report::Card;
 use crate::sample::{ParameterEstimate, Run};
-
-/// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
-/// third; the fourth repeats the first and tells what the machine itself does not repeat.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    Fit,
-    Select,
-    Confirm,
-    Repeat,
-}
-
-impl Role {
-    pub const ALL: [Self; 4] = [Self::Fit, Self::Select, Self::Confirm, Self::Repeat];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Fit => "fit",
-            Self::Select => "select",
-            Self::Confirm => "confirm",
-            Self::Repeat => "repeat",
-        }
-    }
-}
 
 /// What the driver is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,9 +1,31 @@
 //! The guide through the commissioning loop: what each step needs, what it makes possible, and the command that does the
 //! same by itself.
 
-use super::commission::Role;
 use crate::bench::{BenchFile, Port};
 use crate::text::number::shortest;
+
+/// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
+/// third; the fourth repeats the first and tells what the machine itself does not repeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Fit,
+    Select,
+    Confirm,
+    Repeat,
+}
+
+impl Role {
+    pub const ALL: [Self; 4] = [Self::Fit, Self::Select, Self::Confirm, Self::Repeat];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fit => "fit",
+            Self::Select => "select",
+            Self::Confirm => "confirm",
+            Self::Repeat => "repeat",
+        }
+    }
+}
 
 /// A step of the loop, in the order of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

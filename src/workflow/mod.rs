@@ -24,12 +24,12 @@ mod reveal;
 
 pub use burst::BurstResult;
 pub use commission::{
-    Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, Role,
-    RunRecord, StageRecord, StepState, StepView, Task, Truth, compared, scaled_sentence,
+    Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, RunRecord,
+    StageRecord, StepState, StepView, Task, Truth, compared, scaled_sentence,
 };
 pub use discovery::{
     Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
 };
-pub use guide::{Called, Step};
+pub use guide::{Called, Role, Step};
 pub use leaning::{LeaningCell, LeaningWatch, Provisional};
 pub use reveal::{Answer, Outcome, Revelation, reveal};
