@@ -64,11 +64,11 @@ impl Body {
     }
 
     /// The first `shown` entries.
-    fn rows(&self, shown: usize, width: usize) -> Vec<String> {
+    fn rows(&self, shown: usize, width: usize, most: usize) -> Vec<String> {
         match self {
             Self::Sentences(all) => {
                 let shown = all.iter().take(shown);
-                let rows = |text: &String| shortened(text, width, MOST_ROWS_OF_A_SENTENCE);
+                let rows = |text: &String| shortened(text, width, most);
                 shown.flat_map(rows).collect()
             }
             Self::Bars(all) => bars(&all[..shown], width),
@@ -164,33 +164,31 @@ impl Card {
     /// All of it, in rows of this width.
     pub fn rows(&self, width: usize) -> Vec<String> {
         let shown: Vec<usize> = self.parts.iter().map(|part| part.body.entries()).collect();
-        self.with(&shown, width)
+        self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE)
     }
 
     /// What fits into [`LINES`] rows of at most [`COLUMNS`], or of a terminal that is narrower.
     pub fn text(&self, width: usize) -> String {
         let width = width.min(COLUMNS);
         let mut shown: Vec<usize> = self.parts.iter().map(|part| part.body.entries()).collect();
-        let mut rows = self.with(&shown, width);
+        let mut rows = self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE);
         while rows.len() > LINES {
             // The longest list gives way first, of two the later one.
-            let spare = |place: &usize| shown[*place].saturating_sub(self.parts[*place].least);
+            let spare = |place: &usize| shown[*place] - self.parts[*place].least;
             let longest = (0..shown.len()).max_by_key(spare);
-            // Where that is not enough every list gives way but for its first row.
-            let all_but_one = |place: &usize| shown[*place].saturating_sub(1);
-            let longest_of_all = (0..shown.len()).max_by_key(all_but_one);
-            let spared = longest.filter(|place| spare(place) > 0);
-            let of_all = longest_of_all.filter(|place| all_but_one(place) > 0);
-            let Some(place) = spared.or(of_all) else {
+            let Some(place) = longest.filter(|place| spare(place) > 0) else {
+                // Rather a sentence that breaks off than one that is missing.
+                rows = self.with(&shown, width, 1);
                 break;
             };
             shown[place] -= 1;
-            rows = self.with(&shown, width);
+            rows = self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE);
         }
         rows.join("\n")
     }
 
-    fn with(&self, shown: &[usize], width: usize) -> Vec<String> {
+    /// `most` rows of each sentence of a list.
+    fn with(&self, shown: &[usize], width: usize, most: usize) -> Vec<String> {
         let wide = width >= WIDE;
         let indent = if wide { LABEL } else { INDENT };
         let room = width.saturating_sub(indent).max(1);
@@ -206,7 +204,7 @@ impl Card {
             }
         };
         for (part, shown) in self.parts.iter().zip(shown) {
-            labelled(&mut rows, part.label, part.body.rows(*shown, room));
+            labelled(&mut rows, part.label, part.body.rows(*shown, room, most));
         }
         let all: usize = self.parts.iter().map(|part| part.body.entries()).sum();
         let left = all - shown.iter().sum::<usize>();

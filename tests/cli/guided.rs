@@ -43,6 +43,7 @@ fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
     session.press("a");
     session.wait_for("+ in the model current_offset");
     session.wait_for("at the floor");
+    session.wait_for("NOTHING MISSING");
     session.press("q");
 
     // Back on the page of the loop: the gains are tuned, the loop follows.

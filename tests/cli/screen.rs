@@ -158,6 +158,9 @@ fn v_shows_measured_and_model_after_a_commissioning() {
     session.wait_for("run 1 of 3");
     session.press("q");
     session.wait_for(ADD);
+    // Back to the page of the loop, with what can follow.
+    session.press("q");
+    session.wait_for("l speed loop");
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
     session.expect_terminal_as_it_was();
