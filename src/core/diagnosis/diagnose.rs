@@ -781,6 +781,12 @@ mod tests {
             explained_percent: 0.0,
             ..there
         };
+        // But a run that had no part in it and leaves more has an error to explain.
+        assert_eq!(below.answer(), Answer::Found);
+        let below = Diagnosis {
+            confirm: None,
+            ..below
+        };
         assert_eq!(below.answer(), Answer::NoErrorLeft);
         let said = sentence(&below);
         let start = "no error left to explain: held-out error 0.95 times the noise floor";
