@@ -241,8 +241,10 @@ fn speed_loop(
     })?;
     let recorded = ended.work.recorded;
     let folder = recorded.folder.path();
-    by_hand::go_on(&ended.left, folder)?;
+    let seen = by_hand::go_on(&ended.left, folder);
+    // A trip or a lost drive is said before anything that became of the look at its record.
     goes_on(ended.left, recorded.failure())?;
+    seen?;
     let folder = folder.display();
     let report = recorded.summary.speed.as_ref();
     let last = report.and_then(|report| report.tracking.last());

@@ -58,8 +58,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             let seen = by_hand::go_on(&left, whole.recorded.folder.path());
             // However it was left: the result of the run is there all the same.
             output::card(&result, json, live.full, above, || cards::run(whole, plate))?;
-            seen?;
-            left.conclude(whole.recorded.failure())
+            // A trip or a lost drive is said before anything that became of the look at its record.
+            left.conclude(whole.recorded.failure()).and(seen)
         }
     }
 }
@@ -214,6 +214,5 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
     output::card(&result, json, full, above, || {
         cards::speed(&result, recorded, &words)
     })?;
-    seen?;
-    done.left.conclude(done.work.recorded.failure())
+    done.left.conclude(done.work.recorded.failure()).and(seen)
 }
