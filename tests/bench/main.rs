@@ -8,6 +8,7 @@
 mod coverage;
 mod diagnosis_on_emulator;
 mod mechanical;
+mod next_run;
 mod placebo;
 mod rule6;
 
