@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 
 use super::failure::Failure;
 use super::files::read_model;
-use super::tune::{KeptGains, viscous_n_m_s_per_rad};
-use crate::control::{Actuator, Holding};
+use super::tune::KeptGains;
+use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
 use crate::plant::ModelFile;
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
 use crate::sample::Run;
@@ -51,7 +51,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
         return Err(Failure::usage(headline, help));
     }
     let kept = KeptGains::read(path, &file.model)?;
-    let viscous = viscous_n_m_s_per_rad(&file.model)?;
+    let viscous = viscous_n_m_s_per_rad(&file.model, Actuator::Voltage)?;
     Ok(Regulator {
         gains: kept.gains,
         holding: Holding::of(&file.model, Actuator::Voltage, viscous),
