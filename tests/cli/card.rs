@@ -206,7 +206,7 @@ man --out man1
 man --out /proc/man1
 effects --figure
 run --seed -1
-comission
+diagnos
 ";
 
 #[test]
@@ -259,8 +259,8 @@ fn a_mistake_is_answered_with_what_to_do() {
         ),
         ("effects --jsno", &["did you mean `--json`?"]),
         (
-            "comission",
-            &["did you mean `completions` or `commission`?"],
+            "diagnos",
+            &["did you mean `diagnose`?"],
         ),
         ("effects stribek", &["did you mean `stribeck_friction`?"]),
         ("run --seed -1", &["'-1'", "see drivebench run --help"]),

@@ -425,7 +425,7 @@ here = pathlib.Path(__file__).parent
 def run(name, end_s, rows):
     session = rumoca.Session()
     bench = session.loads((here / f'{name}.mo').read_text(), model='Bench')
-    close = rumoca.SimConfig(rtol=1e-9, atol=1e-9)
+    close = rumoca.SimConfig(solver='rk-like', rtol=1e-8, atol=1e-8)
     found = bench.simulate(end_s, dt=end_s / (rows - 1), config=close)
     times = [float(time) for time in found.time]
     columns = found['motor.current_a'], found['motor.speed_rad_s']
