@@ -1,11 +1,13 @@
 //! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
+use super::export::parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
@@ -48,7 +50,19 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     let cannot = |error| format!("{}: cannot read: {error}", path.display());
-    std::fs::read_to_string(path).map_err(|error| Failure::usage(cannot(error), "check the path"))
+    std::fs::read_to_string(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
+}
+
+/// What may have been meant by what is no file that can be read.
+fn meant(path: &Path) -> String {
+    let model = RunFolder::existing(path).file(RunFile::Model);
+    if model.is_file() {
+        format!("this is a run; its model is {}", model.display())
+    } else if path.is_dir() {
+        "this is a folder; give a file in it".to_owned()
+    } else {
+        "check the path".to_owned()
+    }
 }
 
 /// The standard deviations that a model file keeps beside its values.
@@ -214,8 +228,12 @@ impl Recorded {
     }
 
     /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
-    pub(crate) fn write(&mut self, file: RunFile, text: &str) -> Option<PathBuf> {
-        let written = self.folder.write(file, text);
+    pub(crate) fn write(
+        &mut self,
+        file: RunFile,
+        content: &(impl AsRef<[u8]> + ?Sized),
+    ) -> Option<PathBuf> {
+        let written = self.folder.write(file, content);
         self.kept(written)
     }
 
@@ -234,6 +252,21 @@ impl Recorded {
         if let Some(path) = &self.capture {
             let samples = format!("{rows} samples at {rate_hz:.0} Hz");
             output::message(&format!("burst capture: {samples} in {}", path.display()));
+        }
+    }
+
+    /// Keeps the samples as columns beside them, as far as the run came.
+    pub(crate) fn keep_parquet(&mut self) {
+        let table = match &self.samples {
+            Some(samples) => Ok(Cow::Borrowed(samples)),
+            None => std::fs::read(self.folder.samples()).map(Cow::Owned),
+        };
+        let columns = table
+            .map_err(|error| error.to_string())
+            .and_then(|table| parquet(&table));
+        match columns {
+            Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
+            Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),
         }
     }
 
