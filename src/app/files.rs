@@ -1,7 +1,6 @@
 //! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -257,11 +256,9 @@ impl Recorded {
 
     /// Keeps the samples as columns beside them, as far as the run came.
     pub(crate) fn keep_parquet(&mut self) {
-        let table = match &self.samples {
-            Some(samples) => Ok(Cow::Borrowed(samples)),
-            None => std::fs::read(self.folder.samples()).map(Cow::Owned),
-        };
-        let columns = table
+        let recorded = self.samples.as_ref().and_then(KeptSamples::text);
+        let columns = recorded
+            .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
             .map_err(|error| error.to_string())
             .and_then(|table| parquet(&table));
         match columns {
