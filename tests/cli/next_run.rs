@@ -53,11 +53,16 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     call(arguments, &[&run, &at("no.toml")]).fails(2, &["no.toml"]);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
+    let first = run;
     let run = run_of(&next, 2);
-    let told = diagnosed(&run, &bench, &at("none.toml"));
+    let told = diagnosed(&run, &bench, &at("other.toml"));
     assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
     assert_eq!(told["effects"], json!(["current_offset"]));
-    assert!(!at("none.toml").exists(), "nothing is left to recommend");
+    let both = json_of("diagnose {} --with {} --bench {} --json", &[&first, &run, &bench]);
+    assert_eq!(both["verdict"], "effect", "{}", both["sentence"]);
+    assert_eq!(both["effects"], json!(["current_offset"]));
+    assert_eq!(both["confusable"], json!([]), "the pair is told apart");
+    assert!(both["next_experiment"]["pair"].is_null(), "and not asked for again");
     let peaks = &recommended["peaks"];
     for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {
         let promised = peaks[key].as_f64().unwrap_or_default();

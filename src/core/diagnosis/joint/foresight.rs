@@ -82,7 +82,10 @@ impl Foresight {
     }
 }
 
-/// Of each effect beside a set, in its likeliest form.
+/// Fall of the log odds within which a form may turn out to be the likeliest once the run is made.
+const MAY_BE_LIKELIEST_NATS: f64 = 3.0;
+
+/// Of each effect beside a set, in the form that shows least of those that may be the likeliest.
 fn shown(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> {
     let linear: &Linear = &reduced.linear;
     let mut all: Vec<(&'static str, f64)> = Vec::new();
@@ -92,9 +95,14 @@ fn shown(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> 
         }
         let others = reduced.columns(&reduced.cleared(set, k));
         let logs = reduced.conditional(&others, k);
-        let likeliest = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b]));
-        let spread = likeliest.and_then(|form| spread_slabs(reduced, set, excess, [k, form]));
-        let square = spread.map_or(0.0, |spread| spread.powi(-2));
+        let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let forms = logs.iter().enumerate();
+        let forms = forms.filter(|(_, log)| !(**log < most - MAY_BE_LIKELIEST_NATS));
+        let squares = forms.map(|(form, _)| {
+            let spread = spread_slabs(reduced, set, excess, [k, form]);
+            spread.map_or(0.0, |spread| spread.powi(-2))
+        });
+        let square = squares.fold(f64::INFINITY, f64::min);
         match all.iter_mut().find(|own| own.0 == candidate.id) {
             Some(own) => own.1 = own.1.max(square),
             None => all.push((candidate.id, square)),

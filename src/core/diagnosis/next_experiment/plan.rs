@@ -351,6 +351,9 @@ const SPEED_SHARE: f64 = 0.92;
 /// Rows of a plan are not closer than this, and its simulations take no shorter steps, s: a menu of runs takes its time, and
 /// what two models differ by in a run needs no such accuracy as a measurement.
 pub(super) const SHORTEST_PERIOD_S: f64 = 2e-3;
+/// Part of the time and of the squared voltage by which two runs of one recipe may differ, and instants that are compared.
+const ALIKE: f64 = 0.1;
+const LOOKS: usize = 400;
 const LONGEST_PERIOD_S: f64 = 0.05;
 /// Times a recipe is made smaller before it is given up.
 const MOST_TRIALS: usize = 5;
@@ -377,6 +380,23 @@ pub(super) struct Planned {
 }
 
 impl Planned {
+    /// Whether a run in hand was as good as this one: a repetition tells little more.
+    pub(super) fn was_made_in(&self, run: &Scenario) -> bool {
+        let seconds = |run: &Scenario| run.mean_period_s() * run.samples() as f64;
+        let long_s = self.peaks.duration_s;
+        if (seconds(run) / long_s - 1.0).abs() > ALIKE {
+            return false;
+        }
+        let (mut apart, mut own) = (0.0, 0.0);
+        for sample in 0..LOOKS {
+            let at_s = long_s * (sample as f64 + 0.5) / LOOKS as f64;
+            let [there, here] = [run, &self.blank].map(|run| run.input_at(run.begin_s() + at_s));
+            apart += (there - here).powi(2);
+            own += here * here;
+        }
+        apart <= ALIKE * own
+    }
+
     /// Rows of the bench that one of the plan stands for.
     pub(super) const fn stands_for(&self) -> f64 {
         self.stands_for

@@ -8,7 +8,7 @@ use super::{ExperimentLimits, Hidden, MenuEntry, NextExperiment};
 use crate::diagnosis::joint::answer::asked;
 use crate::diagnosis::joint::foresight::{Foresight, SHOWS};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
-use crate::plant::{ActiveEffect, Effect, Model, effect, typical_size};
+use crate::plant::{ActiveEffect, Effect, Model, Scenario, effect, typical_size};
 
 /// Precision, in units of that from which on an effect shows, from which on it is promised. Twice: no run in hand doubles by
 /// being repeated what is known.
@@ -49,6 +49,8 @@ struct Question<'a> {
     /// With each of what is not seen at its typical size: the run keeps its limits with it, too.
     with: Vec<Model>,
     foresight: Foresight,
+    /// The runs behind the first one that is fitted: one of the menu each, where they were recommended.
+    made: &'a [Scenario],
 }
 
 impl Question<'_> {
@@ -57,6 +59,9 @@ impl Question<'_> {
         let models: Vec<&Model> = std::iter::once(self.model).chain(&self.with).collect();
         let tried = (0..COUNT).into_par_iter().filter_map(|index| {
             let plan = planned(index, &models, limits)?;
+            if self.made.iter().any(|run| plan.was_made_in(run)) {
+                return None;
+            }
             let run = plan.measured(self.model)?;
             let all = self.foresight.shown_with(&run, plan.stands_for())?;
             let of = |id: &&'static str| {
@@ -180,6 +185,7 @@ pub(super) fn reveal(
             .collect(),
         unseen,
         foresight: Foresight::new(model, &missing, evidence, grounds),
+        made: evidence.parts.get(1..).unwrap_or_default(),
     };
     let tried = question.tried(limits);
     let hidden = question.hidden(&tried, limits);
