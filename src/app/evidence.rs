@@ -761,6 +761,66 @@ fn rate_hz(run: &Scenario) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::{MotorKey, testing};
+
+    #[test]
+    fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let events = || vec![(0.0, 0.0), (0.5, 60.0), (2.0, -60.0), (4.0, 30.0)];
+        let record = |model: &Model, seed| testing::record(model, events(), 0.01, 6.0, seed);
+        let fitted = record(&model, 1);
+        let loaded = |run: Run| LoadedRun {
+            run,
+            manifest: None,
+            folder: None,
+            warnings: Vec::new(),
+            dialect: None,
+        };
+        let later = |scenario: &Scenario, lost: &dyn Fn(usize) -> bool| {
+            let run = loaded(testing::with_rows_lost(scenario, lost));
+            admit_later(&run, &model, &fitted)
+        };
+        let whole = |_: usize| false;
+        let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
+        assert!(
+            kept.samples() == fitted.samples() && notes.is_empty(),
+            "{notes:?}"
+        );
+        let refused = |came: Result<(Scenario, Vec<String>), Failure>| {
+            let failure = came.err().unwrap();
+            failure.headline().to_owned()
+        };
+        // The very samples of the run before it; and the beginning of a run that broke off.
+        let said = refused(later(&fitted, &whole));
+        assert!(said.contains("tests nothing"), "{said}");
+        let said = refused(later(&record(&model, 3), &|row| row > 80));
+        assert!(said.contains("at least"), "{said}");
+        // A sensor that was turned round meanwhile.
+        let mut reversed = record(&model, 4);
+        for speed in &mut reversed.speed_rad_s {
+            *speed = -*speed;
+        }
+        let said = refused(later(&reversed, &whole));
+        assert!(
+            said.starts_with("the run that was made is not judged"),
+            "{said}"
+        );
+        // Another motor behind the same drive, and rows that were lost: judged, and said.
+        let motor = |key, times| model.motor.get(key).unwrap() * times;
+        let mut other = model.clone();
+        other
+            .motor
+            .set(MotorKey::BackEmf, motor(MotorKey::BackEmf, 0.8));
+        let (_, notes) = later(&record(&other, 5), &whole).unwrap();
+        assert!(
+            notes
+                .iter()
+                .any(|note| note.contains("not of the same motor")),
+            "{notes:?}"
+        );
+        let (_, notes) = later(&record(&model, 6), &|row| (300..330).contains(&row)).unwrap();
+        assert!(!notes.is_empty());
+    }
 
     #[test]
     fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {

@@ -463,19 +463,22 @@ impl Progress {
     pub fn is_offered(&self, step: Step) -> Result<(), &str> {
         match self.steps.iter().find(|own| own.step == step) {
             Some(own) if own.state == StepState::Offered => Ok(()),
-            // Once more: a loop is often run again.
-            Some(own) if own.state == StepState::Done && step.is_on_request() => Ok(()),
+            // Once more: a loop is often run again. Where no run is left to make, there is no command that makes it.
+            Some(own)
+                if own.state == StepState::Done
+                    && step.is_on_request()
+                    && own.command.is_some() =>
+            {
+                Ok(())
+            }
             Some(own) if self.finished && !own.line.is_empty() => Err(&own.line),
             _ => Err("not yet: it follows the report"),
         }
     }
 
-    /// With which bench file a step can follow again; none where it cannot, for what is said of it.
+    /// With which bench file a step that was done can follow again; none where it cannot.
     pub fn follows(&mut self, step: Step, file: Option<&Path>) {
         if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
-            if file.is_none() {
-                own.state = StepState::Waiting;
-            }
             own.command = file.map(|file| format!("drivebench run {}", quoted(file)));
         }
     }

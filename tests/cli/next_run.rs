@@ -58,11 +58,17 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     let told = diagnosed(&run, &bench, &at("other.toml"));
     assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
     assert_eq!(told["effects"], json!(["current_offset"]));
-    let both = json_of("diagnose {} --with {} --bench {} --json", &[&first, &run, &bench]);
+    let both = json_of(
+        "diagnose {} --with {} --bench {} --json",
+        &[&first, &run, &bench],
+    );
     assert_eq!(both["verdict"], "effect", "{}", both["sentence"]);
     assert_eq!(both["effects"], json!(["current_offset"]));
     assert_eq!(both["confusable"], json!([]), "the pair is told apart");
-    assert!(both["next_experiment"]["pair"].is_null(), "and not asked for again");
+    assert!(
+        both["next_experiment"]["pair"].is_null(),
+        "and not asked for again"
+    );
     let peaks = &recommended["peaks"];
     for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {
         let promised = peaks[key].as_f64().unwrap_or_default();

@@ -97,7 +97,8 @@ fn shown(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> 
         let logs = reduced.conditional(&others, k);
         let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let forms = logs.iter().enumerate();
-        let forms = forms.filter(|(_, log)| !(**log < most - MAY_BE_LIKELIEST_NATS));
+        let least = most - MAY_BE_LIKELIEST_NATS;
+        let forms = forms.filter(|(_, log)| log.total_cmp(&least).is_ge());
         let squares = forms.map(|(form, _)| {
             let spread = spread_slabs(reduced, set, excess, [k, form]);
             spread.map_or(0.0, |spread| spread.powi(-2))
