@@ -1,7 +1,6 @@
 //! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -17,8 +16,8 @@ use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
-    ColumnMap, Kept, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
-    run_from_memory, write_run,
+    ColumnMap, Kept, KeptSamples, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder,
+    open_run, run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
 use crate::sample::ParameterEstimate;
@@ -133,8 +132,8 @@ pub struct Recorded {
     pub(crate) manifest: Manifest,
     /// Where the burst of the drive's own recorder is.
     pub(crate) capture: Option<PathBuf>,
-    /// The text of `samples.csv`, as far as the memory held it.
-    samples: Option<Vec<u8>>,
+    /// `None` when the rows are not needed any more.
+    samples: Option<KeptSamples>,
     /// Why the record on the disk is not whole.
     unkept: Option<String>,
 }
@@ -160,7 +159,7 @@ impl Recorded {
             online,
             manifest,
             capture: None,
-            samples: kept.samples,
+            samples: Some(kept.samples),
             unkept: None,
         };
         if let Some(error) = &kept.error {
@@ -184,21 +183,22 @@ impl Recorded {
         }
     }
 
-    /// The run as anyone can replay it, read back from the disk; where the record there is damaged, as the memory has it.
+    /// The run as anyone can replay it, read back from the disk; where the record there is damaged or gone, as the file
+    /// that is still open and the memory have it.
     pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
         let path = self.folder.path();
         let from_disk = match &self.unkept {
             None => load(path, None),
             Some(reason) => Err(Failure::internal(reason.clone())),
         };
-        match (from_disk, &self.samples) {
-            (Err(failure), Some(samples)) => {
-                let (folder, reason) = (path.display(), failure.headline());
-                output::message(&format!("{folder}: {reason}; what is in memory is used"));
-                complete(run_from_memory(path, samples, &self.manifest)?)
-            }
-            (loaded, _) => loaded,
-        }
+        from_disk.or_else(|failure| {
+            let Some(samples) = self.samples.as_ref().and_then(KeptSamples::text) else {
+                return Err(failure);
+            };
+            let (folder, reason) = (path.display(), failure.headline());
+            output::message(&format!("{folder}: {reason}; what was recorded is used"));
+            complete(run_from_memory(path, &samples, &self.manifest)?)
+        })
     }
 
     /// The burst as it is kept on the disk, with its path.
@@ -256,9 +256,9 @@ impl Recorded {
 
     /// Keeps the samples as columns beside them, as far as the run came.
     pub(crate) fn keep_parquet(&mut self) {
-        let table = match &self.samples {
-            Some(samples) => Ok(Cow::Borrowed(samples)),
-            None => std::fs::read(self.folder.samples()).map(Cow::Owned),
+        let table = match self.samples.as_ref().and_then(KeptSamples::text) {
+            Some(samples) => Ok(samples),
+            None => std::fs::read(self.folder.samples()),
         };
         let columns = table
             .map_err(|error| error.to_string())

@@ -192,8 +192,10 @@ fn first_free<T>(
     }
 }
 
+/// Can be read back as well.
 fn create_new(path: &Path) -> std::io::Result<File> {
-    OpenOptions::new().append(true).create_new(true).open(path)
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create_new(true).open(path)
 }
 
 /// Letters, digits, `-`, `_` and inner dots stay; everything else becomes `-`.

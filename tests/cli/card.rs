@@ -258,10 +258,7 @@ fn a_mistake_is_answered_with_what_to_do() {
             &["'--json'", "see drivebench completions --help"],
         ),
         ("effects --jsno", &["did you mean `--json`?"]),
-        (
-            "diagnos",
-            &["did you mean `diagnose`?"],
-        ),
+        ("diagnos", &["did you mean `diagnose`?"]),
         ("effects stribek", &["did you mean `stribeck_friction`?"]),
         ("run --seed -1", &["'-1'", "see drivebench run --help"]),
         ("run --seed abc", &["expected a whole number from 0"]),
