@@ -256,11 +256,9 @@ impl Recorded {
 
     /// Keeps the samples as columns beside them, as far as the run came.
     pub(crate) fn keep_parquet(&mut self) {
-        let table = match self.samples.as_ref().and_then(KeptSamples::text) {
-            Some(samples) => Ok(samples),
-            None => std::fs::read(self.folder.samples()),
-        };
-        let columns = table
+        let recorded = self.samples.as_ref().and_then(KeptSamples::text);
+        let columns = recorded
+            .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
             .map_err(|error| error.to_string())
             .and_then(|table| parquet(&table));
         match columns {
