@@ -182,7 +182,7 @@ fn example(command: &clap::Command) -> Option<String> {
 }
 
 /// What the library that reads numbers says, in words of the reader.
-const WORDS: [(&str, &str); 5] = [
+const WORDS: [(&str, &str); 6] = [
     (
         "invalid digit found in string",
         "expected a whole number from 0",
@@ -194,6 +194,10 @@ const WORDS: [(&str, &str); 5] = [
         "expected a whole number",
     ),
     ("cannot parse float from empty string", "expected a number"),
+    (
+        "invalid socket address syntax",
+        "expected ADDRESS:PORT, as 127.0.0.1:1502",
+    ),
 ];
 
 /// clap's message as one headline and one help line, like every other error.
