@@ -14,8 +14,8 @@ use drivebench::plant::{Model, Scenario};
 use drivebench::recording::MemoryRecorder;
 use drivebench::sample::{Channel, Origin};
 
-/// Four runs of one specimen: fit, select, confirm, repeat.
-fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
+/// Runs of one specimen, one for each seed of its excitation.
+pub(crate) fn record(config: &EmulatorConfig, seed: u64, run_seeds: &[u64]) -> Vec<Scenario> {
     let file = BenchFile::embedded_default();
     let time = VirtualClock::new();
     let mut clock = time.clone();
@@ -32,7 +32,7 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
     let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
     assert!(report.passed(), "{:?}", report.refusal());
     let mut last_seq = report.last_seq;
-    [1, 2, 3, 1]
+    run_seeds
         .iter()
         .map(|run_seed| {
             let guard = Guard::new(
@@ -82,7 +82,8 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
 /// Diagnoses a specimen and compares the speed error on the confirming run before and after.
 fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let config = EmulatorConfig::embedded(emulator).unwrap();
-    let runs = record(&config, seed);
+    // Fit, select, confirm, repeat.
+    let runs = record(&config, seed, &[1, 2, 3, 1]);
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();

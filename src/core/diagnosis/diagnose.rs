@@ -384,7 +384,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .copied()
             .collect(),
         next_experiment: None,
-        baseline: base.fit.clone(),
+        baseline: bench.with_deviations(base.fit.clone(), inference),
         model: best.fit.clone(),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
