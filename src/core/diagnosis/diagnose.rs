@@ -288,6 +288,9 @@ pub fn diagnose_with(
         inference.doubt(id);
         rungs = climb(&bench, &baseline, &inference, progress)?;
     }
+    if let Some(last) = rungs.pop() {
+        rungs.push(last.with_deviations(&bench, &inference));
+    }
     Ok(answer(&bench, &inference, &rungs))
 }
 

@@ -219,12 +219,18 @@ fn beside(
 pub(super) struct Standing {
     pub(super) fit: Fitted,
     pub(super) score: Score,
+    /// The values are the free run's, since those of its prediction errors do not foretell the hold-out.
+    keeps_free_run: bool,
 }
 
 impl Standing {
     fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
         let score = bench.held_out(&fit.model)?;
-        Ok(Self { fit, score })
+        Ok(Self {
+            fit,
+            score,
+            keeps_free_run: false,
+        })
     }
 
     /// With the parameters that prediction errors give, unless they do not foretell the hold-out: whatever is said of an
@@ -236,8 +242,21 @@ impl Standing {
         }
         let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
         let led = Self::of(led, bench)?;
-        let is_worse = led.score.nrms > AS_GOOD * free.score.nrms;
-        Ok(if is_worse { free } else { led })
+        let keeps_free_run = led.score.nrms > AS_GOOD * free.score.nrms;
+        let kept = if keeps_free_run { free } else { led };
+        Ok(Self {
+            keeps_free_run,
+            ..kept
+        })
+    }
+
+    /// Where the values are the free run's each is uncertain by how far it is from that of its prediction errors beside. What
+    /// was decided by the deviations that it had stays.
+    pub(super) fn with_deviations(mut self, bench: &Bench, inference: &Inference) -> Self {
+        if self.keeps_free_run {
+            self.fit = with_deviations(self.fit, &bench.evidence.training, inference.noise);
+        }
+        self
     }
 
     pub(super) fn rung(&self) -> Rung {
@@ -380,12 +399,16 @@ fn change(
     adding: bool,
 ) -> Result<AddResult, FitError> {
     let id = effect.card().id;
-    let after = Standing::handed_on(after, bench, inference)?;
+    let handed_on = |fit| {
+        let standing = Standing::handed_on(fit, bench, inference)?;
+        Ok::<_, FitError>(standing.with_deviations(bench, inference))
+    };
+    let after = handed_on(after)?;
     // The model before has the effect that is taken out, and tells its size.
     let before = if adding {
         Standing::of(before, bench)?
     } else {
-        Standing::handed_on(before, bench, inference)?
+        handed_on(before)?
     };
     let confirm = match &bench.evidence.confirm {
         Some(run) => {
