@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::arguments::{EvidenceArguments, run_path};
+use super::arguments::{EvidenceArguments, MoreRuns, run_path};
 use super::failure::Failure;
 use super::{output, progress, signals};
 use crate::app::by_hand::{self, Shown};
@@ -29,6 +29,8 @@ pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
     run: PathBuf,
+    #[command(flatten)]
+    more: MoreRuns,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
     model: Option<PathBuf>,
@@ -72,6 +74,7 @@ struct ScreenArguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.more.refuse()?;
     let on_screen = &arguments.on_screen;
     if on_screen.screen {
         let help = "leave --screen out: the answer is printed as text";
