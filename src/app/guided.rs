@@ -196,7 +196,7 @@ fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Fai
         bench,
         ..once_more(options)
     };
-    let ended = conduct(Audience::Screen(None), move |controls| {
+    let ended = conduct(Audience::Leads("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
     let recorded = match ended.work {
@@ -236,7 +236,7 @@ fn speed_loop(
         feed_forward: None,
         actuator: None,
     };
-    let ended = conduct(Audience::Screen(None), move |controls| {
+    let ended = conduct(Audience::Leads("back to the loop"), move |controls| {
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;

@@ -28,9 +28,47 @@ pub(super) fn is_too_small(
     let is = area.width < SMALLEST.0 || area.height < SMALLEST.1;
     if is {
         let text = format!("{word}: {}x{}, {key}", area.width, area.height);
-        Line::styled(text, style).render(area, buffer);
+        row(&Line::styled(text, style), area, buffer);
     }
     is
+}
+
+/// One row of text; where it has no room, it ends in a mark of that.
+pub(super) fn row(line: &Line<'_>, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    line.render(area, buffer);
+    if !area.is_empty() && line.width() > usize::from(area.width) {
+        buffer[(area.right() - 1, area.y)].set_char('…');
+    }
+}
+
+/// Rows of text one under the other, each as [`row`]; those that have no room below are left out.
+pub(super) fn rows(lines: &[Line<'_>], area: Rect, buffer: &mut Buffer) {
+    for (line, place) in lines.iter().zip(area.rows()) {
+        row(line, place, buffer);
+    }
+}
+
+/// Text that is broken between words; where it has no room below, it ends in a mark of that.
+pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    if area.is_empty() {
+        return;
+    }
+    let width = usize::from(area.width);
+    let needed = lines
+        .iter()
+        .map(|line| wrapped(&line.to_string(), width).len());
+    let is_cut = needed.sum::<usize>() > usize::from(area.height);
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: false })
+        .render(area, buffer);
+    if is_cut {
+        let y = area.bottom() - 1;
+        let last = (area.x..area.right()).rfind(|x| buffer[(*x, y)].symbol() != " ");
+        let end = last.map_or(area.x, |x| (x + 1).min(area.right() - 1));
+        buffer[(end, y)].set_char('…');
+    }
 }
 
 /// The last lines: the answer to the last key, else the keys that fit, of which `always` is kept.
@@ -43,15 +81,30 @@ pub(super) fn hints(
 ) {
     let width = usize::from(area.width);
     if let Some(message) = message {
-        let rows = wrapped(&format!("> {message}"), width.saturating_sub(1));
         let style = theme::CAREFUL.patch(theme::BOLD);
-        let lines = rows
-            .into_iter()
-            .map(|row| Line::styled(format!(" {row}"), style));
-        Paragraph::new(lines.collect::<Vec<_>>()).render(area, buffer);
+        let lines = said(message, width).into_iter();
+        let mut lines: Vec<_> = lines
+            .map(|row| Line::styled(format!(" {row}"), style))
+            .collect();
+        let hidden = lines.split_off(lines.len().min(usize::from(area.height)));
+        if let (Some(last), false) = (lines.last_mut(), hidden.is_empty()) {
+            // Longer than its row, so that it is seen that it goes on.
+            last.push_span(" ".repeat(width));
+        }
+        rows(&lines, area, buffer);
     } else {
         Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
     }
+}
+
+fn said(message: &str, width: usize) -> Vec<String> {
+    wrapped(&format!("> {message}"), width.saturating_sub(1))
+}
+
+/// Rows that the answer to the last key takes, `most` at the most; the keys take one.
+pub(super) fn hint_rows(message: Option<&str>, width: u16, most: usize) -> u16 {
+    let rows = message.map_or(1, |message| said(message, usize::from(width)).len());
+    rows.clamp(1, most.max(1)) as u16
 }
 
 /// The keys that fit into a row: `always` is kept, of the others as many as there is room for, the first first.

@@ -6,11 +6,11 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::Widget;
 
 use crate::bench::{Snapshot, TracePoint};
 use crate::sample::Channel;
 use crate::text::number::{MISSING, significant};
+use crate::tui::frame::row;
 use crate::tui::plot::{
     self, Bounds, LABELS, Stroke, Trace, across, longest_step_s, range, round, tick, value_axis,
 };
@@ -150,7 +150,8 @@ fn draw(
     };
     let (low, high) = bounds(&measured, &model);
     let newest = measured.last().map_or(f64::NAN, |point| point.1);
-    title(chart, snapshot, follows, newest, area.width).render(Rect { height: 1, ..area }, buffer);
+    let title = title(chart, snapshot, follows, newest, area.width);
+    row(&title, Rect { height: 1, ..area }, buffer);
 
     let plot_area = Rect {
         x: area.x + LABELS,
@@ -188,6 +189,7 @@ fn title(
 ) -> Line<'static> {
     let (channel, style) = chart.look();
     let name = match chart {
+        Chart::Innovation if width < WIDE => "innovation of the speed,",
         Chart::Innovation => "innovation: speed less its prediction,",
         _ => channel.name(),
     };

@@ -13,7 +13,7 @@ use crate::bench::{Level, Notice, Phase, Snapshot};
 use crate::sample::{ParameterEstimate, Verdict};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::shortest;
-use crate::tui::frame::{bar_spans, help, hints, is_too_small};
+use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
 use crate::tui::keys::On;
 use crate::tui::theme;
 use crate::workflow::{Progress, Step, StepState, StepView};
@@ -51,6 +51,8 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     }
     let banner = Banner::of(model);
     let step_rows = u16::from(model.workflow.is_some() && area.height >= 12);
+    let most_said = (area.height / 8).clamp(1, 3);
+    let said_rows = hint_rows(model.message.as_deref(), area.width, most_said.into());
     let banner_rows = banner
         .as_ref()
         .map_or(0, |banner| banner.height(area.width));
@@ -60,13 +62,13 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Constraint::Length(step_rows),
         Constraint::Length(banner_rows.min(area.height - 3)),
         Constraint::Fill(1),
-        Constraint::Length(1),
+        Constraint::Length(said_rows),
     ])
     .areas(area);
     top_bar(model, top, buffer);
     progress_bar(&model.snapshot, progress, buffer);
     if let Some(workflow) = model.workflow.as_ref().filter(|_| step_rows > 0) {
-        step_line(workflow, model.guess_first).render(step, buffer);
+        row(&step_line(workflow, model.guess_first), step, buffer);
     }
     if let Some(banner) = banner {
         banner.render(box_area, buffer);
@@ -76,6 +78,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Page::Parameters => parameters_page(model, body, buffer),
         Page::Steps => steps_page(model, body, buffer),
     }
+    let quit = format!("? help  q {}", model.quits());
     let next = format!("Tab {}", model.neighbour(1).name());
     let next = next.as_str();
     let offers = offers(model, next);
@@ -91,7 +94,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     hints(
         model.message.as_deref(),
         keys,
-        "? help  q quit",
+        &quit,
         bottom,
         buffer,
     );
@@ -199,7 +202,7 @@ fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     ));
     line.push_span(format!(" {elapsed_s:.1} / {total_s:.1} s  "));
     line.push_span(Span::styled(segment, theme::BOLD));
-    line.render(area, buffer);
+    row(&line, area, buffer);
 }
 
 /// The step of the workflow that is under way.
@@ -228,14 +231,14 @@ fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
 /// The newest sentences of the bench, the newest at the bottom.
 fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     let newest = &notices[notices.len().saturating_sub(usize::from(area.height))..];
-    for (notice, row) in newest.iter().zip(area.rows()) {
+    for (notice, place) in newest.iter().zip(area.rows()) {
         let word = match notice.level {
             Level::Info => "note",
             Level::Warning => "WARNING",
             Level::Error => "ERROR",
         };
         let text = format!(" {word}: {}", notice.text);
-        Line::styled(text, theme::level(notice.level)).render(row, buffer);
+        row(&Line::styled(text, theme::level(notice.level)), place, buffer);
     }
 }
 
@@ -264,11 +267,8 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     .areas(area);
     // It would give a name before the person has.
     if model.leaning.seconds > 0.0 && !model.guess_first {
-        let text = cut(
-            &model.leaning.line(),
-            usize::from(lean.width).saturating_sub(1),
-        );
-        Line::styled(format!(" {text}"), theme::CAREFUL).render(lean, buffer);
+        let text = format!(" {}", model.leaning.line());
+        row(&Line::styled(text, theme::CAREFUL), lean, buffer);
     }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
@@ -286,7 +286,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let below = body.height.saturating_sub(wanted).clamp(4, LINK_HEIGHT);
     let [top, link] =
         Layout::vertical([Constraint::Fill(1), Constraint::Length(below)]).areas(right);
-    parameters(snapshot, top, buffer);
+    parameters(model, top, buffer);
     link_panel(&model.snapshot, link, buffer);
 }
 
@@ -303,7 +303,7 @@ fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    table(model.viewed(), top, buffer);
+    table(model, top, buffer);
     if link_rows > 0 {
         link_panel(&model.snapshot, link, buffer);
     }
@@ -318,7 +318,7 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let lines = step_lines(model, workflow, usize::from(area.width));
     let hidden = lines.len().saturating_sub(usize::from(area.height));
     let shown = lines.into_iter().skip(model.scroll.min(hidden));
-    Paragraph::new(shown.collect::<Vec<_>>()).render(area, buffer);
+    rows(&shown.collect::<Vec<_>>(), area, buffer);
 }
 
 /// What is said of a step; nothing that names an effect where the person is to name it.
@@ -384,14 +384,19 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             StepState::Offered => ("+", "possible", theme::CAREFUL),
         };
         let title = step.step.title();
-        let head = Line::from(vec![
+        let mut head = vec![
             Span::styled(format!(" {mark} {name:<8} "), style),
             Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
-            Span::raw(said(step, model.guess_first).to_owned()),
-        ]);
+        ];
+        let indent: usize = head.iter().map(Span::width).sum();
+        let room = width.saturating_sub(indent).max(10);
+        let mut lines = wrapped(said(step, model.guess_first), room).into_iter();
+        head.extend(lines.next().map(Span::raw));
+        let below = lines.map(move |text| Line::raw(format!("{:indent$}{text}", "")));
         let is_open = matches!(step.state, StepState::Active | StepState::Offered);
         let more = (is_open || model.explains).then(|| explained(step, title_width + 14, width));
-        std::iter::once(head).chain(more.into_iter().flatten())
+        let head = std::iter::once(Line::from(head)).chain(below);
+        head.chain(more.into_iter().flatten()).collect::<Vec<_>>()
     });
     let mut lines = Vec::new();
     if let Some(card) = &workflow.report {
@@ -418,17 +423,26 @@ impl Banner {
     fn of(model: &Model) -> Option<Self> {
         let snapshot = &model.snapshot;
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
+        let quit = model.quits();
         let end = match (is_over, &snapshot.stop_error) {
-            (false, _) => "",
-            (true, None) if model.can_diagnose() => " Output off. d = diagnosis by hand, q = quit.",
-            (true, None) => " Output off, q = quit.",
-            (true, Some(_)) => " Stop NOT confirmed: see that the shaft stands still. q = quit.",
+            (false, _) => String::new(),
+            (true, None) if model.can_diagnose() && model.leads.is_none() => {
+                format!(" Output off. d = diagnosis by hand, q = {quit}.")
+            }
+            (true, None) => format!(" Output off, q = {quit}."),
+            (true, Some(_)) => {
+                format!(" Stop NOT confirmed: see that the shaft stands still. q = {quit}.")
+            }
         };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
             ("HARDWARE", text.to_owned(), theme::ALARM)
         } else if let Some(text) = &snapshot.reopening {
-            let end = if is_over { " q = quit." } else { "" };
+            let end = if is_over {
+                format!(" q = {quit}.")
+            } else {
+                String::new()
+            };
             let is_safe = snapshot.phase == Some(Phase::Safe);
             let title = if is_safe { "SAFE" } else { "LINK LOST" };
             let style = if is_safe {
@@ -508,8 +522,8 @@ const BLOCKS: [&str; 8] = ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█
 const CARRIED: f64 = 0.7;
 
 /// Panel with a frame; three rows for each parameter, two or one where there is no room.
-pub(super) fn parameters(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
-    let (estimates, excitation) = (&snapshot.estimates, &snapshot.excitation);
+fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let (estimates, excitation) = (model.parameters(), &model.viewed().excitation);
     let inner_height = usize::from(area.height.saturating_sub(2));
     let three_rows = estimates.len() * 3 <= inner_height && !excitation.is_empty();
     let two_rows = estimates.len() * 2 <= inner_height;
@@ -522,11 +536,11 @@ pub(super) fn parameters(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let inner = block.inner(area);
     block.render(area, buffer);
     if estimates.is_empty() {
-        Line::styled("no estimates yet", theme::DIM).render(inner, buffer);
+        row(&Line::styled("no estimates yet", theme::DIM), inner, buffer);
         return;
     }
     let mut lines: Vec<Line<'static>> = Vec::new();
-    for estimate in estimates.iter() {
+    for estimate in &estimates {
         let share = excitation.get(estimate.key.as_str()).copied();
         let value = value_line(estimate, inner.width);
         if three_rows {
@@ -540,14 +554,14 @@ pub(super) fn parameters(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
             lines.push(with_block(short_line(estimate), share, inner.width));
         }
     }
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 /// Every parameter with its name, its key and the whole reason.
-pub(super) fn table(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
+fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut lines = Vec::new();
-    for estimate in snapshot.estimates.iter() {
-        let share = snapshot.excitation.get(estimate.key.as_str()).copied();
+    for estimate in &model.parameters() {
+        let share = model.viewed().excitation.get(estimate.key.as_str()).copied();
         lines.push(with_bar(
             value_line(estimate, area.width),
             share,
@@ -565,9 +579,7 @@ pub(super) fn table(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     if lines.is_empty() {
         lines.push(Line::styled("no estimates yet", theme::DIM));
     }
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: false })
-        .render(area, buffer);
+    text(lines, area, buffer);
 }
 
 fn excitation_style(share: f64) -> Style {
@@ -749,7 +761,7 @@ pub(super) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         // What was not recorded matters more than what was late.
         lines.rotate_right(1);
     }
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 /// Losses by their names, those that there are in colour.
