@@ -127,11 +127,9 @@ fn answered(standing: &Standing) -> String {
     let changes = standing.heading();
     let answer = standing.diagnosis.as_ref();
     let answer = answer.map_or("left before there was an answer", |found| &found.sentence);
-    changes
-        .lines()
-        .chain([answer])
-        .collect::<Vec<_>>()
-        .join("; ")
+    let model = standing.model().map(|model| format!("model: {model}"));
+    let said = changes.lines().chain([answer]).chain(model.as_deref());
+    said.collect::<Vec<_>>().join("; ")
 }
 
 /// The page of the loop once more, over nothing that is energised.
@@ -169,7 +167,8 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    let is_changed = !seen.standing.heading().is_empty();
+    let standing = &seen.standing;
+    let is_changed = !standing.heading().is_empty() || standing.model().is_some();
     Ok(if is_changed {
         answered(&seen.standing)
     } else {

@@ -259,7 +259,10 @@ fn halt_group() -> io::Result<bool> {
     let goes_on = Arc::new(AtomicBool::new(false));
     let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&goes_on))?;
     let default = SigAction::new(SigHandler::SigDfl, SaFlags::empty(), SigSet::empty());
-    #[expect(unsafe_code, reason = "there is no safe way to the default of a signal")]
+    #[expect(
+        unsafe_code,
+        reason = "there is no safe way to the default of a signal"
+    )]
     // SAFETY: the default action runs nothing of ours, and what is put back is what was there.
     let before = unsafe { sigaction(Signal::SIGTSTP, &default) }?;
     let sent = kill(Pid::from_raw(0), Signal::SIGTSTP);

@@ -56,6 +56,16 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
         return;
     }
     let width = usize::from(area.width);
+    let broken = lines.into_iter().flat_map(|line| match &line.spans[..] {
+        // What follows keeps the indentation of the first row.
+        [only] => {
+            let style = line.style.patch(only.style);
+            let rows = wrapped(&only.content, width).into_iter();
+            rows.map(|row| Line::styled(row, style)).collect()
+        }
+        _ => vec![line],
+    });
+    let lines: Vec<_> = broken.collect();
     let needed = lines
         .iter()
         .map(|line| wrapped(&line.to_string(), width).len());

@@ -90,5 +90,8 @@ fn on_white_every_letter_has_a_contrast_of_at_least_four_and_a_half() {
             colours.insert(format!("{:?} on {:?}", cell.fg, cell.bg));
         }
     }
-    assert!(colours.len() >= 9, "the pages show every colour: {colours:?}");
+    assert!(
+        colours.len() >= 9,
+        "the pages show every colour: {colours:?}"
+    );
 }

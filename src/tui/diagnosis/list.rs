@@ -281,4 +281,3 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
         text
     })
 }
-

@@ -122,7 +122,7 @@ impl Model {
         shown.collect()
     }
 
-    fn shows_report(&self) -> bool {
+    pub(super) fn shows_report(&self) -> bool {
         let workflow = self.workflow.as_ref();
         workflow.is_some_and(|workflow| workflow.report.is_some())
     }
@@ -274,7 +274,12 @@ impl Model {
             Press::Open if self.page != Page::Steps => {
                 self.say("Enter explains the steps of a commissioning: 3 shows them");
             }
-            Press::Open => self.explains = !self.explains,
+            Press::Open => {
+                self.explains = !self.explains;
+                if self.explains && self.shows_report() {
+                    self.say("each step is explained, below the result: Down");
+                }
+            }
             Press::Help => self.help = Some(0),
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));

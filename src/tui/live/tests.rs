@@ -8,6 +8,7 @@ use ratatui::backend::TestBackend;
 use ratatui::style::{Color, Modifier};
 
 mod any;
+mod pages;
 
 use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
@@ -22,7 +23,9 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Called, Progress, Provisional, Role, Step, StepState, StepView};
+use crate::workflow::{Progress, Provisional, Role, Step, StepState, StepView};
+use pages::between_two_values;
+pub(in crate::tui) use pages::pages;
 
 fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
     ParameterEstimate::found(key, unit, value, std, None)
@@ -280,96 +283,6 @@ fn finished(mut model: Model) -> Model {
     model
 }
 
-/// A reference that is followed, a while after the load has changed.
-fn speed() -> Snapshot {
-    let trace = trace(8.4).into_iter().map(|point| TracePoint {
-        reference_rad_s: if point.time_s < 4.0 { 150.0 } else { -100.0 },
-        ..point
-    });
-    Snapshot {
-        segment: Some("pass 2 of 3".to_owned()),
-        trace: Arc::new(trace.collect()),
-        ..running()
-    }
-}
-
-/// An inertia that had a value a while ago and has none now.
-fn between_two_values() -> Model {
-    let mut model = leaning(running());
-    let mut later = running();
-    let mut estimates = running().estimates.to_vec();
-    let reason = "the speed has not changed for a while";
-    estimates[3] = ParameterEstimate::not_observable("inertia_kg_m2", "kg.m2", reason);
-    (later.elapsed_s, later.estimates) = (11.6, Arc::new(estimates));
-    model.update(Event::Snapshot(Arc::new(later)));
-    model
-}
-
-/// The end of a commissioning, with what can follow.
-fn offers() -> Model {
-    finished(with(&model(done()), |own| {
-        let mut workflow = workflow(true);
-        workflow
-            .steps
-            .extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
-                state: StepState::Offered,
-                command: step.command(&Called::default()),
-                ..StepView::new(step)
-            }));
-        own.update(Event::Workflow(Arc::new(workflow)));
-    }))
-}
-
-/// Every page of the screen.
-pub(in crate::tui) fn pages() -> Vec<crate::tui::screens::Page> {
-    let run = leaning(running());
-    let waiting = model(hardware());
-    let steps = with(&run, |own| {
-        report(own, false);
-        own.page = Page::Steps;
-    });
-    let fault = Snapshot {
-        drive_state: Some(DriveState::Fault),
-        ..hardware()
-    };
-    let mut lost = running();
-    (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
-    lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
-    let refused = with(&run, |own| assert!(!own.may_suspend()));
-    let states = [
-        ("starting", Model::new(None)),
-        ("running", run.clone()),
-        ("speed", model(speed())),
-        ("missing", model(missing())),
-        ("parameters", with(&run, |own| own.page = Page::Parameters)),
-        ("between_two_values", between_two_values()),
-        ("hardware", waiting.clone()),
-        ("confirm", with(&waiting, |own| own.confirm_start = true)),
-        ("fault", pressed(model(fault), Press::Start)),
-        ("tripped", model(tripped())),
-        ("trip_over", finished(model(tripped()))),
-        ("lost", model(lost)),
-        ("ctrl_z", refused),
-        ("frozen", pressed(run.clone(), Press::Freeze)),
-        ("steps", steps.clone()),
-        ("steps_explained", pressed(steps, Press::Open)),
-        ("done", finished(model(done()))),
-        (
-            "done_leads_on",
-            with(&finished(model(done())), |own| {
-                own.leads = Some("back to the loop");
-            }),
-        ),
-        ("report", offers()),
-        ("report_end", with(&offers(), |own| own.scroll = 99)),
-        ("help", pressed(run, Press::Help)),
-    ];
-    let page = |(name, model): (&'static str, Model)| -> crate::tui::screens::Page {
-        (name, Box::new(move |frame| view(&model, frame)))
-    };
-    states.map(page).into()
-}
-
 #[test]
 fn a_value_that_is_gone_for_a_while_stays_with_its_age_until_the_run_is_over() {
     let mut model = between_two_values();
@@ -405,7 +318,10 @@ fn q_says_where_it_leads_where_the_run_went_to_its_end() {
         let expected = if is_led { "back to the loop" } else { "quit" };
         let shown = text(&model, 120, 40);
         assert!(shown.contains(&format!("q {expected}")), "{shown}");
-        assert!(shown.contains(&format!("q = {expected}.")) || !is_led, "{shown}");
+        assert!(
+            shown.contains(&format!("q = {expected}.")) || !is_led,
+            "{shown}"
+        );
     }
 }
 

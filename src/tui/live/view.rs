@@ -10,7 +10,7 @@ use ratatui::widgets::{Block, BorderType, Clear, Paragraph, Widget, Wrap};
 use super::model::{Model, Page};
 use super::scope::scope;
 use crate::bench::{Level, Notice, Phase, Snapshot};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::shortest;
 use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
@@ -82,7 +82,10 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let next = format!("Tab {}", model.neighbour(1).name());
     let next = next.as_str();
     let offers = offers(model, next);
-    let keys: &[&str] = if model.waits_for_start() {
+    let is_faulted = model.snapshot.drive_state == Some(DriveState::Fault);
+    let keys: &[&str] = if is_faulted && !model.is_finished() {
+        &["k acknowledge the fault", "Space stop", next]
+    } else if model.waits_for_start() {
         &["s start", "Space stop", next]
     } else if model.can_diagnose() {
         &offers
@@ -91,13 +94,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     } else {
         &["Space stop", next, "f freeze", "z zoom", "m mark"]
     };
-    hints(
-        model.message.as_deref(),
-        keys,
-        &quit,
-        bottom,
-        buffer,
-    );
+    hints(model.message.as_deref(), keys, &quit, bottom, buffer);
     if let Some(row) = model.help {
         let under_top = Rect {
             y: area.y + 1,
@@ -238,7 +235,11 @@ fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
             Level::Error => "ERROR",
         };
         let text = format!(" {word}: {}", notice.text);
-        row(&Line::styled(text, theme::level(notice.level)), place, buffer);
+        row(
+            &Line::styled(text, theme::level(notice.level)),
+            place,
+            buffer,
+        );
     }
 }
 
@@ -317,8 +318,22 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     let lines = step_lines(model, workflow, usize::from(area.width));
     let hidden = lines.len().saturating_sub(usize::from(area.height));
-    let shown = lines.into_iter().skip(model.scroll.min(hidden));
+    let first = model.scroll.min(hidden);
+    let shown = lines.into_iter().skip(first);
     rows(&shown.collect::<Vec<_>>(), area, buffer);
+    if first < hidden {
+        let more = Line::styled(" ▼ Down: more ", theme::CAREFUL).right_aligned();
+        let last = area.rows().last().unwrap_or(area);
+        Clear.render(
+            Rect {
+                x: last.right().saturating_sub(more.width() as u16).max(last.x),
+                width: (more.width() as u16).min(last.width),
+                ..last
+            },
+            buffer,
+        );
+        row(&more, last, buffer);
+    }
 }
 
 /// What is said of a step; nothing that names an effect where the person is to name it.
@@ -366,8 +381,9 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
     keys.push(next);
-    keys.extend((model.page == Page::Steps).then_some("Enter explain"));
-    keys.push("Up Down scroll");
+    if model.page == Page::Steps {
+        keys.extend(["Enter explain", "Up Down scroll"]);
+    }
     keys
 }
 
@@ -465,6 +481,8 @@ impl Banner {
             ("LINK LOST", format!("{reason}.{end}"), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
+                // The page says what the whole loop came to, its top that the output is off.
+                "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
                 "done" => ("DONE", "The run went to its end.", theme::GOOD),
                 "stopped" => ("STOPPED", "The run was stopped.", theme::CAREFUL),
                 "interrupted" => ("INTERRUPTED", "The run was interrupted.", theme::CAREFUL),
@@ -561,7 +579,11 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
 fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut lines = Vec::new();
     for estimate in &model.parameters() {
-        let share = model.viewed().excitation.get(estimate.key.as_str()).copied();
+        let share = model
+            .viewed()
+            .excitation
+            .get(estimate.key.as_str())
+            .copied();
         lines.push(with_bar(
             value_line(estimate, area.width),
             share,

@@ -453,7 +453,14 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
         let arrow = if index == at { "▶" } else { " " };
         let text = format!("{arrow} {mark} {}", name(panel));
         let text = cut(&text, usize::from(width.saturating_sub(2)));
-        Line::styled(text, if index == at { theme::BOLD } else { theme::PLAIN })
+        Line::styled(
+            text,
+            if index == at {
+                theme::BOLD
+            } else {
+                theme::PLAIN
+            },
+        )
     });
     Clear.render(place, buffer);
     let block = Block::bordered().title(" Enter shows or hides, Esc closes ");
