@@ -92,15 +92,17 @@ pub(super) fn hints(
     let width = usize::from(area.width);
     if let Some(message) = message {
         let style = theme::CAREFUL.patch(theme::BOLD);
-        let lines = said(message, width).into_iter();
-        let mut lines: Vec<_> = lines
+        let mut lines = said(message, width);
+        let most = usize::from(area.height).max(1);
+        if lines.len() > most {
+            // In one row with the last that there is room for, so that it is seen that it goes on.
+            let rest = lines.split_off(most - 1).join(" ");
+            lines.push(rest);
+        }
+        let lines = lines.into_iter();
+        let lines: Vec<_> = lines
             .map(|row| Line::styled(format!(" {row}"), style))
             .collect();
-        let hidden = lines.split_off(lines.len().min(usize::from(area.height)));
-        if let (Some(last), false) = (lines.last_mut(), hidden.is_empty()) {
-            // Longer than its row, so that it is seen that it goes on.
-            last.push_span(" ".repeat(width));
-        }
         rows(&lines, area, buffer);
     } else {
         Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
@@ -135,8 +137,14 @@ fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
 }
 
 /// The keys of a screen and the meaning of its words, over the middle of it, from row `first` on; the last page stays
-/// full. The screen beneath stays live.
-pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer) {
+/// full. The screen beneath stays live. Returns the rows for which there is no room.
+pub(super) fn help(
+    on: On,
+    meanings: &[&str],
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> usize {
     let width = area.width.min(WIDEST);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
     let height = area
@@ -156,6 +164,7 @@ pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: 
     } else {
         " help, any key closes it "
     };
+    let title = cut(title, usize::from(width.saturating_sub(2)));
     Clear.render(place, buffer);
     let shown: Vec<Line<'static>> = lines.into_iter().skip(first).take(room).collect();
     let mut block = Block::bordered().title(title);
@@ -163,6 +172,7 @@ pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: 
         block = block.title_bottom(Line::from(" more below ").right_aligned());
     }
     Paragraph::new(shown).block(block).render(place, buffer);
+    hidden
 }
 
 fn help_lines(on: On, meanings: &[&str], width: usize) -> Vec<Line<'static>> {
@@ -230,8 +240,13 @@ pub(super) fn paragraph(title: &str, text: impl Into<String>) -> Line<'static> {
     Line::from(vec![title, Span::raw(text.into())])
 }
 
-/// Paragraphs from row `first` on; the last page stays full.
-pub(super) fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: &mut Buffer) {
+/// Paragraphs from row `first` on; the last page stays full. Returns the rows for which there is no room.
+pub(super) fn page(
+    lines: Vec<Line<'static>>,
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> usize {
     let width = usize::from(area.width).max(1);
     // Counted generously, as words are not broken between rows.
     let rows = lines.iter().map(|line| 1 + line.width() * 5 / (4 * width));
@@ -241,6 +256,7 @@ pub(super) fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: 
         .wrap(Wrap { trim: true })
         .scroll((offset, 0))
         .render(area, buffer);
+    hidden
 }
 
 #[cfg(test)]

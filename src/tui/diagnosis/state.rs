@@ -1,5 +1,6 @@
 //! State of the diagnosis screen, and what each event does to it. Pure: an update returns what the program is to do.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -101,6 +102,8 @@ pub(super) struct State {
     pub(super) over: Over,
     /// First row of the help, where it lies over everything else.
     pub(super) help: Option<usize>,
+    /// Rows for which what scrolls had no room when it was drawn: the keys go no further.
+    pub(super) hidden: Cell<usize>,
     pub(super) guessing: Guessing,
     /// A model that is to be written is not in its file yet.
     pub(super) writing: bool,
@@ -349,7 +352,8 @@ impl State {
             Press::Stop if self.leaving => self.leaving = false,
             _ if self.leaving => self.say(LEAVING),
             Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
-                let scrolled = |row: usize| row.saturating_add_signed(rows as isize);
+                let hidden = self.hidden.get();
+                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
                 self.help = self.help.map(scrolled);
             }
             // It gives back the page that it explains.
@@ -413,7 +417,8 @@ impl State {
 
     fn go(&mut self, by: i32) {
         if let Over::Card(line) | Over::Next(line) = &mut self.over {
-            *line = line.saturating_add_signed(by as isize);
+            let drawn = (*line).min(self.hidden.get());
+            *line = drawn.saturating_add_signed(by as isize);
         } else if self.only_compares() {
             self.say(self.why_none());
         } else if let Over::Traces | Over::Map(_) = self.over {

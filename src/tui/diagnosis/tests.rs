@@ -467,7 +467,7 @@ fn the_help_gives_back_the_page_that_it_explains() {
         press(&mut state, Press::Help);
         press(&mut state, DOWN);
         assert_eq!((state.help, state.over), (Some(1), over));
-        shows(&state, &["STOP: ramp down"]);
+        shows(&state, &["to the shell, once nothing is energised"]);
         press(&mut state, Press::Quit);
         assert_eq!((state.help, state.over), (None, over));
     }

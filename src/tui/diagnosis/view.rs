@@ -164,7 +164,8 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
             height: area.height.saturating_sub(1 + places.bottom.height),
             ..area
         };
-        help(On::Diagnosis, &MEANING, row, under_top, buffer);
+        let hidden = help(On::Diagnosis, &MEANING, row, under_top, buffer);
+        state.hidden.set(hidden);
     }
     let (keys, always) = keys(state);
     hints(
@@ -324,6 +325,9 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         }
         Over::Curve(..) if followed > 0 => ("Left Right cursor|t add curve", "c Esc back"),
         Over::Curve(..) => ("Left Right cursor|a add|r remove", "c Esc back"),
+        Over::Nothing if state.failure.is_some() && state.diagnosis.is_none() => {
+            ("v traces|e map", LEAVE)
+        }
         Over::Nothing if state.guessing == Guessing::Choosing => (
             "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
@@ -595,7 +599,7 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
     ] {
         lines.push(paragraph(title, text));
     }
-    page(lines, first, inner, buffer);
+    state.hidden.set(page(lines, first, inner, buffer));
 }
 
 /// What these runs do not tell, and the run that would.
@@ -640,5 +644,5 @@ pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
         let none = "none is asked for: these runs tell what they can";
         lines.push(paragraph("next run", none));
     }
-    page(lines, first, inner, buffer);
+    state.hidden.set(page(lines, first, inner, buffer));
 }

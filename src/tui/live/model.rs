@@ -1,5 +1,6 @@
 //! Model of the live screen, and what each event does to it. Pure: an update returns what the program is to do.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -66,6 +67,8 @@ pub(super) struct Model {
     pub(super) zoom: usize,
     /// First line shown of the steps.
     pub(super) scroll: usize,
+    /// Lines for which what scrolls had no room when it was drawn: the keys go no further.
+    pub(super) hidden: Cell<usize>,
     /// What each step needs, unlocks and is called, also of those that are not under way.
     pub(super) explains: bool,
     /// No name of an effect is shown: the person is to give one first.
@@ -193,9 +196,11 @@ impl Model {
     /// Keeps the values that there are. Those of another run are not those of this one, and when it is over there are none
     /// but the last.
     fn hold(&mut self, snapshot: &Snapshot) {
-        let is_another = snapshot.name != self.snapshot.name;
-        if is_another || !snapshot.phase.is_some_and(Phase::is_recorded) {
+        let is_over = !snapshot.phase.is_some_and(Phase::is_recorded);
+        if is_over || snapshot.name != self.snapshot.name {
             self.held.clear();
+        }
+        if is_over {
             return;
         }
         let known = snapshot.estimates.iter().filter(|own| own.value.is_some());
@@ -238,9 +243,9 @@ impl Model {
             Press::Stop => return self.stop(),
             Press::Interrupt => return self.interrupt(),
             Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
-                self.help = self
-                    .help
-                    .map(|row| row.saturating_add_signed(rows as isize));
+                let hidden = self.hidden.get();
+                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
+                self.help = self.help.map(scrolled);
             }
             _ if self.help.is_some() => self.help = None,
             Press::Yes if confirming && self.waits_for_start() => {
@@ -300,7 +305,8 @@ impl Model {
                 self.say("this page does not scroll: 3 shows the steps, which do");
             }
             Press::Move(rows) | Press::Wheel(rows) => {
-                self.scroll = self.scroll.saturating_add_signed(rows as isize);
+                let drawn = self.scroll.min(self.hidden.get());
+                self.scroll = drawn.saturating_add_signed(rows as isize);
             }
             other => self.say(why_nothing(other)),
         }

@@ -23,6 +23,8 @@ const SMALLEST: u16 = 3;
 const WITH_INNOVATION: u16 = 16;
 /// From this width on the legend is written out.
 const WIDE: u16 = 62;
+/// From this width on the speed stands in r/min as well.
+const WITH_RPM: u16 = 46;
 /// The model may stretch the axis of the speed by this share of the measured span, no further.
 const STRETCH: f64 = 0.5;
 
@@ -198,11 +200,13 @@ fn title(
     line.push_span(Span::styled(reading(newest), style));
     if chart == Chart::Speed {
         let rpm = rpm_from_rad_s(newest);
-        line.push_span(if rpm.is_finite() && rpm.abs() < 1e6 {
+        let rpm = if rpm.is_finite() && rpm.abs() < 1e6 {
             format!(", {rpm:.0} r/min")
         } else {
             format!(", {MISSING} r/min")
-        });
+        };
+        // The names of the lines come first.
+        line.extend((width >= WITH_RPM).then(|| Span::raw(rpm)));
         let (measured, dashed) = match (width < WIDE, follows, snapshot.model_is_identified) {
             (true, true, _) => (" ⣀⣀meas", " ⣀ ⣀ref"),
             (true, false, _) => (" ⣀⣀meas", " ⣀ ⣀model"),

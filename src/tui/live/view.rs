@@ -101,7 +101,8 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
             height: area.height - 1,
             ..area
         };
-        help(On::Live, &MEANING, row, under_top, buffer);
+        let hidden = help(On::Live, &MEANING, row, under_top, buffer);
+        model.hidden.set(hidden);
     }
 }
 
@@ -318,6 +319,7 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     let lines = step_lines(model, workflow, usize::from(area.width));
     let hidden = lines.len().saturating_sub(usize::from(area.height));
+    model.hidden.set(hidden);
     let first = model.scroll.min(hidden);
     let shown = lines.into_iter().skip(first);
     rows(&shown.collect::<Vec<_>>(), area, buffer);
@@ -387,6 +389,10 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     keys
 }
 
+/// Below this width what is said of a step stands below its title, so far from the left.
+const IN_ONE_ROW: usize = 60;
+const INDENT: usize = 4;
+
 fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'static>> {
     let steps = workflow.steps.iter();
     let widest = steps.map(|step| step.step.title().chars().count());
@@ -404,13 +410,19 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             Span::styled(format!(" {mark} {name:<8} "), style),
             Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
         ];
-        let indent: usize = head.iter().map(Span::width).sum();
+        let is_narrow = width < IN_ONE_ROW;
+        let beside: usize = head.iter().map(Span::width).sum();
+        let indent = if is_narrow { INDENT } else { beside };
         let room = width.saturating_sub(indent).max(10);
-        let mut lines = wrapped(said(step, model.guess_first), room).into_iter();
-        head.extend(lines.next().map(Span::raw));
+        let said = Some(said(step, model.guess_first)).filter(|text| !text.is_empty());
+        let lines = said.map_or_else(Vec::new, |text| wrapped(text, room));
+        let mut lines = lines.into_iter();
+        if !is_narrow {
+            head.extend(lines.next().map(Span::raw));
+        }
         let below = lines.map(move |text| Line::raw(format!("{:indent$}{text}", "")));
         let is_open = matches!(step.state, StepState::Active | StepState::Offered);
-        let more = (is_open || model.explains).then(|| explained(step, title_width + 14, width));
+        let more = (is_open || model.explains).then(|| explained(step, indent, width));
         let head = std::iter::once(Line::from(head)).chain(below);
         head.chain(more.into_iter().flatten()).collect::<Vec<_>>()
     });
@@ -547,7 +559,7 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
     let two_rows = estimates.len() * 2 <= inner_height;
     let block = Block::bordered().title(match (area.width >= WIDE_PANEL, three_rows) {
         (true, true) => " parameters  (bars: uncertainty, excitation) ",
-        (true, false) => " parameters  (bar: uncertainty, 100 % to 0.1 %) ",
+        (true, false) => " parameters (bar: uncertainty, 100 to 0.1 %) ",
         (false, false) if !excitation.is_empty() => " parameters (▁ to █: excited) ",
         (false, _) => " parameters ",
     });
