@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Our host against the servers of pymodbus and libmodbus, our software drive against the clients of mbpoll, pymodbus
-# and libmodbus, over RTU and TCP; what our taps recorded is read by tshark.
+# and libmodbus, over RTU and TCP; what our taps recorded is read by tshark, the Parquet of a run by pyarrow.
 #
 #   .ci/interop/run.sh PROGRAM
 #
@@ -9,6 +9,8 @@
 set -euo pipefail
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+# shellcheck source=.ci/install.sh
+. "$here/../install.sh"
 program=$(realpath "${1:?usage: run.sh PROGRAM}")
 work=$(mktemp -d)
 children=()
@@ -33,17 +35,12 @@ missing() {
 
 install_peers() {
     if [ -n "$(missing)" ]; then
-        # Without a network apt-get tries for a long time.
-        timeout 120 apt-get update -qq >"$work/apt.log" 2>&1 || return 1
-        DEBIAN_FRONTEND=noninteractive timeout 300 apt-get install -y -qq --no-install-recommends \
-            libmodbus-dev mbpoll socat tshark gcc libc6-dev pkg-config python3-venv >"$work/apt.log" 2>&1 || {
-            tail -n 5 "$work/apt.log" >&2
-            return 1
-        }
+        apt_install libmodbus-dev mbpoll socat tshark gcc libc6-dev pkg-config python3-venv || return
     fi
     [ -z "$(missing)" ] || return 1
     python3 -m venv "$work/venv"
-    timeout 180 "$work/venv/bin/pip" install -q --disable-pip-version-check 'pymodbus==3.16.1' 'pyserial==3.5'
+    tried timeout 240 "$work/venv/bin/pip" install -q --disable-pip-version-check \
+        'pymodbus==3.16.1' 'pyserial==3.5' 'pyarrow==26.0.1'
 }
 
 if ! install_peers; then
@@ -214,6 +211,18 @@ expect_codes libmodbus-tcp-write "$work/libmodbus-tcp-write.pcap" tcp "$libmodbu
 run_codes=$(dissect "$work/run.pcap" rtu 0) || exit 1
 grep -qx 23 <<<"$run_codes" || fail "the run's capture has no function code 23"
 pass "run: tshark reads $(wc -l <<<"$run_codes") frames, function code 23 among them"
+
+# --- the samples of a run as columns, read by pyarrow ----------------------------------------------------------------
+
+"$program" run --headless --port sim: --parquet --out "$work/columns" --json >"$work/columns.json" ||
+    fail "a run with --parquet: status $?"
+for run in "$work"/columns/*-*/ "$work"/runs/*-*/; do
+    columns="$run/samples.parquet"
+    [ -e "$columns" ] || "$program" export --run "$run" --to parquet --output "$columns" >"$work/log" ||
+        fail "export of $run"
+    out=$("$python" "$here/parquet_peer.py" "$run/samples.csv" "$columns" 2>&1) || fail "parquet: $out"
+    pass "pyarrow reads $out"
+done
 
 echo
 echo "interop: $passed passed, 0 failed"

@@ -8,6 +8,8 @@
 set -euo pipefail
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+# shellcheck source=.ci/install.sh
+. "$here/../install.sh"
 program=$(realpath "${1:?usage: run.sh PROGRAM}")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -21,17 +23,11 @@ missing() {
 
 install_browser() {
     if [ -n "$(missing)" ]; then
-        # Without a network apt-get tries for a long time.
-        timeout 120 apt-get update -qq >"$work/apt.log" 2>&1 || return 1
-        DEBIAN_FRONTEND=noninteractive timeout 300 apt-get install -y -qq --no-install-recommends \
-            chromium chromium-driver fonts-dejavu-core python3-venv >"$work/apt.log" 2>&1 || {
-            tail -n 5 "$work/apt.log" >&2
-            return 1
-        }
+        apt_install chromium chromium-driver fonts-dejavu-core python3-venv || return
     fi
     [ -z "$(missing)" ] || return 1
     python3 -m venv "$work/venv"
-    timeout 180 "$work/venv/bin/pip" install -q --disable-pip-version-check 'selenium==4.51.0'
+    tried timeout 180 "$work/venv/bin/pip" install -q --disable-pip-version-check 'selenium==4.51.0'
 }
 
 if ! install_browser; then

@@ -111,6 +111,7 @@ impl Lab {
             reopen_s: None,
             tap: None,
             mystery: false,
+            parquet: false,
             words: String::new(),
         }
     }

@@ -6,11 +6,11 @@ use serde_json::{Value, json};
 
 use super::failure::Failure;
 use super::files::read_model;
-use super::tune::{KeptGains, viscous_n_m_s_per_rad};
-use crate::control::{Actuator, Holding};
+use super::tune::KeptGains;
+use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
 use crate::plant::ModelFile;
+use crate::recording::{LoadedRun, RunFolder, write_run};
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
-use crate::sample::Run;
 
 /// What is asked to be exported.
 pub(crate) struct ExportRequest<'a> {
@@ -51,7 +51,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
         return Err(Failure::usage(headline, help));
     }
     let kept = KeptGains::read(path, &file.model)?;
-    let viscous = viscous_n_m_s_per_rad(&file.model)?;
+    let viscous = viscous_n_m_s_per_rad(&file.model, Actuator::Voltage)?;
     Ok(Regulator {
         gains: kept.gains,
         holding: Holding::of(&file.model, Actuator::Voltage, viscous),
@@ -106,21 +106,41 @@ fn as_json(
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
 }
 
-/// Writes a run as Parquet, and says how many rows it has.
-#[cfg(feature = "parquet")]
-pub(crate) fn write_parquet(run: &Run, path: &Path) -> Result<usize, Failure> {
-    let bytes = crate::recording::parquet(run)
-        .map_err(|error| Failure::internal(format!("the run has no Parquet form: {error}")))?;
-    super::output::file(path, &bytes)?;
-    Ok(run.rows())
+/// The table of a run as Parquet: of a folder as it stands, else the columns that were read.
+pub(crate) fn run_as_parquet(
+    loaded: &LoadedRun,
+    folder: Option<&Path>,
+) -> Result<Vec<u8>, Failure> {
+    let table = match folder.filter(|_| loaded.run.rows_dropped == 0) {
+        None => write_run(&loaded.run).into_bytes(),
+        Some(folder) => {
+            let samples = RunFolder::existing(folder).samples();
+            let cannot = |error| format!("{}: cannot read: {error}", samples.display());
+            std::fs::read(&samples)
+                .map_err(|error| Failure::usage(cannot(error), "check the path"))?
+        }
+    };
+    parquet(&table).map_err(Failure::internal)
 }
 
-/// Parquet is refused where this program was built without it.
+/// The table of a CSV as Parquet.
+#[cfg(feature = "parquet")]
+pub(crate) fn parquet(table: &[u8]) -> Result<Vec<u8>, String> {
+    crate::recording::parquet(table).map_err(|error| error.to_string())
+}
+
 #[cfg(not(feature = "parquet"))]
-pub(crate) fn write_parquet(_run: &Run, _path: &Path) -> Result<usize, Failure> {
-    let headline = "this program was built without Parquet";
+pub(crate) fn parquet(_table: &[u8]) -> Result<Vec<u8>, String> {
+    Err(NO_PARQUET.to_owned())
+}
+
+const NO_PARQUET: &str = "this program was built without Parquet";
+
+/// Refuses Parquet where this program was built without it; to be asked before the work.
+pub(crate) fn require_parquet() -> Result<(), Failure> {
     let help = "samples.csv is read by pandas, Polars and DuckDB as it is; or build with `cargo install --path . --features parquet`";
-    Err(Failure::usage(headline, help))
+    let refused = Failure::usage(NO_PARQUET, help);
+    cfg!(feature = "parquet").then_some(()).ok_or(refused)
 }
 
 impl From<ExportError> for Failure {

@@ -1,5 +1,6 @@
 //! Why a command ended without success: one headline, one help line, one exit status.
 
+use super::output;
 use crate::bench::{BenchFileError, CheckError, InitError, RegulatorError};
 use crate::config_text::ConfigError;
 use crate::control::PlantError;
@@ -80,17 +81,16 @@ impl Failure {
         &self.headline
     }
 
-    /// Two lines on stderr, and for a program that asked for JSON the same as one line of it before them; where stderr is
+    /// Two paragraphs on stderr, and for a program that asked for JSON the same as one line of it before them; where stderr is
     /// gone there is nobody left to tell.
     pub(crate) fn print(&self) {
         use std::io::Write;
         super::progress::above(|| {
-            let mut stderr = std::io::stderr().lock();
             if std::env::args_os().any(|word| word == "--json") {
-                let _ = writeln!(stderr, "{}", self.json());
+                let _ = writeln!(std::io::stderr(), "{}", self.json());
             }
-            let _ = writeln!(stderr, "error: {}", self.headline);
-            let _ = writeln!(stderr, "help: {}", self.help());
+            output::said(&format!("error: {}", self.headline));
+            output::said(&format!("help: {}", self.help()));
         });
     }
 

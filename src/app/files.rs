@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
+use super::export::parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
@@ -15,8 +16,8 @@ use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
-    ColumnMap, Kept, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, open_run,
-    run_from_memory, write_run,
+    ColumnMap, Kept, KeptSamples, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder,
+    open_run, run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
 use crate::sample::ParameterEstimate;
@@ -48,7 +49,19 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     let cannot = |error| format!("{}: cannot read: {error}", path.display());
-    std::fs::read_to_string(path).map_err(|error| Failure::usage(cannot(error), "check the path"))
+    std::fs::read_to_string(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
+}
+
+/// What may have been meant by what is no file that can be read.
+fn meant(path: &Path) -> String {
+    let model = RunFolder::existing(path).file(RunFile::Model);
+    if model.is_file() {
+        format!("this is a run; its model is {}", model.display())
+    } else if path.is_dir() {
+        "this is a folder; give a file in it".to_owned()
+    } else {
+        "check the path".to_owned()
+    }
 }
 
 /// The standard deviations that a model file keeps beside its values.
@@ -119,8 +132,8 @@ pub struct Recorded {
     pub(crate) manifest: Manifest,
     /// Where the burst of the drive's own recorder is.
     pub(crate) capture: Option<PathBuf>,
-    /// The text of `samples.csv`, as far as the memory held it.
-    samples: Option<Vec<u8>>,
+    /// `None` when the rows are not needed any more.
+    samples: Option<KeptSamples>,
     /// Why the record on the disk is not whole.
     unkept: Option<String>,
 }
@@ -146,7 +159,7 @@ impl Recorded {
             online,
             manifest,
             capture: None,
-            samples: kept.samples,
+            samples: Some(kept.samples),
             unkept: None,
         };
         if let Some(error) = &kept.error {
@@ -170,21 +183,22 @@ impl Recorded {
         }
     }
 
-    /// The run as anyone can replay it, read back from the disk; where the record there is damaged, as the memory has it.
+    /// The run as anyone can replay it, read back from the disk; where the record there is damaged or gone, as the file
+    /// that is still open and the memory have it.
     pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
         let path = self.folder.path();
         let from_disk = match &self.unkept {
             None => load(path, None),
             Some(reason) => Err(Failure::internal(reason.clone())),
         };
-        match (from_disk, &self.samples) {
-            (Err(failure), Some(samples)) => {
-                let (folder, reason) = (path.display(), failure.headline());
-                output::message(&format!("{folder}: {reason}; what is in memory is used"));
-                complete(run_from_memory(path, samples, &self.manifest)?)
-            }
-            (loaded, _) => loaded,
-        }
+        from_disk.or_else(|failure| {
+            let Some(samples) = self.samples.as_ref().and_then(KeptSamples::text) else {
+                return Err(failure);
+            };
+            let (folder, reason) = (path.display(), failure.headline());
+            output::message(&format!("{folder}: {reason}; what was recorded is used"));
+            complete(run_from_memory(path, &samples, &self.manifest)?)
+        })
     }
 
     /// The burst as it is kept on the disk, with its path.
@@ -213,8 +227,12 @@ impl Recorded {
     }
 
     /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
-    pub(crate) fn write(&mut self, file: RunFile, text: &str) -> Option<PathBuf> {
-        let written = self.folder.write(file, text);
+    pub(crate) fn write(
+        &mut self,
+        file: RunFile,
+        content: &(impl AsRef<[u8]> + ?Sized),
+    ) -> Option<PathBuf> {
+        let written = self.folder.write(file, content);
         self.kept(written)
     }
 
@@ -233,6 +251,19 @@ impl Recorded {
         if let Some(path) = &self.capture {
             let samples = format!("{rows} samples at {rate_hz:.0} Hz");
             output::message(&format!("burst capture: {samples} in {}", path.display()));
+        }
+    }
+
+    /// Keeps the samples as columns beside them, as far as the run came.
+    pub(crate) fn keep_parquet(&mut self) {
+        let recorded = self.samples.as_ref().and_then(KeptSamples::text);
+        let columns = recorded
+            .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
+            .map_err(|error| error.to_string())
+            .and_then(|table| parquet(&table));
+        match columns {
+            Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
+            Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::{Display, Write as _};
 use std::fs::File;
-use std::io::{BufRead as _, IsTerminal as _, Write};
+use std::io::{BufRead as _, IsTerminal, Write};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -10,10 +10,10 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
-use super::failure::Failure;
+use super::failure::{Failure, INTERNAL};
 use super::{progress, signals};
 use crate::report::card::{COLUMNS, Card};
-use crate::text::lines::wrapped;
+use crate::text::lines::{folded, wrapped};
 
 /// Narrower than any terminal that shows a table.
 const FEWEST_COLUMNS: usize = 40;
@@ -29,8 +29,13 @@ pub(crate) fn result<T: Serialize>(
             .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
         line(&document)
     } else {
-        line(text(value).trim_end())
+        self::text(&text(value))
     }
+}
+
+/// Prints a result in rows that fit.
+pub(crate) fn text(text: &str) -> Result<(), Failure> {
+    line(&folded(text.trim_end(), columns()).join("\n"))
 }
 
 /// Prints a result as one JSON document, or as its card, in `full` or as much of it as fits, with what stands above it.
@@ -62,8 +67,11 @@ pub(crate) fn fitted(text: &str) -> Vec<String> {
 
 /// Columns that a result may have.
 pub(crate) fn columns() -> usize {
-    let stdout = std::io::stdout();
-    let own = stdout.is_terminal().then(crossterm::terminal::size);
+    columns_of(&std::io::stdout())
+}
+
+fn columns_of(stream: &impl IsTerminal) -> usize {
+    let own = stream.is_terminal().then(crossterm::terminal::size);
     let own = own
         .and_then(Result::ok)
         .map(|(columns, _)| usize::from(columns));
@@ -99,7 +107,8 @@ pub(crate) fn line(text: &str) -> Result<(), Failure> {
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
         Err(error) if !is_gone(&error) => {
             let headline = format!("cannot write the result: {error}");
-            Err(Failure::internal(headline))
+            let help = "make room where standard output goes, or send it elsewhere";
+            Err(Failure::with_help(INTERNAL, headline, help))
         }
         _ => Ok(()),
     }
@@ -189,9 +198,15 @@ pub(crate) fn message(text: &str) {
     if let Some(waiting) = held().as_mut() {
         return waiting.push(text.to_owned());
     }
-    progress::above(|| {
-        let _ = writeln!(std::io::stderr().lock(), "{text}");
-    });
+    progress::above(|| said(text));
+}
+
+/// Rows on stderr that fit; where it is gone there is nobody left to tell.
+pub(crate) fn said(text: &str) {
+    let mut stderr = std::io::stderr().lock();
+    for row in folded(text, columns_of(&stderr)) {
+        let _ = writeln!(stderr, "{row}");
+    }
 }
 
 pub(crate) fn warn(warnings: &[String]) {

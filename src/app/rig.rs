@@ -67,6 +67,8 @@ pub struct RigOptions {
     pub tap: Option<PathBuf>,
     /// A mystery was asked for, which only our own emulator has.
     pub mystery: bool,
+    /// The samples of a run are kept as columns too.
+    pub parquet: bool,
     /// Bench, link and motor as the command line names them, for the commands that go on.
     pub words: String,
 }
@@ -456,6 +458,9 @@ impl Rig {
         manifest.rows = Some(kept.status.rows);
         let mut recorded = Recorded::new(kept, manifest, summary, online.result());
         recorded.keep_capture(name);
+        if self.asked.parquet {
+            recorded.keep_parquet();
+        }
         // Kept at once: whoever goes on with this run may be interrupted.
         recorded.write_result(&serde_json::json!({}));
         Ok(recorded)

@@ -10,8 +10,11 @@ use super::failure::Failure;
 use super::files::read_text;
 use super::output::quoted;
 use crate::control::tuning::{Request, Tuning, tune};
-use crate::control::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains, Schedule, StepPoint};
-use crate::plant::{Model, ModelError, ModelFile, MotorKey};
+use crate::control::{
+    Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, Schedule, StepPoint,
+    viscous_n_m_s_per_rad,
+};
+use crate::plant::{Model, ModelFile, MotorKey};
 use crate::report::{Card, Tone};
 
 /// Standard deviations of the inertia at whose ends the loop is looked at.
@@ -60,7 +63,8 @@ impl TuneResult {
 
 /// The plant that a regulator of the voltage sees.
 fn plant(model: &Model) -> Result<LinearPlant, Failure> {
-    Ok(LinearPlant::voltage(model, viscous_n_m_s_per_rad(model)?)?)
+    let viscous = viscous_n_m_s_per_rad(model, Actuator::Voltage)?;
+    Ok(LinearPlant::voltage(model, viscous)?)
 }
 
 /// What `tune --json` prints, as far as a regulator needs it.
@@ -108,17 +112,6 @@ impl KeptGains {
         let help = "tune this model: `drivebench tune --model MODEL.toml --json`";
         Err(Failure::usage(headline, help))
     }
-}
-
-/// Slope of the friction as the model has it.
-pub(crate) fn viscous_n_m_s_per_rad(model: &Model) -> Result<f64, ModelError> {
-    let mut effects = model.effects.iter();
-    let Some(viscous) = effects.find(|active| active.id() == "viscous_friction") else {
-        return Ok(0.0);
-    };
-    viscous.values[0].ok_or_else(|| ModelError::Unset {
-        key: format!("{}.{}", viscous.id(), viscous.effect.parameters()[0].key),
-    })
 }
 
 fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner> {
@@ -202,24 +195,4 @@ fn margins_text(margins: &Margins) -> String {
         "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, {bandwidth}, radius {:.4}",
         margins.phase_margin_deg, margins.gain_margin, margins.crossover_rad_s, margins.radius
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plant::Motor;
-
-    #[test]
-    fn a_friction_without_a_value_is_none_to_tune_for() {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(0.0));
-        model = model.with_effect("viscous_friction").unwrap();
-        let key = "viscous_friction.viscous_n_m_s_per_rad".to_owned();
-        assert_eq!(
-            viscous_n_m_s_per_rad(&model),
-            Err(ModelError::Unset { key })
-        );
-        model.effects[0].values[0] = Some(2e-4);
-        assert_eq!(viscous_n_m_s_per_rad(&model), Ok(2e-4));
-    }
 }

@@ -126,35 +126,13 @@ pub fn plan(
     rate_hz: f64,
     drive_current_limit_a: Option<f64>,
 ) -> Result<Plan, ModelError> {
-    let trace = Trace::simulate(program, motor, limits, rate_hz)?;
-    let mut segments: Vec<SegmentPlan> = Vec::new();
-    let (mut i2t, mut energy, mut returned) = (0.0, 0.0, 0.0);
-    for point in &trace.points {
-        if segments.len() <= point.segment {
-            segments.push(SegmentPlan {
-                name: program.segment_name(point.segment).to_owned(),
-                start_s: point.time_s,
-                end_s: point.time_s,
-                ..SegmentPlan::default()
-            });
-        }
-        let returned_w = (-point.voltage_v * point.current_a).max(0.0);
-        if let Some(segment) = segments.last_mut() {
-            segment.end_s = point.time_s;
-            grow(&mut segment.peak_voltage_v, point.voltage_v);
-            grow(&mut segment.peak_current_a, point.current_a);
-            grow(&mut segment.peak_speed_rad_s, point.speed_rad_s);
-            grow(&mut segment.travel_rad, point.angle_rad);
-            grow(&mut segment.peak_returned_w, returned_w);
-        }
-        i2t += point.current_a * point.current_a * trace.step_s;
-        returned += returned_w * trace.step_s;
-        energy += (point.voltage_v * point.current_a).max(0.0) * trace.step_s;
-    }
+    let predicted = Prediction::of(program, motor, limits, rate_hz)?;
+    let segments = predicted.segments();
     let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
     let duration_s = program.duration_s();
     let peak_current_a = peak(|segment| segment.peak_current_a);
-    let rms_current_a = (i2t / duration_s.max(trace.step_s)).sqrt();
+    let i2t = predicted.i2t_a2_s;
+    let rms_current_a = (i2t / duration_s.max(predicted.step_s)).sqrt();
     let mut plan = Plan {
         duration_s,
         rows: whole((duration_s * rate_hz).ceil()) as u64,
@@ -166,20 +144,18 @@ pub fn plan(
         rms_current_a,
         i2t_a2_s: i2t,
         copper_loss_j: motor.resistance_ohm * i2t,
-        energy_j: energy,
-        returned_j: returned,
+        energy_j: predicted.energy_j,
+        returned_j: predicted.returned_j,
         peak_returned_w: peak(|segment| segment.peak_returned_w),
         refusals: Vec::new(),
         warnings: Vec::new(),
-        parameters: parameters(&trace, motor, rate_hz),
+        parameters: parameters(&predicted, motor, rate_hz),
         segments,
     };
-    let last_v = trace.points.last().map_or(0.0, |point| point.voltage_v);
-    let ramp_s = last_v.abs() / limits.slew_v_per_s;
+    let ramp_s = predicted.last.voltage_v.abs() / limits.slew_v_per_s;
     plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a, ramp_s);
-    plan.refusals
-        .extend(impossible(&trace, &plan.segments, motor, limits));
-    plan.warnings = warnings(&trace, &plan, limits, rate_hz);
+    plan.refusals.extend(impossible(&predicted, limits));
+    plan.warnings = warnings(&predicted, &plan, limits, rate_hz);
     if rms_current_a > motor.rated_current_a {
         plan.warnings.push(format!(
             "the effective current is {rms_current_a:.2} A, rated are {:.2} A: let the motor cool between runs",
@@ -246,7 +222,7 @@ pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
 const POINTS_PER_PERIOD: usize = 10;
 
 /// One predicted instant.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Point {
     time_s: f64,
     segment: usize,
@@ -262,15 +238,88 @@ struct Point {
     supply: bool,
 }
 
-/// The predicted run.
-struct Trace {
-    points: Vec<Point>,
-    step_s: f64,
+/// What is kept of the predicted instants of one segment.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    segment: SegmentPlan,
+    coasting_points: usize,
+    peak_reverse_v: f64,
+    peak_reverse_a: f64,
 }
 
-impl Trace {
+/// The predicted run, in memory that does not grow with its length.
+#[derive(Default)]
+struct Prediction {
+    step_s: f64,
+    /// Current below which a reverse one is more than ripple.
+    reverse_a: f64,
+    parts: Vec<Part>,
+    points: usize,
+    /// The motor stands before the first of them.
+    last: Point,
+    i2t_a2_s: f64,
+    energy_j: f64,
+    returned_j: f64,
+    peak_current_a: f64,
+    peak_speed_rad_s: f64,
+    /// While the output is on.
+    peak_acceleration_rad_s2: f64,
+    fastest_rad_s: f64,
+    slowest_rad_s: f64,
+    least_current_a: f64,
+    supply_points: usize,
+}
+
+impl Prediction {
+    fn segments(&self) -> Vec<SegmentPlan> {
+        self.parts.iter().map(|part| part.segment.clone()).collect()
+    }
+
+    fn push(&mut self, point: Point, name_of: impl Fn(usize) -> String) {
+        if self.parts.len() <= point.segment {
+            self.parts.push(Part {
+                segment: SegmentPlan {
+                    name: name_of(point.segment),
+                    start_s: point.time_s,
+                    ..SegmentPlan::default()
+                },
+                ..Part::default()
+            });
+        }
+        let returned_w = (-point.voltage_v * point.current_a).max(0.0);
+        if let Some(part) = self.parts.last_mut() {
+            let segment = &mut part.segment;
+            segment.end_s = point.time_s;
+            grow(&mut segment.peak_voltage_v, point.voltage_v);
+            grow(&mut segment.peak_current_a, point.current_a);
+            grow(&mut segment.peak_speed_rad_s, point.speed_rad_s);
+            grow(&mut segment.travel_rad, point.angle_rad);
+            grow(&mut segment.peak_returned_w, returned_w);
+            part.coasting_points += usize::from(point.coasts);
+            part.peak_reverse_v = part.peak_reverse_v.max(-point.wanted_v);
+            if point.wanted_v < 0.0 && point.current_a < -self.reverse_a {
+                part.peak_reverse_a = part.peak_reverse_a.max(-point.current_a);
+            }
+        }
+        self.i2t_a2_s += point.current_a * point.current_a * self.step_s;
+        self.returned_j += returned_w * self.step_s;
+        self.energy_j += (point.voltage_v * point.current_a).max(0.0) * self.step_s;
+        grow(&mut self.peak_current_a, point.current_a);
+        grow(&mut self.peak_speed_rad_s, point.speed_rad_s);
+        if self.points > 0 && !point.coasts {
+            let rise_rad_s = point.speed_rad_s - self.last.speed_rad_s;
+            grow(&mut self.peak_acceleration_rad_s2, rise_rad_s / self.step_s);
+        }
+        self.fastest_rad_s = self.fastest_rad_s.max(point.speed_rad_s);
+        self.slowest_rad_s = self.slowest_rad_s.min(point.speed_rad_s);
+        self.least_current_a = self.least_current_a.min(point.current_a);
+        self.supply_points += usize::from(point.supply);
+        self.points += 1;
+        self.last = point;
+    }
+
     /// Control period by control period, so that slew and coasting act as they will in the session.
-    fn simulate(
+    fn of(
         program: &dyn Program,
         motor: &Nameplate,
         limits: &Limits,
@@ -298,7 +347,11 @@ impl Trace {
         let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
         let mut one_period = under_voltage("plan", points_s.collect());
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
-        let mut points = Vec::with_capacity(periods * POINTS_PER_PERIOD);
+        let mut predicted = Self {
+            step_s,
+            reverse_a: REVERSE_SHARE * motor.rated_current_a,
+            ..Self::default()
+        };
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
@@ -329,8 +382,8 @@ impl Trace {
                 } else {
                     volts
                 };
-                points.push(Point {
-                    time_s: begin_s + (points.len() % POINTS_PER_PERIOD + 1) as f64 * step_s,
+                let point = Point {
+                    time_s: begin_s + (predicted.points % POINTS_PER_PERIOD + 1) as f64 * step_s,
                     segment: program.segment_at(begin_s),
                     voltage_v: terminal_v + excess_v.copysign(terminal_v),
                     current_a,
@@ -339,14 +392,15 @@ impl Trace {
                     coasts,
                     wanted_v: wanted.voltage_v().unwrap_or(0.0),
                     supply: shaped.causes.supply,
-                });
+                };
+                predicted.push(point, |segment| program.segment_name(segment).to_owned());
             }
             let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);
             sample.state = Some(DriveState::Running);
             // Only to tell the shaper the speed: the prediction itself is judged afterwards.
             guard.watch(begin_s + period_s, &sample, false);
         }
-        Ok(Self { points, step_s })
+        Ok(predicted)
     }
 }
 
@@ -359,35 +413,23 @@ const REVERSE_A: &str = "reverse current";
 const REVERSE_SHARE: f64 = 0.05;
 
 /// Refusals beside those of the limits, one of a kind for each segment.
-fn impossible(
-    trace: &Trace,
-    segments: &[SegmentPlan],
-    motor: &Nameplate,
-    limits: &Limits,
-) -> Vec<Refusal> {
+fn impossible(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
     let mut refusals = Vec::new();
-    if let (Some(first), Some(last)) = (segments.first(), segments.last())
+    if let (Some(first), Some(last)) = (predicted.parts.first(), predicted.parts.last())
         && limits.load.missing().is_some()
     {
-        refusals.push(first.refuses(UNHELD, last.end_s, 0.0, "s"));
+        refusals.push(first.segment.refuses(UNHELD, last.segment.end_s, 0.0, "s"));
     }
-    let reverse_a = REVERSE_SHARE * motor.rated_current_a;
-    for (index, segment) in segments.iter().enumerate() {
-        let points = || trace.points.iter().filter(move |p| p.segment == index);
-        let coasts_s = trace.step_s * points().filter(|point| point.coasts).count() as f64;
-        let most = |of: &dyn Fn(&Point) -> f64| points().map(of).fold(0.0, f64::max);
-        let reverse_v = most(&|point| -point.wanted_v);
-        let is_back = |point: &&Point| point.wanted_v < 0.0 && point.current_a < -reverse_a;
-        let back = points().filter(is_back).map(|point| -point.current_a);
-        let reverse_i = back.fold(0.0, f64::max);
+    for part in &predicted.parts {
+        let coasts_s = predicted.step_s * part.coasting_points as f64;
         let found = [
             (limits.load.vertical, FALL, coasts_s, "s"),
-            (limits.quadrants < 2, REVERSE_V, reverse_v, "V"),
-            (limits.quadrants == 2, REVERSE_A, reverse_i, "A"),
+            (limits.quadrants < 2, REVERSE_V, part.peak_reverse_v, "V"),
+            (limits.quadrants == 2, REVERSE_A, part.peak_reverse_a, "A"),
         ];
-        for (applies, quantity, predicted, unit) in found {
-            if applies && predicted > 0.0 {
-                refusals.push(segment.refuses(quantity, predicted, 0.0, unit));
+        for (applies, quantity, most, unit) in found {
+            if applies && most > 0.0 {
+                refusals.push(part.segment.refuses(quantity, most, 0.0, unit));
             }
         }
     }
@@ -395,11 +437,10 @@ fn impossible(
 }
 
 /// What the person at the bench has to know.
-fn warnings(trace: &Trace, plan: &Plan, limits: &Limits, rate_hz: f64) -> Vec<String> {
+fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) -> Vec<String> {
     let mut warnings = Vec::new();
     if let Some(watts) = limits.braking_w {
-        let limited = trace.points.iter().filter(|point| point.supply).count();
-        let share = 100.0 * limited as f64 / trace.points.len().max(1) as f64;
+        let share = 100.0 * predicted.supply_points as f64 / predicted.points.max(1) as f64;
         warnings.push(format!(
             "the supply takes nothing back and {watts} W are burnt beside the winding: deceleration is limited in \
              {share:.0} % of the run, where the voltage is not that of the sequence; braking returns at most {:.1} W, {:.2} J",
@@ -422,7 +463,7 @@ fn warnings(trace: &Trace, plan: &Plan, limits: &Limits, rate_hz: f64) -> Vec<St
             format!("the thyristor bridge takes a command up to {dead_ms} ms late")
         });
     }
-    if limits.quadrants < 4 && trace.points.iter().any(|p| p.current_a < 0.0) {
+    if limits.quadrants < 4 && predicted.least_current_a < 0.0 {
         warnings.push(
             "the converter gives no negative current: where one is predicted the shaft coasts instead".to_owned(),
         );
@@ -455,26 +496,14 @@ const MOST_PERIODS: f64 = 3.0;
 /// Share of the rated value that an excitation has to reach to count.
 const ENOUGH: f64 = 0.2;
 
-fn parameters(trace: &Trace, motor: &Nameplate, rate_hz: f64) -> Vec<Observability> {
-    let points = &trace.points;
-    let largest = |of: &dyn Fn(usize) -> f64| {
-        (0..points.len())
-            .map(of)
-            .fold(0.0_f64, |peak, value| peak.max(value.abs()))
-    };
-    let current_share = largest(&|at| points[at].current_a) / motor.rated_current_a;
-    let speed_share = largest(&|at| points[at].speed_rad_s) / motor.rated_speed_rad_s;
-    let acceleration = largest(&|at| match at.checked_sub(1) {
-        Some(before) if !points[at].coasts => {
-            (points[at].speed_rad_s - points[before].speed_rad_s) / trace.step_s
-        }
-        _ => 0.0,
-    });
-    let inertial_share =
-        acceleration * motor.inertia_kg_m2 / (motor.back_emf_v_s_per_rad * motor.rated_current_a);
+fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Observability> {
+    let current_share = predicted.peak_current_a / motor.rated_current_a;
+    let speed_share = predicted.peak_speed_rad_s / motor.rated_speed_rad_s;
+    let inertial_share = predicted.peak_acceleration_rad_s2 * motor.inertia_kg_m2
+        / (motor.back_emf_v_s_per_rad * motor.rated_current_a);
     let turns_rad_s = 0.05 * motor.rated_speed_rad_s;
-    let forward = points.iter().any(|p| p.speed_rad_s > turns_rad_s);
-    let backward = points.iter().any(|p| p.speed_rad_s < -turns_rad_s);
+    let forward = predicted.fastest_rad_s > turns_rad_s;
+    let backward = predicted.slowest_rad_s < -turns_rad_s;
 
     let of = |key: MotorKey, prospect: Prospect, reason: String| Observability {
         key: key.key(),

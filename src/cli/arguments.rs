@@ -10,6 +10,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use super::failure::Failure;
 use super::output;
 use crate::app::evidence::{EvidenceFiles, Judging, Prepared, prepare};
+use crate::app::export::require_parquet;
 use crate::app::files::{load, read_text};
 use crate::app::{Audience, MYSTERY, RigOptions, Tap};
 use crate::bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
@@ -49,6 +50,11 @@ pub(super) struct MapArguments {
 }
 
 impl MapArguments {
+    /// Whether columns are named at all.
+    pub(super) const fn is_given(&self) -> bool {
+        self.map.is_some()
+    }
+
     /// The maps as they are given here, for the commands that go on; each with a space before it.
     pub(super) fn words(&self) -> String {
         let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
@@ -377,6 +383,9 @@ pub(super) struct LiveArguments {
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
+    /// Write the samples of every run as columns too, samples.parquet beside samples.csv
+    #[arg(long)]
+    parquet: bool,
     /// Print all there is to say; without it what fits 100 columns and 30 lines
     #[arg(long)]
     pub(super) full: bool,
@@ -403,6 +412,9 @@ impl LiveArguments {
 
     /// What is asked of the rig.
     pub(super) fn options(&self, escalate: bool) -> Result<RigOptions, Failure> {
+        if self.parquet {
+            require_parquet()?;
+        }
         Ok(RigOptions {
             bench: self.bench_file()?,
             out: self.out.clone(),
@@ -414,6 +426,7 @@ impl LiveArguments {
             reopen_s: self.reopen_s,
             tap: self.tap.clone(),
             mystery: self.mystery.is_some(),
+            parquet: self.parquet,
             words: self.words(),
         })
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::output;
-use crate::app::export::{ExportRequest, export, write_parquet};
+use crate::app::export::{ExportRequest, export, require_parquet, run_as_parquet};
 use crate::report::export::Target;
 
 /// Write a model, with the gains of its regulator, as JSON, C, Python, MATLAB/Octave or Modelica; or a run as Parquet
@@ -74,7 +74,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         return output::line(text.trim_end());
     };
     output::file(path, &text)?;
-    output::line(&format!("{}: {title}", path.display()))
+    output::text(&format!("{}: {title}", path.display()))
 }
 
 impl Format {
@@ -99,6 +99,10 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         let help = "give --run RUN --to parquet, or --model MODEL.toml with another format";
         return Err(Failure::usage(headline, help));
     };
-    let rows = write_parquet(&arguments.map.load(run)?.run, path)?;
-    output::line(&format!("{}: {rows} rows", path.display()))
+    require_parquet()?;
+    let loaded = arguments.map.load(run)?;
+    let folder = (run.is_dir() && !arguments.map.is_given()).then_some(run.as_path());
+    output::file(path, &run_as_parquet(&loaded, folder)?)?;
+    let rows = loaded.run.rows();
+    output::text(&format!("{}: {rows} rows", path.display()))
 }

@@ -30,6 +30,7 @@ mod view;
 use std::path::Path;
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::app::{failure, front, opening, output, progress, signals};
@@ -126,7 +127,7 @@ pub fn main() -> ExitCode {
         use_mouse();
     }
     let Some(command) = arguments.command else {
-        return ended(output::line(front::page(Path::new(".")).trim_end()));
+        return ended(output::text(&front::page(Path::new("."))));
     };
     ended(match command {
         Command::Commission(arguments) => run::execute_commission(arguments),
@@ -168,8 +169,8 @@ fn ended(done: Result<(), failure::Failure>) -> ExitCode {
     }
 }
 
-/// The help page of the command that these words begin with.
-fn help_page(words: impl Iterator<Item = String>) -> String {
+/// The command that these words begin with, and how it is called.
+fn called(words: impl Iterator<Item = String>) -> (clap::Command, String) {
     let mut command = Arguments::command();
     let mut path = "drivebench".to_owned();
     for word in words {
@@ -179,25 +180,54 @@ fn help_page(words: impl Iterator<Item = String>) -> String {
         path = format!("{path} {word}");
         command = below;
     }
-    format!("see {path} --help")
+    (command, path)
 }
+
+/// The first example of a command's help page.
+fn example(command: &clap::Command) -> Option<String> {
+    let text = command.get_after_help()?.to_string();
+    let mut lines = text.lines().map(str::trim);
+    let line = lines.find(|line| line.starts_with("drivebench "))?;
+    // What it is for stands behind it.
+    Some(line.split("  ").next().unwrap_or(line).to_owned())
+}
+
+/// What the library that reads numbers says, in words of the reader.
+const WORDS: [(&str, &str); 5] = [
+    (
+        "invalid digit found in string",
+        "expected a whole number from 0",
+    ),
+    ("number too large to fit in target type", "it is too large"),
+    ("invalid float literal", "expected a number"),
+    (
+        "cannot parse integer from empty string",
+        "expected a whole number",
+    ),
+    ("cannot parse float from empty string", "expected a number"),
+];
 
 /// clap's message as one headline and one help line, like every other error.
 fn usage_failure(error: &clap::Error) -> failure::Failure {
+    let (command, path) = called(std::env::args().skip(1));
+    let page = format!("see {path} --help");
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let below = command.get_subcommands().map(clap::Command::get_name);
+        let below: Vec<&str> = below.filter(|name| *name != "help").collect();
+        let headline = format!(
+            "{path}: no command is given (allowed: {})",
+            below.join(", ")
+        );
+        return failure::Failure::usage(headline, page);
+    }
     let text = error.render().to_string();
-    let (mut headline, mut help) = (String::new(), String::new());
+    let (mut headline, mut tip, mut usage) = (String::new(), None, None);
     for line in text.lines().map(str::trim).filter(|l| !l.is_empty()) {
-        if let Some(tip) = line.strip_prefix("tip: ") {
-            tip.clone_into(&mut help);
-        } else if let Some(usage) = line.strip_prefix("Usage: ") {
-            if help.is_empty() {
-                let judges = ["compare ", "diagnose ", "view "];
-                let is_second_run = headline.starts_with("unexpected argument '")
-                    && !headline.starts_with("unexpected argument '-")
-                    && judges.iter().any(|command| usage.contains(command));
-                let hint = "give the run to judge by with --holdout RUN2; ";
-                help = format!("{}usage: {usage}", if is_second_run { hint } else { "" });
-            }
+        if let Some(found) = line.strip_prefix("tip: ") {
+            // How to pass an option as a value is not what was meant.
+            tip = tip.or_else(|| found.contains("similar").then(|| meant(found)));
+        } else if let Some(found) = line.strip_prefix("Usage: ") {
+            usage = Some(found);
             break;
         } else if !line.starts_with("For more information") {
             // A headline that ends with a colon lists what is missing on the lines after it.
@@ -206,10 +236,38 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
             headline.push_str(line);
         }
     }
-    if help.is_empty() {
-        help = help_page(std::env::args().skip(1));
+    if let Some((head, allowed)) = headline.split_once(" [possible values: ") {
+        headline = format!("{head} (allowed: {})", allowed.trim_end_matches(']'));
     }
-    failure::Failure::with_help(failure::USAGE, headline, help)
+    for (theirs, ours) in WORDS {
+        headline = headline.replace(theirs, ours);
+    }
+    let unexpected = headline.strip_prefix("unexpected argument '");
+    let is_option = unexpected.is_some_and(|word| word.starts_with('-'));
+    let judges = ["compare", "diagnose", "view"];
+    let help = match (tip, usage) {
+        (Some(tip), _) => tip,
+        _ if is_option => page,
+        (None, Some(usage)) if unexpected.is_some() && judges.contains(&command.get_name()) => {
+            format!("give the run to judge by with --holdout RUN2; usage: {usage}")
+        }
+        (None, Some(usage)) if error.kind() == ErrorKind::MissingRequiredArgument => {
+            let example = example(&command).map(|text| format!("; for example `{text}`"));
+            format!("usage: {usage}{}", example.unwrap_or_default())
+        }
+        (None, Some(usage)) if error.kind() != ErrorKind::InvalidSubcommand => {
+            format!("usage: {usage}")
+        }
+        _ => page,
+    };
+    failure::Failure::usage(headline, help)
+}
+
+/// What clap takes to have been meant, in the words of our other errors.
+fn meant(tip: &str) -> String {
+    let names = tip.split('\'').skip(1).step_by(2);
+    let names: Vec<String> = names.map(|name| format!("`{name}`")).collect();
+    format!("did you mean {}?", names.join(" or "))
 }
 
 #[cfg(test)]
@@ -218,15 +276,25 @@ mod tests {
 
     #[test]
     fn a_usage_error_names_the_help_page_of_its_own_command() {
-        let page = |words: &[&str]| help_page(words.iter().map(|word| (*word).to_owned()));
+        let path = |words: &[&str]| called(words.iter().map(|word| (*word).to_owned())).1;
+        assert_eq!(path(&["probe", "--baud", "x"]), "drivebench probe");
         assert_eq!(
-            page(&["probe", "--baud", "x"]),
-            "see drivebench probe --help"
+            path(&["registers", "write", "probe"]),
+            "drivebench registers write"
         );
-        assert_eq!(
-            page(&["registers", "write", "probe"]),
-            "see drivebench registers write --help"
-        );
-        assert_eq!(page(&["--what"]), "see drivebench --help");
+        assert_eq!(path(&["--what"]), "drivebench");
+    }
+
+    #[test]
+    fn every_command_that_needs_something_has_an_example() {
+        let all = Arguments::command();
+        for command in all.get_subcommands() {
+            let needs = command.get_arguments().any(clap::Arg::is_required_set);
+            let shown = example(command);
+            let name = command.get_name();
+            assert!(!needs || shown.is_some(), "{name} has no example");
+            let begin = format!("drivebench {name}");
+            assert!(shown.is_none_or(|line| line.starts_with(&begin)), "{name}");
+        }
     }
 }

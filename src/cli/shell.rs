@@ -41,11 +41,14 @@ pub(super) fn execute_man(arguments: &Man) -> Result<(), Failure> {
     let Some(folder) = &arguments.out else {
         return output::line(rendered(command)?.trim_end());
     };
-    fs::create_dir_all(folder).map_err(|error| output::cannot_write(folder, &error))?;
+    fs::create_dir_all(folder).map_err(|error| {
+        let headline = format!("{}: cannot make the folder: {error}", folder.display());
+        Failure::usage(headline, "name a folder that is there or can be made")
+    })?;
     // Pages of another version are replaced: they are generated, and no result.
     clap_mangen::generate_to(command, folder)
         .map_err(|error| output::cannot_write(folder, &error))?;
-    output::line(&format!("manual pages in {}", folder.display()))
+    output::text(&format!("manual pages in {}", folder.display()))
 }
 
 fn rendered(page: clap::Command) -> Result<String, Failure> {

@@ -57,12 +57,24 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
     })
 }
 
+/// Letters of a word to one of which it may be another.
+const NEAR: usize = 3;
+
 /// The name in `allowed` that is most like `given`.
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let distance = |name: &str| match name.find(given) {
         Some(0) => 0,
         Some(_) => 1,
-        None => edit_distance(given, name),
+        None => {
+            // A word that is nearly how a longer name begins.
+            let begin: String = name.chars().take(given.chars().count()).collect();
+            let (near, whole) = (edit_distance(given, &begin), edit_distance(given, name));
+            if NEAR * near <= given.len() {
+                whole.min(1 + near)
+            } else {
+                whole
+            }
+        }
     };
     let names = allowed.into_iter().filter(|name| !name.is_empty());
     let (distance, name) = names.map(|name| (distance(name), name)).min()?;
@@ -200,5 +212,7 @@ mod tests {
         assert_eq!(nearest("xyzzy", ["resistance_ohm"]), None);
         let near = nearest("inertia", ["inertia_kg_m2", "inductance_h"]);
         assert_eq!(near, Some("inertia_kg_m2"));
+        let near = nearest("stribek", ["supply_sag", "stribeck_friction"]);
+        assert_eq!(near, Some("stribeck_friction"));
     }
 }

@@ -71,7 +71,9 @@ impl LinkError {
             Self::Open(link, _) if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
                 "check address and port, and that the unit is on; some units take one connection at a time"
             }
-            Self::Open { .. } => "check that the port exists and that no other program holds it",
+            Self::Open { .. } => {
+                "`drivebench ports` lists what is plugged in; no other program may hold the port"
+            }
             Self::Timeout { .. } => {
                 "is the drive powered, and wired? `drivebench doctor --port PORT --scan` finds baud rate, parity and unit"
             }

@@ -87,6 +87,9 @@ impl RecordingError {
             Self::UnknownTarget { help, .. }
             | Self::HeaderNotFound { help, .. }
             | Self::NoKnownColumn { help, .. } => help.clone(),
+            Self::Io { doing: "open", .. } => {
+                "check the path; `drivebench` without more tells of the runs in this folder".into()
+            }
             Self::Io { .. } => "check the path, its permissions and the space on the disk".into(),
             Self::Map { .. } => {
                 "the form is --map 'target=header[*factor][+offset],...', where a factor is a number, another header or sign(HEADER); put a header with , * or + in double quotes; a negative offset is +-3".into()

@@ -2,7 +2,8 @@
 //! virtual time, which keeps them there for good.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, BufRead as _, BufReader, BufWriter, IntoInnerError, Read, Write};
+use std::os::unix::fs::FileExt;
 
 use serde_json::{Map, Value};
 
@@ -78,14 +79,22 @@ pub struct RecorderStatus {
     pub news: Vec<String>,
 }
 
-/// A byte sink that can be made durable.
+/// A byte sink that can be made durable, and read back.
 pub(super) trait Durable: Write {
     fn sync(&mut self) -> io::Result<()>;
+
+    /// What it has taken, from its byte `at` on; 0 bytes where there is no more. An open file can be read after it was
+    /// deleted or renamed.
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize>;
 }
 
 impl Durable for File {
     fn sync(&mut self) -> io::Result<()> {
         self.sync_data()
+    }
+
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+        FileExt::read_at(self, into, at)
     }
 }
 
@@ -94,48 +103,91 @@ impl Durable for io::Sink {
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
     }
+
+    fn read_at(&self, _: u64, _: &mut [u8]) -> io::Result<usize> {
+        Ok(0)
+    }
 }
 
-/// Most that a run on disk keeps of its samples in memory, bytes: hours at 50 Hz, half an hour at 1 kHz. From it a folder
-/// that is gone is made again, and a run is analysed whose record is damaged.
-pub(super) const SAMPLES_IN_MEMORY: usize = 256 << 20;
-/// The same for its events.
-pub(super) const EVENTS_IN_MEMORY: usize = 16 << 20;
+/// The first bytes of a sink, to be read from their begin.
+struct ReadBack<'a, S> {
+    sink: &'a S,
+    at: u64,
+    end: u64,
+}
+
+impl<S: Durable> Read for ReadBack<'_, S> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let left = usize::try_from(self.end - self.at).unwrap_or(usize::MAX);
+        let most = into.len().min(left);
+        let count = self.sink.read_at(self.at, &mut into[..most])?;
+        self.at += count as u64;
+        Ok(count)
+    }
+}
+
+/// How much of a log stays in memory, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    /// Of what the sink has taken: the newest part, which a disk that fails may not have made durable.
+    pub(super) taken: usize,
+    /// Of all, with what the sink has not taken; lines beyond are lost.
+    pub(super) all: usize,
+}
+
+impl Room {
+    /// For samples on disk: minutes of what is written, and without a disk hours at 50 Hz, half an hour at 1 kHz.
+    pub(super) const SAMPLES: Self = Self {
+        taken: 1 << 20,
+        all: 256 << 20,
+    };
+    pub(super) const EVENTS: Self = Self {
+        taken: 1 << 18,
+        all: 16 << 20,
+    };
+    pub(super) const UNBOUNDED: Self = Self {
+        taken: usize::MAX,
+        all: usize::MAX,
+    };
+}
+
 /// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
 const MOST_NEWS: usize = 20;
 
-/// Lines into a sink: one write call each. What the sink does not take waits and goes first the next time; what it has
-/// taken is kept as well, as long as there is room.
+/// Lines into a sink: one write call each. What the sink does not take waits and goes first the next time. Of what it has
+/// taken the newest part is kept as well; the rest is read back from the sink where it is needed again.
+#[derive(Debug)]
 pub(super) struct Lines<S> {
     pub(super) sink: S,
     text: Vec<u8>,
     /// Bytes of `text` that the sink has taken.
     written: usize,
-    room: usize,
-    /// Lines of which nothing is in memory any more, and those among them that no sink has taken.
-    forgotten: usize,
+    /// Bytes and lines before `text`, which only the sink has.
+    before_bytes: u64,
+    before_lines: usize,
+    room: Room,
+    /// Lines that neither the sink nor the memory has.
     lost: usize,
 }
 
 impl<S: Durable> Lines<S> {
-    pub(super) fn new(sink: S, room: usize) -> Self {
+    pub(super) fn new(sink: S, room: Room) -> Self {
         Self {
             sink,
             text: Vec::new(),
             written: 0,
+            before_bytes: 0,
+            before_lines: 0,
             room,
-            forgotten: 0,
             lost: 0,
         }
     }
 
     pub(super) fn push(&mut self, line: &str) -> io::Result<()> {
-        if self.text.len() + line.len() > self.room {
-            self.forgotten += lines_in(&self.text[..self.written]);
-            self.text.drain(..self.written);
-            self.written = 0;
+        if self.text.len().saturating_add(line.len()) > self.room.taken {
+            self.leave_to_the_sink();
         }
-        if self.text.len() + line.len() > self.room {
+        if self.text.len().saturating_add(line.len()) > self.room.all {
             self.lost += 1;
         } else {
             self.text.extend_from_slice(line.as_bytes());
@@ -143,24 +195,74 @@ impl<S: Durable> Lines<S> {
         self.drain()
     }
 
+    /// Takes the older half of what is written out of memory, in whole lines.
+    fn leave_to_the_sink(&mut self) {
+        let older = &self.text[..self.written.saturating_sub(self.room.taken / 2)];
+        let end = older.iter().rposition(|byte| *byte == b'\n');
+        let end = end.map_or(0, |at| at + 1);
+        self.before_bytes += end as u64;
+        self.before_lines += lines_in(&older[..end]);
+        self.text.drain(..end);
+        self.written -= end;
+        if self.text.capacity() / 4 > self.room.taken {
+            self.text.shrink_to(self.room.taken);
+        }
+    }
+
     pub(super) fn bytes_waiting(&self) -> usize {
         self.text.len() - self.written
     }
 
-    /// All lines so far; `None` where the memory did not hold them.
-    fn whole(&self) -> Option<&[u8]> {
-        (self.forgotten + self.lost == 0).then_some(&self.text)
+    fn before(&self) -> BufReader<ReadBack<'_, S>> {
+        BufReader::new(ReadBack {
+            sink: &self.sink,
+            at: 0,
+            end: self.before_bytes,
+        })
     }
 
-    /// Goes on in a fresh sink, which begins with what the memory still has, after `head` where the first line is gone.
-    fn go_on_in(&mut self, sink: S, head: &str) {
-        self.sink = sink;
-        self.written = 0;
-        if self.forgotten > 0 {
-            self.text.splice(..0, head.bytes());
-            self.lost += self.forgotten;
-            self.forgotten = 0;
+    /// All lines so far; `None` where they are not to be had any more.
+    pub(super) fn whole(&self) -> Option<Vec<u8>> {
+        let mut whole = Vec::new();
+        self.before().read_to_end(&mut whole).ok()?;
+        let is_whole = whole.len() as u64 == self.before_bytes && self.lost == 0;
+        whole.extend_from_slice(&self.text);
+        is_whole.then_some(whole)
+    }
+
+    /// A fresh sink with all that this one gives back, after `head` where that is not its first line.
+    fn moved_to(&self, sink: S, head: &str) -> io::Result<Moved<S>> {
+        let mut fresh = BufWriter::new(sink);
+        let (mut back, mut line) = (self.before(), Vec::new());
+        let (mut bytes, mut lines) = (0, 0);
+        // From a line on that cannot be read to its end, all is lost up to those in memory.
+        while back.read_until(b'\n', &mut line).is_ok() && line.ends_with(b"\n") {
+            fresh.write_all(&line)?;
+            bytes += line.len() as u64;
+            lines += 1;
+            line.clear();
         }
+        let mut lost = self.before_lines - lines;
+        if lines == 0 && lost > 0 && !head.is_empty() {
+            fresh.write_all(head.as_bytes())?;
+            bytes += head.len() as u64;
+            (lines, lost) = (1, lost - 1);
+        }
+        let sink = fresh.into_inner().map_err(IntoInnerError::into_error)?;
+        Ok(Moved {
+            sink,
+            bytes,
+            lines,
+            lost,
+        })
+    }
+
+    /// Goes on where it was moved to, first with what is in memory.
+    fn go_on_in(&mut self, moved: Moved<S>) {
+        self.sink = moved.sink;
+        (self.before_bytes, self.before_lines) = (moved.bytes, moved.lines);
+        self.lost += moved.lost;
+        self.written = 0;
     }
 
     fn drain(&mut self) -> io::Result<()> {
@@ -174,6 +276,14 @@ impl<S: Durable> Lines<S> {
         }
         Ok(())
     }
+}
+
+/// A sink that begins with what another had, in bytes and lines, and the lines that other did not give back.
+struct Moved<S> {
+    sink: S,
+    bytes: u64,
+    lines: usize,
+    lost: usize,
 }
 
 fn lines_in(text: &[u8]) -> usize {
@@ -223,7 +333,7 @@ impl<S: Durable> Journal<S> {
         let result = self.events.push(&event.line());
         self.note(result);
         if lost == 0 && self.events.lost > 0 {
-            self.tell_loss("events", self.events.room);
+            self.tell_loss("events", self.events.room.all);
         }
         let synced = self.events.sink.sync();
         self.note_sync(synced);
@@ -243,14 +353,18 @@ impl<S: Durable> Journal<S> {
         }
     }
 
-    /// Goes on in fresh sinks, with all that the memory has.
-    pub(super) fn go_on_in(&mut self, samples: S, events: S) {
-        self.samples.go_on_in(samples, &self.layout.header());
-        self.events.go_on_in(events, "");
+    /// Goes on in fresh sinks, with all that the old ones and the memory have. Where they do not take it, nothing has
+    /// changed.
+    pub(super) fn go_on_in(&mut self, samples: S, events: S) -> io::Result<()> {
+        let samples = self.samples.moved_to(samples, &self.layout.header())?;
+        let events = self.events.moved_to(events, "")?;
+        self.samples.go_on_in(samples);
+        self.events.go_on_in(events);
         (self.unsynced, self.trouble) = (None, None);
         let result = self.samples.drain().and(self.events.drain());
         self.note(result);
         self.sync();
+        Ok(())
     }
 
     pub(super) fn status(&self) -> RecorderStatus {
@@ -271,9 +385,9 @@ impl<S: Durable> Journal<S> {
         self.unsynced.as_deref()
     }
 
-    /// The text of all rows and of all events so far; `None` where the memory did not hold it.
-    pub(super) fn texts(&self) -> (Option<&[u8]>, Option<&[u8]>) {
-        (self.samples.whole(), self.events.whole())
+    /// The log of the rows, when nothing comes any more.
+    pub(super) fn into_samples(self) -> Lines<S> {
+        self.samples
     }
 
     /// A sentence for the person at the bench.
@@ -297,7 +411,7 @@ impl<S: Durable> Journal<S> {
             let result = self.samples.push(&self.layout.line(row));
             self.note(result);
             if lost == 0 && self.samples.lost > 0 {
-                self.tell_loss("rows", self.samples.room);
+                self.tell_loss("rows", self.samples.room.all);
             }
             self.status.rows += 1;
             self.unsynced_rows += 1;
@@ -360,7 +474,7 @@ pub struct MemoryRecorder {
 
 impl MemoryRecorder {
     pub fn new(layout: Layout) -> Self {
-        let lines = || Lines::new(io::sink(), usize::MAX);
+        let lines = || Lines::new(io::sink(), Room::UNBOUNDED);
         Self {
             order: RowOrder::new(layout.clone()),
             journal: Journal::new(layout, lines(), lines(), usize::MAX),
@@ -375,23 +489,23 @@ impl MemoryRecorder {
 
     /// The text of `samples.csv` so far.
     pub fn samples_csv(&self) -> String {
-        text_of(self.journal.texts().0)
+        text_of(&self.journal.samples)
     }
 
     /// The text of `events.jsonl` so far.
     pub fn events_jsonl(&self) -> String {
-        text_of(self.journal.texts().1)
+        text_of(&self.journal.events)
     }
 
     /// The run as it would be read from disk.
     pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
-        let bytes = self.journal.texts().0.unwrap_or_default();
-        read_csv(bytes, name, ReadOptions::default()).map(|(run, _)| run)
+        let bytes = self.journal.samples.whole().unwrap_or_default();
+        read_csv(&*bytes, name, ReadOptions::default()).map(|(run, _)| run)
     }
 }
 
-fn text_of(bytes: Option<&[u8]>) -> String {
-    String::from_utf8_lossy(bytes.unwrap_or_default()).into_owned()
+fn text_of(lines: &Lines<io::Sink>) -> String {
+    String::from_utf8_lossy(&lines.whole().unwrap_or_default()).into_owned()
 }
 
 impl Record for MemoryRecorder {
@@ -426,10 +540,11 @@ mod tests {
     use crate::sample::Channel;
 
     /// A disk with so many bytes of room.
-    #[derive(Default)]
+    #[derive(Debug, Default)]
     struct Disk {
         bytes: Vec<u8>,
         room: usize,
+        unreadable_from: Option<usize>,
     }
 
     fn disk(room: usize) -> Disk {
@@ -458,6 +573,19 @@ mod tests {
         fn sync(&mut self) -> io::Result<()> {
             Ok(())
         }
+
+        fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+            let at = usize::try_from(at).unwrap();
+            let readable = self.unreadable_from.unwrap_or(self.bytes.len());
+            if at == readable && self.unreadable_from.is_some() {
+                return Err(io::Error::from_raw_os_error(5)); // EIO
+            }
+            (&self.bytes[at..readable]).read(into)
+        }
+    }
+
+    fn room(taken: usize, all: usize) -> Room {
+        Room { taken, all }
     }
 
     fn of(value: f64) -> Row {
@@ -469,7 +597,7 @@ mod tests {
     #[test]
     fn a_full_disk_loses_nothing_and_is_reported() {
         let layout = Layout::plain(&[Channel::Current]);
-        let lines = |room| Lines::new(disk(room), 100_000);
+        let lines = |space| Lines::new(disk(space), room(100, 100_000));
         let mut journal = Journal::new(layout.clone(), lines(30), lines(1000), 10);
         let mut expected = layout.header();
         for row in 0..20_u32 {
@@ -491,22 +619,63 @@ mod tests {
         assert_eq!(news.len(), 2, "{news:?}");
         assert!(news[0].contains("No space left"), "{news:?}");
         assert!(news[1].contains("written again"), "{news:?}");
-        assert_eq!(journal.texts().0, Some(expected.as_bytes()));
+        assert_eq!(journal.samples.whole().unwrap(), expected.as_bytes());
+    }
+
+    #[test]
+    fn a_fresh_sink_begins_with_all_that_the_old_one_gives_back() {
+        let layout = Layout::plain(&[Channel::Current]);
+        let header = layout.header();
+        let rows = |range: std::ops::Range<u32>| -> String {
+            range.map(|row| format!("{row},{row}\n")).collect()
+        };
+        let all = header.clone() + &rows(0..100);
+        let unreadable = |from: &str| Some(from.len());
+        let ten = header.clone() + &rows(0..10);
+        let cases = [
+            (None, all.clone()),
+            // From the middle of a row on.
+            (unreadable(&(ten.clone() + "1")), ten),
+            (Some(0), header.clone()),
+        ];
+        for (unreadable_from, first) in cases {
+            let lines = || Lines::new(disk(10_000), room(54, 1000));
+            let mut journal = Journal::new(layout.clone(), lines(), lines(), 10);
+            for row in 0..100_u32 {
+                journal.rows(&[of(f64::from(row))]);
+            }
+            journal.samples.sink.unreadable_from = unreadable_from;
+            // A sink that does not take it changes nothing.
+            let before = format!("{:?}", journal.samples);
+            assert!(journal.go_on_in(disk(5), disk(5)).is_err());
+            assert_eq!(format!("{:?}", journal.samples), before);
+            journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
+            let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
+            assert!(text.starts_with(&first), "{text}");
+            assert!(all.ends_with(&text[first.len()..]), "{text}");
+            let lost = journal.status().rows_lost;
+            assert_eq!(lost == 0, unreadable_from.is_none());
+            assert_eq!(text.lines().count() + lost, 101);
+            journal.rows(&[of(100.0)]);
+            assert!(journal.samples.sink.bytes.ends_with(b"99,99\n100,100\n"));
+        }
     }
 
     #[test]
     fn what_neither_disk_nor_memory_holds_is_counted_and_told() {
         let layout = Layout::plain(&[Channel::Current]);
-        let lines = |disk_room, room| Lines::new(disk(disk_room), room);
+        let lines = |space, all| Lines::new(disk(space), room(60, all));
         let row = |journal: &mut Journal<Disk>, value: f64| {
             journal.rows(&[of(value)]);
         };
-        // The disk has room: the memory forgets what is written, and nothing is lost.
+        // The disk has room: the memory leaves to it what is written, and nothing is lost.
         let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
         assert_eq!(journal.status().rows_lost, 0);
         assert!(journal.status().news.is_empty());
-        assert_eq!(journal.texts().0, None);
+        let whole = journal.samples.whole().unwrap();
+        assert_eq!(whole, journal.samples.sink.bytes);
+        assert!(journal.samples.text.len() <= 60, "{:?}", journal.samples);
         // The disk is full: what does not go into the memory is lost, and that is told once.
         let mut journal = Journal::new(layout.clone(), lines(20, 60), lines(0, 0), 10);
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
@@ -528,7 +697,7 @@ mod tests {
             "{status:?}"
         );
         // Another disk: a header, the rows that are left, and the new ones.
-        journal.go_on_in(disk(10_000), disk(10_000));
+        journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
         row(&mut journal, 100.0);
         let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
         assert!(text.starts_with(&layout.header()), "{text}");

@@ -34,6 +34,6 @@ pub use manifest::Manifest;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
-pub use recorder::{Kept, Recorder};
+pub use recorder::{Kept, KeptSamples, Recorder};
 pub use row_order::{CommandRow, RowOrder};
 pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};

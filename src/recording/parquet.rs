@@ -1,54 +1,117 @@
-//! A run as one Parquet file, for programs that read columns: pandas, Polars, DuckDB. Built with the feature `parquet` only.
+//! The table of a CSV as one Parquet file, for programs that read columns: pandas, Polars, DuckDB. Built with the feature
+//! `parquet` only.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-use ::parquet::data_type::DoubleType;
+use ::parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
 use ::parquet::errors::ParquetError;
 use ::parquet::file::properties::WriterProperties;
-use ::parquet::file::writer::SerializedFileWriter;
+use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use ::parquet::schema::parser::parse_message_type;
 
-use crate::sample::{Channel, Run};
+/// Rows that are in memory at a time.
+const ROWS_OF_A_GROUP: usize = 100_000;
 
-/// The bytes of the file: `time_s`, then a column of numbers for each channel of the run, null where a value is missing.
-pub fn parquet(run: &Run) -> Result<Vec<u8>, ParquetError> {
-    let columns: Vec<(&str, &[f64])> = Channel::ALL
-        .into_iter()
-        .filter_map(|channel| Some((channel.key(), run.column(channel)?)))
-        .collect();
-    let mut schema = "message run { REQUIRED DOUBLE time_s; ".to_owned();
-    for (key, _) in &columns {
-        let _ = write!(schema, "OPTIONAL DOUBLE {key}; ");
+/// The cells of a column, none where one is empty or no number.
+enum Column {
+    Quantities(Vec<Option<f64>>),
+    /// What counts exchanges.
+    Counts(Vec<Option<i64>>),
+    Words(Vec<Option<ByteArray>>),
+}
+
+impl Column {
+    fn of(name: &str) -> Self {
+        match name {
+            "seq" => Self::Counts(Vec::new()),
+            "status" | "quality" => Self::Words(Vec::new()),
+            _ => Self::Quantities(Vec::new()),
+        }
+    }
+
+    const fn kind(&self) -> (&'static str, &'static str) {
+        match self {
+            Self::Quantities(_) => ("DOUBLE", ""),
+            Self::Counts(_) => ("INT64", ""),
+            Self::Words(_) => ("BYTE_ARRAY", " (STRING)"),
+        }
+    }
+
+    fn push(&mut self, cell: &str) {
+        match self {
+            Self::Quantities(cells) => {
+                cells.push(cell.parse().ok().filter(|value: &f64| value.is_finite()));
+            }
+            Self::Counts(cells) => cells.push(cell.parse().ok()),
+            Self::Words(cells) => cells.push((!cell.is_empty()).then(|| ByteArray::from(cell))),
+        }
+    }
+
+    /// Writes the cells as the next column of a group, and forgets them.
+    fn write(&mut self, rows: &mut RowGroup<'_>) -> Result<(), ParquetError> {
+        match self {
+            Self::Quantities(cells) => write::<DoubleType>(cells, rows),
+            Self::Counts(cells) => write::<Int64Type>(cells, rows),
+            Self::Words(cells) => write::<ByteArrayType>(cells, rows),
+        }
+    }
+}
+
+type RowGroup<'a> = SerializedRowGroupWriter<'a, Vec<u8>>;
+
+fn write<T: DataType>(
+    cells: &mut Vec<Option<T::T>>,
+    rows: &mut RowGroup<'_>,
+) -> Result<(), ParquetError> {
+    let is_there = cells.iter().map(|cell| i16::from(cell.is_some()));
+    let is_there: Vec<i16> = is_there.collect();
+    let known: Vec<T::T> = cells.drain(..).flatten().collect();
+    if let Some(mut column) = rows.next_column()? {
+        let typed = column.typed::<T>();
+        typed.write_batch(&known, Some(&is_there), None)?;
+        column.close()?;
+    }
+    Ok(())
+}
+
+/// The bytes of the file: every column of the table by its name.
+///
+/// # Errors
+/// A text that is no table.
+pub fn parquet(csv: &[u8]) -> Result<Vec<u8>, ParquetError> {
+    let unread = |error: csv::Error| ParquetError::External(Box::new(error));
+    let mut reader = csv::Reader::from_reader(csv);
+    let header = reader.headers().map_err(unread)?;
+    let mut schema = "message run { ".to_owned();
+    let mut columns = Vec::new();
+    for name in header {
+        let column = Column::of(name);
+        let (kind, meaning) = column.kind();
+        let _ = write!(schema, "OPTIONAL {kind} {name}{meaning}; ");
+        columns.push(column);
     }
     schema.push('}');
     let schema = Arc::new(parse_message_type(&schema)?);
     let properties = Arc::new(WriterProperties::builder().build());
-    let mut file = Vec::new();
-    let mut writer = SerializedFileWriter::new(&mut file, schema, properties)?;
-    let mut rows = writer.next_row_group()?;
-    if let Some(mut column) = rows.next_column()? {
-        let time = column.typed::<DoubleType>();
-        time.write_batch(run.time_s(), None, None)?;
-        column.close()?;
-    }
-    for (_, values) in &columns {
-        let known: Vec<f64> = values
-            .iter()
-            .copied()
-            .filter(|value| value.is_finite())
-            .collect();
-        let is_there: Vec<i16> = values
-            .iter()
-            .map(|value| i16::from(value.is_finite()))
-            .collect();
-        if let Some(mut column) = rows.next_column()? {
-            let written = column.typed::<DoubleType>();
-            written.write_batch(&known, Some(&is_there), None)?;
-            column.close()?;
+    let mut writer = SerializedFileWriter::new(Vec::new(), schema, properties)?;
+    let mut record = csv::StringRecord::new();
+    let mut is_more = true;
+    while is_more {
+        let mut rows = 0;
+        while rows < ROWS_OF_A_GROUP && is_more {
+            is_more = reader.read_record(&mut record).map_err(unread)?;
+            if is_more {
+                let cells = columns.iter_mut().zip(&record);
+                cells.for_each(|(column, cell)| column.push(cell));
+                rows += 1;
+            }
         }
+        let mut group = writer.next_row_group()?;
+        for column in &mut columns {
+            column.write(&mut group)?;
+        }
+        group.close()?;
     }
-    rows.close()?;
-    writer.close()?;
-    Ok(file)
+    writer.into_inner()
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::journal::{Durable, EVENTS_IN_MEMORY, Journal, Lines, SAMPLES_IN_MEMORY};
+use super::journal::{Durable, Journal, Lines, Room};
 use super::{
     CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, Row, RowOrder,
     RunFolder,
@@ -37,14 +37,25 @@ pub struct Recorder {
     status: Arc<Mutex<RecorderStatus>>,
 }
 
+/// The samples of a run that was recorded, wherever its folder is by now.
+#[derive(Debug)]
+pub struct KeptSamples(Option<Lines<Log>>);
+
+impl KeptSamples {
+    /// The text of `samples.csv`: read back from the file, which stays open, and what was still in memory. `None` where
+    /// that is not all of it.
+    pub fn text(&self) -> Option<Vec<u8>> {
+        self.0.as_ref()?.whole()
+    }
+}
+
 /// What is left of a run that was recorded.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Kept {
     /// Where the record is: not where it began, where that is gone.
     pub folder: RunFolder,
     pub status: RecorderStatus,
-    /// The text of `samples.csv`; `None` where the memory did not hold it.
-    pub samples: Option<Vec<u8>>,
+    pub samples: KeptSamples,
     /// Why the record on the disk is not whole, where it is not: its manifest goes on saying that the run is not finished.
     pub error: Option<RecordingError>,
 }
@@ -119,7 +130,7 @@ impl Recorder {
             return Kept {
                 folder: self.folder.clone(),
                 status: self.status(),
-                samples: None,
+                samples: KeptSamples(None),
                 error: Some(RecordingError::WriterGone {
                     path: self.folder.path().display().to_string(),
                 }),
@@ -129,7 +140,7 @@ impl Recorder {
         Kept {
             folder: writer.folder,
             status: writer.journal.status(),
-            samples: writer.journal.texts().0.map(<[u8]>::to_vec),
+            samples: KeptSamples(Some(writer.journal.into_samples())),
             error,
         }
     }
@@ -208,6 +219,7 @@ impl Place {
 }
 
 /// A log of the folder, as long as there is one.
+#[derive(Debug)]
 struct Log(Result<File, String>);
 
 impl Write for Log {
@@ -226,6 +238,12 @@ impl Write for Log {
 impl Durable for Log {
     fn sync(&mut self) -> io::Result<()> {
         self.0.as_mut().map_or(Ok(()), Durable::sync)
+    }
+
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+        self.0
+            .as_ref()
+            .map_or(Ok(0), |file| Durable::read_at(file, at, into))
     }
 }
 
@@ -253,8 +271,8 @@ impl Writer {
         Self {
             journal: Journal::new(
                 layout,
-                Lines::new(samples, SAMPLES_IN_MEMORY),
-                Lines::new(events, EVENTS_IN_MEMORY),
+                Lines::new(samples, Room::SAMPLES),
+                Lines::new(events, Room::EVENTS),
                 sync_every_rows,
             ),
             folder,
@@ -346,14 +364,28 @@ impl Writer {
 
     fn remade(&mut self) -> Result<(), RecordingError> {
         let folder = self.folder.again()?;
-        let path = folder.path().to_owned();
+        match self.move_to(&folder) {
+            Ok(place) => {
+                (self.place, self.folder) = (Some(place), folder);
+                Ok(())
+            }
+            Err(error) => {
+                // Made here and of no use; where it cannot be removed either, a part of the record stays in it.
+                let _ = std::fs::remove_dir_all(folder.path());
+                Err(error)
+            }
+        }
+    }
+
+    fn move_to(&mut self, folder: &RunFolder) -> Result<Place, RecordingError> {
         let (samples, events) = folder.create_logs()?;
         folder.write_manifest(&self.unfinished)?;
-        let place = Place::of(&folder);
-        self.place = Some(place.map_err(|error| RecordingError::io(&path, "look at", &error))?);
-        self.folder = folder;
-        self.journal.go_on_in(Log(Ok(samples)), Log(Ok(events)));
-        Ok(())
+        let failed = |doing| move |error| RecordingError::io(folder.path(), doing, &error);
+        let place = Place::of(folder).map_err(failed("look at"))?;
+        self.journal
+            .go_on_in(Log(Ok(samples)), Log(Ok(events)))
+            .map_err(failed("move the record to"))?;
+        Ok(place)
     }
 
     fn close(&mut self, manifest: &Manifest) -> Result<(), RecordingError> {

@@ -8,7 +8,7 @@ fn layout() -> Layout {
     Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed])
 }
 
-/// A short session: a command and its sample in each cycle, an event now and then.
+/// A session: a command and its sample in each cycle, an event now and then at its begin.
 fn drive(recorder: &mut dyn Record, cycles: u32) {
     for cycle in 0..cycles {
         let seq = u64::from(cycle) + 1;
@@ -30,7 +30,7 @@ fn drive(recorder: &mut dyn Record, cycles: u32) {
             time_s: time_s + 0.001,
         });
         recorder.row(&sample);
-        if cycle % 50 == 0 {
+        if cycle % 50 == 0 && cycle < 1000 {
             recorder.event(Event::new(time_s, Some(seq), "mark").with("cycle", cycle));
         }
     }
@@ -99,7 +99,7 @@ fn the_file_grows_by_whole_lines() {
     let root = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
     let (samples, events) = folder.create_logs().unwrap();
-    let lines = |sink| Lines::new(sink, 1 << 20);
+    let lines = |sink| Lines::new(sink, Room::SAMPLES);
     let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
     for row in 0..50_usize {
         let mut line = Row::at(row as f64);
@@ -140,10 +140,13 @@ fn wait_for_news(disk: &Recorder) -> String {
 
 #[test]
 fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
+    const CYCLES: u32 = 50_000;
     for renamed in [false, true] {
         let root = tempfile::tempdir().unwrap();
-        let mut disk = recorder(root.path());
-        drive(&mut disk, 30);
+        let folder = RunFolder::create(root.path(), "20260131T000000Z", "test").unwrap();
+        let mut disk = Recorder::create(folder, layout(), &manifest(), 10_000).unwrap();
+        // More than what stays in memory of what is written.
+        drive(&mut disk, CYCLES);
         let path = disk.folder().path().to_owned();
         if renamed {
             fs::rename(&path, root.path().join("elsewhere")).unwrap();
@@ -159,10 +162,11 @@ fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
         assert!(kept.status.error.is_some());
         let loaded = open_run(kept.folder.path(), None).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-        let (samples, events) = expected(30);
+        let (samples, events) = expected(CYCLES);
+        assert!(samples.len() > 2 * Room::SAMPLES.taken);
         assert_eq!(read(kept.folder.samples()), samples);
         assert_eq!(read(kept.folder.events()), events);
-        assert_eq!(kept.samples.as_deref(), Some(samples.as_bytes()));
+        assert_eq!(kept.samples.text(), Some(samples.into_bytes()));
     }
 }
 
@@ -192,7 +196,7 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let kept = disk.finish(&manifest());
     let is_io = matches!(kept.error, Some(RecordingError::Io { .. }));
     assert!(is_io, "{kept:?}");
-    let samples = kept.samples.unwrap();
+    let samples = kept.samples.text().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
     let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
     assert_eq!(run.run.rows(), 60);

@@ -15,6 +15,8 @@ pub enum RunFile {
     Report,
     /// The run that would tell more, as a bench file.
     NextBench,
+    /// The samples once more, as columns.
+    Parquet,
 }
 
 impl RunFile {
@@ -25,6 +27,7 @@ impl RunFile {
             Self::Result => "result.json",
             Self::Report => "report.html",
             Self::NextBench => "next-bench.toml",
+            Self::Parquet => "samples.parquet",
         }
     }
 }
@@ -132,12 +135,16 @@ impl RunFolder {
     }
 
     /// Writes a file whole: beside it, synced, then renamed over it. A crash leaves the old file or the new one.
-    pub fn write(&self, file: RunFile, text: &str) -> Result<PathBuf, RecordingError> {
+    pub fn write(
+        &self,
+        file: RunFile,
+        content: &(impl AsRef<[u8]> + ?Sized),
+    ) -> Result<PathBuf, RecordingError> {
         let path = self.file(file);
         let beside = self.path.join(format!(".{}.part", file.name()));
         let write = || -> std::io::Result<()> {
             let mut part = File::create(&beside)?;
-            part.write_all(text.as_bytes())?;
+            part.write_all(content.as_ref())?;
             part.sync_all()?;
             fs::rename(&beside, &path)?;
             File::open(&self.path)?.sync_all()
@@ -185,8 +192,10 @@ fn first_free<T>(
     }
 }
 
+/// Can be read back as well.
 fn create_new(path: &Path) -> std::io::Result<File> {
-    OpenOptions::new().append(true).create_new(true).open(path)
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create_new(true).open(path)
 }
 
 /// Letters, digits, `-`, `_` and inner dots stay; everything else becomes `-`.

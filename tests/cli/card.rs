@@ -157,6 +157,144 @@ fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
     has(&full, &["EFFECTS THAT WERE TRIED"]);
 }
 
+/// What commands print in a folder of a run, mistakes among them.
+const PRINTED: &str = "
+plan
+plan bench.toml
+plan unknown.toml
+run --headless --port sim: --seed 7 --parquet
+run --headless --port sim: --escalate --seed 7
+run --headless --port sim: --escalate --emulator small-servo-behind-zk-22fc
+run --headless --port nowhere
+run no-bench.toml
+speed --headless --port sim: --seed 7 --controller pi --feed-forward compare
+speed --headless --port sim: --controller pid
+probe --port emulator --drive epulse50-dc
+probe --port emulator --drive siemens-v20
+probe --port emulator --drive own
+probe --port nowhere
+probe --port emulator --drive nobody
+doctor --port nowhere
+ports
+identify runs/latest
+identify runs/latest --full
+identify runs/latest --scheme 4
+replay runs/latest
+simulate --model runs/latest/model.toml --run runs/latest --output simulated.csv
+simulate --model runs/latest
+compare runs/latest
+compare runs
+compare nowhere.csv
+compare runs/latest --map speed=w
+view runs/latest
+tune --model runs/latest/model.toml
+tune --model runs/latest
+export --model runs/latest/model.toml --to c --output motor.h
+export --model runs/latest/model.toml --to fmu
+export --run runs/latest --to parquet --output run.parquet
+report runs/latest --output page.html
+effects stribeck_friction
+effects stribek
+emulate --profile nobody
+init --drive nobody --port x --motor y
+registers
+registers read x --port nowhere
+reveal nowhere
+reproduce paper-c
+completions tcsh
+man --out man1
+man --out /proc/man1
+effects --figure
+run --seed -1
+diagnos
+";
+
+#[test]
+fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
+    let seen = Seen::new();
+    let unknown = BENCH.replace("[motor]", "[motor]\nunknown = true");
+    seen.desk.put("bench.toml", BENCH);
+    seen.desk.put("unknown.toml", &unknown);
+    seen.card("run --headless --port sim: --seed 7", 0);
+    for command in PRINTED.lines().filter(|line| !line.is_empty()) {
+        let mut process = std::process::Command::new(BINARY);
+        let words = command.split(' ');
+        let output = process.args(words).current_dir(seen.desk.folder()).output();
+        let output = output.expect("it runs");
+        let [stdout, stderr] = [&output.stdout, &output.stderr]
+            .map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        let rows = || stdout.lines().chain(stderr.lines());
+        assert!(rows().count() > 0, "{command}: nothing is said");
+        for row in rows() {
+            // What is copied stays whole.
+            let is_alone = !row.trim().contains(' ');
+            let columns = row.chars().count();
+            assert!(
+                columns <= COLUMNS || is_alone,
+                "{command}: {columns} columns\n{row}"
+            );
+        }
+        if !command.contains("--full") {
+            let lines = stdout.lines().count();
+            assert!(lines <= LINES, "{command}: {lines} lines\n{stdout}");
+        }
+        assert_ne!(output.status.code(), Some(6), "{command}: {stderr}");
+    }
+}
+
+#[test]
+fn a_mistake_is_answered_with_what_to_do() {
+    for (command, parts) in [
+        (
+            "registers",
+            &["no command is given", "allowed: read, write"][..],
+        ),
+        (
+            "completions tcsh",
+            &["tcsh", "allowed: bash, elvish, fish, powershell, zsh"],
+        ),
+        (
+            "completions bash --json",
+            &["'--json'", "see drivebench completions --help"],
+        ),
+        ("effects --jsno", &["did you mean `--json`?"]),
+        ("diagnos", &["did you mean `diagnose`?"]),
+        ("effects stribek", &["did you mean `stribeck_friction`?"]),
+        ("run --seed -1", &["'-1'", "see drivebench run --help"]),
+        ("run --seed abc", &["expected a whole number from 0"]),
+        ("compare r --min-fit high", &["expected a number"]),
+        (
+            "diagnose",
+            &[
+                "usage: drivebench diagnose <RUN>",
+                "for example `drivebench diagnose ",
+            ],
+        ),
+        ("diagnose a b", &["--holdout RUN2"]),
+        ("test suite.toml", &["'test'", "see drivebench --help"]),
+    ] {
+        let said = refusal(command, &[]);
+        has(&said, parts);
+        lacks(&said, &["as a value", "found in string", "float literal"]);
+    }
+    let runs = &Runs::plain().fit;
+    has(
+        &refusal("tune --model {}", &[runs]),
+        &["its model is ", "/model.toml"],
+    );
+    let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
+        // Only Linux has a disk that is always full.
+        return;
+    };
+    let mut process = std::process::Command::new(BINARY);
+    process.args(["completions", "bash"]).stdout(full);
+    let done = Done::of(&process.output().expect("it runs"));
+    let said = done
+        .fails(6, &["cannot write the result", "make room"])
+        .stderr;
+    lacks(&said, &["fault of drivebench"]);
+}
+
 const MOTOR: &str = "[motor]
 name = \"ZK-22FC\"
 resistance_ohm = 1.1

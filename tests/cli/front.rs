@@ -256,40 +256,53 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
 }
 
 #[test]
-fn a_run_goes_out_as_parquet_where_the_program_was_built_with_it() {
-    let run = &Runs::plain().fit;
+fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
     let desk = Desk::new();
-    let file = desk.path("run.parquet");
-    let text = "export --run {} --to parquet --output {}";
     if cfg!(not(feature = "parquet")) {
-        has(
-            &refusal(text, &[run, &file]),
-            &["built without Parquet", "samples.csv"],
-        );
+        for (command, paths) in [
+            (
+                "run --headless --port sim: --parquet --out {}",
+                vec![desk.out()],
+            ),
+            (
+                "export --run {} --to parquet --output {}",
+                vec![Runs::plain().fit.to_path_buf(), desk.path("run.parquet")],
+            ),
+        ] {
+            let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+            let said = refusal(command, &paths);
+            has(&said, &["built without Parquet", "samples.csv"]);
+        }
+        assert!(!desk.out().exists(), "nothing is recorded");
         return;
     }
-    has(&call(text, &[run, &file]).expect(0).stdout, &[" rows"]);
-    let script = "import sys, csv, pyarrow.parquet as pq\n\
-        table = pq.read_table(sys.argv[1]).to_pydict()\n\
-        rows = list(csv.DictReader(open(sys.argv[2])))\n\
-        assert len(rows) == len(table['time_s']) > 1000\n\
-        for key in ('time_s', 'voltage_cmd_v', 'current_a', 'speed_rad_s'):\n    \
-            there = [float(row[key]) if row[key] else None for row in rows]\n    \
-            assert there == table[key], key\n";
-    let known = Command::new("python3")
-        .args(["-c", "import pyarrow"])
-        .output();
-    if !known.is_ok_and(|output| output.status.success()) {
+    call(
+        "run --headless --port sim: --parquet --out {}",
+        &[&desk.out()],
+    )
+    .expect(0);
+    let (run, exported) = (desk.run(), desk.path("run.parquet"));
+    let text = "export --run {} --to parquet --output {}";
+    has(&call(text, &[&run, &exported]).expect(0).stdout, &[" rows"]);
+    let kept = fs::read(run.join("samples.parquet")).unwrap();
+    assert_eq!(kept, fs::read(&exported).unwrap(), "one writer for both");
+    assert!(kept.starts_with(b"PAR1") && kept.ends_with(b"PAR1"));
+
+    let python = |arguments: &[&std::ffi::OsStr]| {
+        let output = Command::new("python3").args(arguments).output();
+        output.map_or_else(|_| Done::default(), |output| Done::of(&output))
+    };
+    if python(&["-c".as_ref(), "import pyarrow; print(1)".as_ref()])
+        .stdout
+        .is_empty()
+    {
         eprintln!("SKIPPED: pyarrow is not installed: the Parquet file was not read by it");
         return;
     }
-    let mut python = Command::new("python3");
-    python
-        .args(["-c", script])
-        .arg(&file)
-        .arg(run.join("samples.csv"));
-    let read = Done::of(&python.output().unwrap());
-    assert_eq!(read.status, 0, "{}", read.stderr);
+    let peer = Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/interop/parquet_peer.py");
+    let samples = run.join("samples.csv");
+    let read = python(&[peer.as_ref(), samples.as_ref(), exported.as_ref()]).expect(0);
+    has(&read.stdout, &[" rows of 10 columns"]);
 }
 
 #[test]

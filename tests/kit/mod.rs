@@ -126,7 +126,8 @@ impl Done {
             // A process ended by a signal has no status of its own.
             status: output.status.code().unwrap_or(-1),
             stdout: text(&output.stdout),
-            stderr: text(&output.stderr),
+            // A sentence that was folded at the edge of the terminal is one line again.
+            stderr: text(&output.stderr).replace("\n  ", " "),
         }
     }
 

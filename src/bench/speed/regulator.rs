@@ -10,7 +10,7 @@ use crate::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
     Holding, Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming,
     Mrac, MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
-    SpeedController, TrialMachine, trial,
+    SpeedController, TrialMachine, trial, viscous_n_m_s_per_rad,
 };
 use crate::plant::{Model, MotorKey};
 
@@ -80,10 +80,6 @@ pub enum RegulatorError {
         high: f64,
     },
     #[error(
-        "viscous_friction.viscous_n_m_s_per_rad = {0} is not physical: it drives the shaft (expected 0 or more)"
-    )]
-    Drives(f64),
-    #[error(
         "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay)"
     )]
     Gain { value: f64, most: f64, cycles: f64 },
@@ -133,7 +129,6 @@ impl RegulatorError {
             Self::OtherName { .. } | Self::OtherMotor { .. } => {
                 "gains of one motor may be unstable on another: identify this one (drivebench run, identify)"
             }
-            Self::Drives(_) => "identify the motor again, or take the effect out of the model",
             Self::Gain { .. } | Self::IntegralTime { .. } => {
                 "leave [speed.gains] out: the rule finds gains that are stable"
             }
@@ -181,15 +176,6 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
     Ok(())
 }
 
-/// The slope of the model's friction, N.m.s/rad.
-fn viscous(model: &Model) -> Result<f64, RegulatorError> {
-    let slope = effect_value(model, "viscous_friction");
-    if slope < 0.0 {
-        return Err(RegulatorError::Drives(slope));
-    }
-    Ok(slope)
-}
-
 /// The first value of an effect of the model; 0 without the effect.
 fn effect_value(model: &Model, id: &str) -> f64 {
     let effect = model.effects.iter().find(|effect| effect.id() == id);
@@ -213,7 +199,7 @@ impl Design<'_> {
     pub fn regulator(&self) -> Result<Regulator, RegulatorError> {
         check_kinship(self.model, self.motor)?;
         self.check_kind()?;
-        let viscous = viscous(self.model)?;
+        let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
         let (plant, mut reasons) = self.plant(viscous)?;
         let holding = Holding::of(self.model, self.actuator, viscous);
         let limiter = self.limiter();

@@ -37,6 +37,8 @@ pub enum PlantError {
     },
     #[error("{key} = {value} is not physical (allowed: a finite value above 0)")]
     NotPhysical { key: &'static str, value: f64 },
+    #[error("{VISCOUS} = {0} is not physical: it drives the shaft (allowed: 0 or more)")]
+    Drives(f64),
 }
 
 impl PlantError {
@@ -48,8 +50,30 @@ impl PlantError {
             Self::NotPhysical { .. } => {
                 "identify the motor again: a loop tuned on this model would not be stable"
             }
+            Self::Drives(_) => "identify the motor again, or take the effect out of the model",
         }
     }
+}
+
+/// The value of a model that [`viscous_n_m_s_per_rad`] reads.
+const VISCOUS: &str = "viscous_friction.viscous_n_m_s_per_rad";
+
+/// The slope of a model's friction; 0 without viscous friction.
+///
+/// # Errors
+/// Viscous friction without a value, or one that is not finite or below 0.
+pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
+    let mut effects = model.effects.iter();
+    let Some(effect) = effects.find(|effect| effect.id() == "viscous_friction") else {
+        return Ok(0.0);
+    };
+    let missing = PlantError::Missing {
+        key: VISCOUS,
+        actuator: actuator.name(),
+    };
+    let slope = effect.values.first().copied().flatten().ok_or(missing)?;
+    let brakes = slope.is_finite() && slope >= 0.0;
+    brakes.then_some(slope).ok_or(PlantError::Drives(slope))
 }
 
 impl LinearPlant {
@@ -220,6 +244,27 @@ mod tests {
         assert_eq!(found.large_s, None);
         assert_close(found.rate, 353.8, 1e-9);
         assert_close(found.small_s, 0.002, 1e-9);
+    }
+
+    #[test]
+    fn the_slope_of_a_friction_has_a_value_that_brakes() {
+        let slope = |model: &Model| viscous_n_m_s_per_rad(model, Actuator::Voltage);
+        let mut model = Model::baseline(Motor::zk_22fc());
+        assert_eq!(slope(&model), Ok(0.0));
+        model = model.with_effect("viscous_friction").unwrap();
+        let missing = PlantError::Missing {
+            key: VISCOUS,
+            actuator: Actuator::Voltage.name(),
+        };
+        assert_eq!(slope(&model), Err(missing));
+        for (value, expected) in [
+            (2e-4, Ok(2e-4)),
+            (0.0, Ok(0.0)),
+            (-1e-6, Err(PlantError::Drives(-1e-6))),
+        ] {
+            model.effects[0].values[0] = Some(value);
+            assert_eq!(slope(&model), expected);
+        }
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub use addc::{Addc, AddcSettings};
 pub use feed_forward::{Compensated, FeedForward};
 pub use holding::Holding;
 pub use limiter::{CurrentLimit, Limiter};
-pub use linear_plant::{Dominant, LinearPlant, PlantError};
+pub use linear_plant::{Dominant, LinearPlant, PlantError, viscous_n_m_s_per_rad};
 pub use loop_shape::{LoopShape, Margins, PiGains, StepPoint};
 pub use mrac::{Mrac, MracScales};
 pub use optimal::{

@@ -44,6 +44,67 @@ fn broken(line: &str, width: usize) -> Vec<String> {
     rows
 }
 
+/// The lines of a text as a terminal prints them, in rows of `width` columns: what goes on stands beneath the last column of
+/// a table's row, else two columns further in. What is to be copied stays whole: a command in backquotes, and any word, as a
+/// path, which may be too long for a row.
+pub fn folded(text: &str, width: usize) -> Vec<String> {
+    text.lines()
+        .flat_map(|line| folded_line(line, width))
+        .collect()
+}
+
+/// Share of the width, in thirds, beyond which nothing stands beneath a last column.
+const LAST_COLUMN: usize = 2;
+
+fn folded_line(line: &str, width: usize) -> Vec<String> {
+    if line.chars().count() <= width {
+        return vec![line.to_owned()];
+    }
+    let text = line.trim_start();
+    let own = &line[..line.len() - text.len()];
+    let gap = text.rfind("  ").map(|at| own.len() + at + 2);
+    let head = &line[..gap.unwrap_or(own.len())];
+    let column = head.chars().count();
+    let (mut row, text, indent) = match gap {
+        Some(at) if column <= width * LAST_COLUMN / 3 => (head.to_owned(), &line[at..], column),
+        _ => (own.to_owned(), text, own.chars().count() + 2),
+    };
+    let mut rows = Vec::new();
+    let mut is_begun = false;
+    for word in unbroken(text, width.saturating_sub(indent)) {
+        if is_begun && row.chars().count() + 1 + word.chars().count() > width {
+            rows.push(std::mem::replace(&mut row, " ".repeat(indent)));
+        } else if is_begun {
+            row.push(' ');
+        }
+        row.push_str(&word);
+        is_begun = true;
+    }
+    rows.push(row);
+    rows
+}
+
+/// The words of a text, with a command in backquotes as one where it is no longer than `most`.
+fn unbroken(text: &str, most: usize) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_open = false;
+    for word in text.split_whitespace() {
+        let length = 1 + word.chars().count();
+        let begun = words
+            .last_mut()
+            .filter(|begun| is_open && begun.chars().count() + length <= most);
+        match begun {
+            Some(begun) => {
+                begun.push(' ');
+                begun.push_str(word);
+            }
+            None => words.push(word.to_owned()),
+        }
+        is_open ^= word.matches('`').count() % 2 == 1;
+    }
+    words
+}
+
 /// A text cut to `width`, with a mark where something is left out.
 pub fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
@@ -82,5 +143,34 @@ mod tests {
         assert_eq!(wrapped("  a  b\n c", 6), ["  a  b", " c"]);
         assert_eq!(wrapped("  one two", 6), ["  one", "  two"]);
         assert_eq!(cut("diagnosis", 4), "dia…");
+    }
+
+    #[test]
+    fn what_is_folded_goes_on_beneath_its_column_and_leaves_whole_what_is_copied() {
+        for (text, rows) in [
+            ("short\n\n  as it is", &["short", "", "  as it is"][..]),
+            (
+                "error: one two three four five",
+                &["error: one two three", "  four five"],
+            ),
+            (
+                "key  kind  a reason of words",
+                &["key  kind  a reason", "           of words"],
+            ),
+            (
+                "  /a/path/that/is/long is",
+                &["  /a/path/that/is/long", "    is"],
+            ),
+            (
+                "help: so and `do this now` or",
+                &["help: so and", "  `do this now` or"],
+            ),
+            (
+                "x `a command that is longer than a row`",
+                &["x `a command that is", "  longer than a row`"],
+            ),
+        ] {
+            assert_eq!(folded(text, 20), rows, "{text}");
+        }
     }
 }

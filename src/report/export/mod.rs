@@ -268,6 +268,8 @@ impl Export {
                 self.lines(|key, value, unit| format!("  p.{key} = {value:?}; % {unit}"))
             }
             Target::Modelica => self.lines(|key, value, unit| {
+                // As its grammar of units writes none.
+                let unit = if unit == "-" { "1" } else { unit };
                 format!("  parameter Real {key}(unit = \"{unit}\") = {value:?};")
             }),
         }

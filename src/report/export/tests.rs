@@ -417,6 +417,55 @@ fn octave_gives_what_the_simulation_gives() {
     check_regulator(regulated);
 }
 
+/// Runs the bench of each model that follows and prints its columns at the rows: the compiler adds more where something
+/// happens, of which the last stands for its instant.
+const RUN_MODELICA: &str = "\
+import bisect, pathlib, rumoca
+here = pathlib.Path(__file__).parent
+def run(name, end_s, rows):
+    session = rumoca.Session()
+    bench = session.loads((here / f'{name}.mo').read_text(), model='Bench')
+    close = rumoca.SimConfig(solver='rk-like', rtol=1e-8, atol=1e-8)
+    found = bench.simulate(end_s, dt=end_s / (rows - 1), config=close)
+    times = [float(time) for time in found.time]
+    columns = found['motor.current_a'], found['motor.speed_rad_s']
+    for row in range(rows):
+        here_is = bisect.bisect(times, end_s * row / (rows - 1) + 1e-9) - 1
+        print(*(repr(float(column[here_is])) for column in columns))
+";
+
+#[test]
+fn modelica_gives_what_the_simulation_gives() {
+    if !is_there("python3", &["-c", "import rumoca"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let models = all();
+    let voltage =
+        events()
+            .iter()
+            .fold(String::new(), |before, (time_s, voltage_v)| match *time_s {
+                0.0 => format!("{voltage_v:?}"),
+                _ => format!("if time >= {time_s:?} then {voltage_v:?} else {before}"),
+            });
+    let mut main = RUN_MODELICA.to_owned();
+    for (name, model) in &models {
+        let class = camel(name);
+        let export = Export::new(model, None, name, "A motor of a test").unwrap();
+        let text = export.written(Target::Modelica).unwrap();
+        let bench = format!(
+            "model Bench\n  {class} motor;\nequation\n  motor.voltage_v = {voltage};\nend Bench;\n"
+        );
+        write(folder.path(), &format!("{name}.mo"), &(text + &bench));
+        let _ = writeln!(main, "run({name:?}, {END_S:?}, {ROWS})");
+    }
+    let source = write(folder.path(), "main.py", &main);
+    check(
+        &models,
+        &printed(Command::new("python3").arg("-B").arg(&source)),
+    );
+}
+
 #[test]
 fn what_has_no_formula_is_refused_by_its_name() {
     for id in [
