@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::WorkerState;
 use crate::bench::{Intent, Phase, Snapshot, Target};
-use crate::sample::{DriveState, ParameterEstimate};
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::workflow::{Progress, Provisional, Step};
@@ -117,7 +117,8 @@ impl Model {
             let age_s = viewed.elapsed_s - at_s;
             let now = estimate.reason.as_deref().unwrap_or("none now");
             ParameterEstimate {
-                verdict: estimate.verdict,
+                // Whatever it was then: now it is not settled.
+                verdict: Verdict::Searching,
                 reason: Some(format!("value of {age_s:.1} s ago; {now}")),
                 ..last.clone()
             }
@@ -289,6 +290,15 @@ impl Model {
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
                 self.frozen = shown;
+                if self.page != Page::Live {
+                    self.say(match self.frozen {
+                        Some(_) => "scope and parameters are frozen: f goes on",
+                        None => "scope and parameters go on",
+                    });
+                }
+            }
+            Press::Zoom if self.page != Page::Live => {
+                self.say("the scope is zoomed: 1 shows it");
             }
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
             Press::NextScreen => self.page = self.neighbour(1),

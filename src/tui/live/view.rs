@@ -324,7 +324,7 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let shown = lines.into_iter().skip(first);
     rows(&shown.collect::<Vec<_>>(), area, buffer);
     if first < hidden {
-        let more = Line::styled(" ▼ Down: more ", theme::CAREFUL).right_aligned();
+        let more = Line::styled(" … ▼ Down: more ", theme::CAREFUL).right_aligned();
         let last = area.rows().last().unwrap_or(area);
         Clear.render(
             Rect {
