@@ -166,6 +166,23 @@ pub(super) struct EvidenceArguments {
     map: MapArguments,
 }
 
+/// What stands behind the run where one is asked for: a second one, that was to be an option.
+#[derive(Args, Clone, Debug)]
+pub(super) struct MoreRuns {
+    #[arg(hide = true, value_name = "ANOTHER")]
+    more: Vec<PathBuf>,
+}
+
+impl MoreRuns {
+    pub(super) fn refuse(&self) -> Result<(), Failure> {
+        self.more.first().map_or(Ok(()), |second| {
+            let headline = format!("one run is judged, and another is given: {}", second.display());
+            let help = "name the run to judge by with --holdout, a third with --confirm, and models with --model";
+            Err(Failure::usage(headline, help))
+        })
+    }
+}
+
 /// The model as it is given, with a space before it.
 pub(super) fn model_words(model: Option<&Path>) -> String {
     let model = model.map(output::quoted);

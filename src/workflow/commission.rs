@@ -263,7 +263,7 @@ impl Commission {
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        self.step_done(Step::Compare, &before.headline(), Task::Analyse);
+        self.step_done(Step::Compare, &before.where_it_fails().0, Task::Analyse);
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;

@@ -230,7 +230,12 @@ impl Discovery {
                 holdout_rmse: diagnosis.holdout_before,
             });
         }
-        self.fitted = Some(diagnosis.baseline.clone());
+        // Of a model that was changed by hand the sizes stay that were told with the change.
+        let ids = diagnosis.baseline.model.effect_ids();
+        let is_told = |fitted: &Fitted| fitted.model.effect_ids() == ids;
+        if !self.fitted.as_ref().is_some_and(is_told) {
+            self.fitted = Some(diagnosis.baseline.clone());
+        }
         self.curves.clone_from(&diagnosis.axis_map);
         self.latest = Some(Box::new(diagnosis.clone()));
         tell(News::Diagnosed(Box::new(diagnosis.clone())));

@@ -93,18 +93,19 @@ impl Specimen {
     }
 }
 
-/// Four runs of one specimen: fit, select, confirm, repeat.
-fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
+/// Runs of one specimen, one for each seed of its excitation.
+pub(crate) fn record(config: &EmulatorConfig, seed: u64, run_seeds: &[u64]) -> Vec<Scenario> {
     let file = BenchFile::embedded_default();
     let mut specimen = Specimen::new(config, seed);
-    let seeds = [1, 2, 3, 1];
-    seeds.map(|seed| specimen.run(&file, seed)).to_vec()
+    let run = |run_seed: &u64| specimen.run(&file, *run_seed);
+    run_seeds.iter().map(run).collect()
 }
 
 /// Diagnoses a specimen and compares the speed error on the confirming run before and after.
 fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let config = EmulatorConfig::embedded(emulator).unwrap();
-    let runs = record(&config, seed);
+    // Fit, select, confirm, repeat.
+    let runs = record(&config, seed, &[1, 2, 3, 1]);
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();

@@ -6,6 +6,7 @@
 )]
 
 mod coverage;
+mod deviations;
 mod diagnosis_on_emulator;
 mod mechanical;
 mod next_run;

@@ -292,6 +292,9 @@ pub fn diagnose_with(
         inference.doubt(id);
         rungs = climb(&bench, &baseline, &inference, progress)?;
     }
+    if let Some(last) = rungs.pop() {
+        rungs.push(last.with_deviations(&bench, &inference));
+    }
     Ok(answer(&bench, &inference, &rungs))
 }
 
@@ -388,7 +391,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .copied()
             .collect(),
         next_experiment: None,
-        baseline: base.fit.clone(),
+        baseline: bench.with_deviations(base.fit.clone(), inference),
         model: best.fit.clone(),
         grounds: Some(Grounds::new(inference.noise, inference.excess())),
         rivals: rivals(inference, &base.fit.model.effect_ids()),

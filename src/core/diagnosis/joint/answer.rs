@@ -398,16 +398,26 @@ const LED_ONLY_RATIO: f64 = 1.1;
 /// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
 /// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
 /// be followed on the run; times of events stay.
-pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+pub(in crate::diagnosis) fn refined(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, true)
+}
+
+/// The same of a fit whose values stay in any case: each is uncertain by how far it is from that of its prediction errors
+/// beside.
+pub(in crate::diagnosis) fn with_deviations(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, false)
+}
+
+fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> Fitted {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
     let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
     let Some(estimated) = estimated else {
         return fit;
     };
-    let led = Score::of(&estimated.model, run, &fit.noise);
+    let led = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
     let led = led
-        .ok()
+        .and_then(Result::ok)
         .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
     let kept = led.as_ref().map_or(&model, |_| &estimated.model);
     let period_s = run.mean_period_s();
