@@ -646,15 +646,19 @@ fn what_follows_the_report_is_left_for_only_where_it_is_offered() {
     for (key, step, exit) in keys {
         let mut model = model(done());
         assert_eq!(press(&mut model, key), [], "a plain run");
-        for (state, is_left) in [
-            (StepState::Waiting, false),
-            (StepState::Offered, true),
-            (StepState::Done, true),
-            (StepState::Failed, false),
+        // What was done is done again where a command still does it: a next run, if there is one.
+        let again = || Some("drivebench run next.toml".to_owned());
+        for (state, command, is_left) in [
+            (StepState::Waiting, None, false),
+            (StepState::Offered, None, true),
+            (StepState::Done, again(), true),
+            (StepState::Done, None, false),
+            (StepState::Failed, None, false),
         ] {
             let mut workflow = workflow(true);
             workflow.steps.push(StepView {
                 state,
+                command,
                 line: "none would tell more".to_owned(),
                 ..StepView::new(step)
             });
