@@ -36,8 +36,10 @@ control/load_observer | 1000 | Kalman filter with load torque, feedback and inte
 session/addc | 5000 | whole cycle of a session: guard, on-line identification, ADDC, record, snapshot
 diagnose/nothing_missing | 500e6 | `diagnose` with a second run of 12 s, nothing missing
 diagnose/stribeck_missing | 500e6 | the same, one effect missing
-report/read_and_write | 2e9 | page of a run of a million rows with nine signals, read from its folder
+report/read_and_write | 2e9 | page of a run of a million rows with nine signals, read from its folder; asserted: below 8 MB
 report/write | - | the same, the run in memory
+screen/frame_80x24 | 1666e3 | a frame of the screen of a run, 80x24; 30 a second are 5 % of a core
+screen/frame_200x50 | 1666e3 | the same, 200x50
 free_run/baseline | 0.5e6 | free run of the baseline, 12 s at 1 kHz
 free_run/baseline_stamped_commands | - | the same, every command applied at an instant of its own";
 

@@ -34,6 +34,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::app::{failure, front, opening, output, progress, signals};
+use crate::tui::{use_light, use_mouse};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -53,18 +54,22 @@ Exit status:
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
-    /// Colours of screens: the terminal's sixteen, or none (as with NO_COLOR); nothing is said by colour alone
+    /// Colours of screens: the terminal's sixteen, those for a white background, or none (as with NO_COLOR)
     #[arg(long, global = true, value_enum, value_name = "THEME")]
     #[expect(
         clippy::doc_markdown,
         reason = "the help in a terminal shows backticks as they are"
     )]
     theme: Option<Theme>,
+    /// Screens take the mouse: the wheel zooms traces and scrolls, a click selects; text is then selected with Shift held
+    #[arg(long, global = true)]
+    mouse: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Theme {
     Colour,
+    Light,
     Mono,
 }
 
@@ -113,7 +118,13 @@ pub fn main() -> ExitCode {
         }
     };
     if let Some(theme) = arguments.theme {
-        crossterm::style::force_color_output(theme == Theme::Colour);
+        crossterm::style::force_color_output(theme != Theme::Mono);
+        if theme == Theme::Light {
+            use_light();
+        }
+    }
+    if arguments.mouse {
+        use_mouse();
     }
     let Some(command) = arguments.command else {
         return ended(output::text(&front::page(Path::new("."))));
@@ -172,17 +183,17 @@ fn called(words: impl Iterator<Item = String>) -> (clap::Command, String) {
     (command, path)
 }
 
-/// The first example of a command's help page.
-fn example(command: &clap::Command) -> Option<String> {
+/// The first example of the command on its help page, which may show others on the way to it.
+fn example(command: &clap::Command, path: &str) -> Option<String> {
     let text = command.get_after_help()?.to_string();
     let mut lines = text.lines().map(str::trim);
-    let line = lines.find(|line| line.starts_with("drivebench "))?;
+    let line = lines.find(|line| line.starts_with(path))?;
     // What it is for stands behind it.
     Some(line.split("  ").next().unwrap_or(line).to_owned())
 }
 
 /// What the library that reads numbers says, in words of the reader.
-const WORDS: [(&str, &str); 5] = [
+const WORDS: [(&str, &str); 6] = [
     (
         "invalid digit found in string",
         "expected a whole number from 0",
@@ -194,6 +205,10 @@ const WORDS: [(&str, &str); 5] = [
         "expected a whole number",
     ),
     ("cannot parse float from empty string", "expected a number"),
+    (
+        "invalid socket address syntax",
+        "expected ADDRESS:PORT, as 127.0.0.1:1502",
+    ),
 ];
 
 /// clap's message as one headline and one help line, like every other error.
@@ -241,7 +256,7 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
             format!("give the run to judge by with --holdout RUN2; usage: {usage}")
         }
         (None, Some(usage)) if error.kind() == ErrorKind::MissingRequiredArgument => {
-            let example = example(&command).map(|text| format!("; for example `{text}`"));
+            let example = example(&command, &path).map(|text| format!("; for example `{text}`"));
             format!("usage: {usage}{}", example.unwrap_or_default())
         }
         (None, Some(usage)) if error.kind() != ErrorKind::InvalidSubcommand => {
@@ -279,11 +294,9 @@ mod tests {
         let all = Arguments::command();
         for command in all.get_subcommands() {
             let needs = command.get_arguments().any(clap::Arg::is_required_set);
-            let shown = example(command);
             let name = command.get_name();
+            let shown = example(command, &format!("drivebench {name}"));
             assert!(!needs || shown.is_some(), "{name} has no example");
-            let begin = format!("drivebench {name}");
-            assert!(shown.is_none_or(|line| line.starts_with(&begin)), "{name}");
         }
     }
 }

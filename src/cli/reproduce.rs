@@ -67,10 +67,6 @@ impl Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    // Before the work, not after it.
-    if let Some(folder) = &arguments.folder() {
-        require_empty(folder)?;
-    }
     let of_study = arguments.records.is_some() || arguments.mysteries.is_some();
     let of_seeds = arguments.sets.is_some() || arguments.seed.is_some();
     match arguments.paper {
@@ -87,6 +83,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ));
         }
         _ => {}
+    }
+    // Before the work, not after it.
+    if let Some(folder) = &arguments.folder() {
+        prepare(folder)?;
     }
     // A study puts down what is under way; all else ends at once.
     let is_study = matches!(arguments.paper, Paper::Discovery);
@@ -138,7 +138,8 @@ fn finish(
     output::result(found, arguments.json, |_| report.text())
 }
 
-fn require_empty(folder: &Path) -> Result<(), Failure> {
+/// Refuses a folder that holds anything, and one that cannot be made: it is tried.
+fn prepare(folder: &Path) -> Result<(), Failure> {
     let occupied = match fs::read_dir(folder) {
         Ok(mut entries) => entries.next().is_some(),
         Err(_) => folder.exists(),
@@ -149,19 +150,29 @@ fn require_empty(folder: &Path) -> Result<(), Failure> {
         let help = "give another folder with --out, or move this one away";
         return Err(Failure::usage(headline, help));
     }
+    let was_there = folder.exists();
+    fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))?;
+    if !was_there {
+        // Work that is interrupted leaves nothing behind.
+        let _ = fs::remove_dir(folder);
+    }
     Ok(())
+}
+
+fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
+    let headline = format!("{}: cannot write: {error}", path.display());
+    Failure::usage(
+        headline,
+        "name a folder that is there or can be made with --out",
+    )
 }
 
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
     let _whole = signals::writing();
-    let cannot = |path: &Path, error| {
-        let headline = format!("{}: cannot write: {error}", path.display());
-        Failure::usage(headline, "check the folder")
-    };
-    fs::create_dir_all(folder).map_err(|error| cannot(folder, error))?;
+    fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))?;
     for (name, content) in files {
         let path = folder.join(name);
-        fs::write(&path, content).map_err(|error| cannot(&path, error))?;
+        fs::write(&path, content).map_err(|error| cannot_write(&path, &error))?;
     }
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! The table of a CSV as one Parquet file, for programs that read columns: pandas, Polars, DuckDB. Built with the feature
-//! `parquet` only.
+//! The table of a CSV as one Parquet file, for programs that read columns, as pandas, Polars and `DuckDB` do. Built with the
+//! feature `parquet` only.
 
 use std::fmt::Write as _;
 use std::sync::Arc;

@@ -9,6 +9,7 @@ mod coverage;
 mod deviations;
 mod diagnosis_on_emulator;
 mod mechanical;
+mod next_run;
 mod placebo;
 mod rule6;
 

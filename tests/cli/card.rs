@@ -262,6 +262,11 @@ fn a_mistake_is_answered_with_what_to_do() {
         ("effects stribek", &["did you mean `stribeck_friction`?"]),
         ("run --seed -1", &["'-1'", "see drivebench run --help"]),
         ("run --seed abc", &["expected a whole number from 0"]),
+        ("emulate --listen 1502", &["expected ADDRESS:PORT"]),
+        (
+            "reproduce lines --out /proc/lines",
+            &["cannot write", "--out"],
+        ),
         ("compare r --min-fit high", &["expected a number"]),
         (
             "diagnose",

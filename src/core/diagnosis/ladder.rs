@@ -484,6 +484,7 @@ fn along(run: &Scenario, model: &Model) -> Result<Fitted, FitError> {
         holdout_from: HoldoutFrom::Split,
         noise: noise.unwrap_or_else(|| NoiseFloor::from_spread(run)),
         repeat: None,
+        parts: Vec::new(),
     };
     let (evidence, fit) = evidence.with_baseline(model)?;
     let fit = Fitted::from(fit);
