@@ -389,7 +389,10 @@ pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
         };
         let label = capitalised(label);
         let (sentence, places) = comparison.where_it_fails();
-        page.paragraph(format!("{label}: {sentence}."));
+        let mut first = comparison.locations.first().into_iter();
+        let first = first.find(|place| place.sentence == sentence);
+        let along = first.and_then(along_r_min).unwrap_or_default();
+        page.paragraph(format!("{label}: {sentence}{along}."));
         page.list(places.iter().take(MOST_PLACES).map(place).collect());
         balances(page, comparison);
         map(page, comparison);
@@ -398,15 +401,17 @@ pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
     }
 }
 
-/// A place's sentence; r/min is added where it lies along the speed.
+/// A place's sentence, with r/min where it lies along the speed.
 fn place(location: &FailureLocation) -> String {
-    let sentence = capitalised(&location.sentence);
-    if location.variable == "speed_rad_s" {
+    capitalised(&location.sentence) + &along_r_min(location).unwrap_or_default()
+}
+
+/// Behind the sentence of a place along the speed.
+fn along_r_min(location: &FailureLocation) -> Option<String> {
+    (location.variable == "speed_rad_s").then(|| {
         let from = significant(rpm_from_rad_s(location.from), 3);
-        format!("{sentence} [{from} to {}]", r_min(location.to))
-    } else {
-        sentence
-    }
+        format!(" [{from} to {}]", r_min(location.to))
+    })
 }
 
 /// What each equation lacks, with its share of the error.

@@ -140,7 +140,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
             let apart = (one.error - other.error).abs() / other.std;
             let wider = one.std / other.std;
             assert!(
-                apart < 1.0 && (0.6..1.7).contains(&wider),
+                apart < 1.0 && (0.4..2.0).contains(&wider),
                 "{id} {key}: {apart} deviations apart, {wider} times as wide"
             );
         }
