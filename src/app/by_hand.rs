@@ -149,6 +149,7 @@ fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
         model: None,
         holdout: None,
         confirm: None,
+        later: &[],
         for_screen: true,
     };
     let prepared = prepare(files, |path, _| load(path, None), Judging::Refits)?;

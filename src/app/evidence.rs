@@ -44,6 +44,8 @@ pub(crate) struct EvidenceFiles<'a> {
     pub(crate) model: Option<&'a Path>,
     pub(crate) holdout: Option<&'a Path>,
     pub(crate) confirm: Option<&'a Path>,
+    /// Later runs of the same machine, fitted behind the first.
+    pub(crate) later: &'a [PathBuf],
     /// Every channel is kept beside what the model needs.
     pub(crate) for_screen: bool,
 }
@@ -224,6 +226,8 @@ pub(crate) fn prepare(
     progress::stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(files.holdout)?, other(files.confirm)?);
+    let later = files.later.iter().map(|path| other(Some(path)));
+    let later = later.collect::<Result<Vec<_>, Failure>>()?;
     let notes = &mut run.run.notes;
     notes.extend(others);
     let judge = Judge {
@@ -236,7 +240,23 @@ pub(crate) fn prepare(
     let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
     let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
     let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes));
+    let mut behind = Vec::new();
+    for (path, later) in files.later.iter().zip(later) {
+        let role = format!("later run {}", path.display());
+        let (later, _) = judge.admit(&role, later, "the others are judged without it", notes);
+        behind.extend(later.map(|later| (path, later)));
+    }
+    let by_voltage = fit_run.input == Input::Voltage;
+    if let Some((path, _)) = behind.first().filter(|_| !by_voltage) {
+        let headline = format!(
+            "--with {}: the run that is fitted is not driven by a voltage, and nothing is put behind it",
+            path.display()
+        );
+        return Err(Failure::usage(headline, "leave --with out"));
+    }
+    let (later, behind): (Vec<&PathBuf>, Vec<Scenario>) = behind.into_iter().unzip();
     let evidence = Evidence::new(fit_run, holdout, confirm);
+    let evidence = behind.into_iter().fold(evidence, Evidence::with_run);
     let is_run = evidence.holdout_from == HoldoutFrom::Run;
     let holdout = files.holdout.filter(|_| is_run);
     if judging == Judging::AsGiven {
@@ -254,10 +274,15 @@ pub(crate) fn prepare(
         |holdout| format!("held out {}", name(holdout)),
     );
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
-    let used = [Some(files.run), holdout, confirm];
+    let used = [Some(files.run), holdout, confirm].into_iter().flatten();
+    let fitted = std::iter::once(files.run).chain(later.iter().map(|path| path.as_path()));
+    let fitted: Vec<String> = fitted.map(name).collect();
     let about = About {
-        title: format!("{}, {judged_by}", name(files.run)),
-        runs: used.into_iter().flatten().map(Path::to_owned).collect(),
+        title: format!("{}, {judged_by}", fitted.join(" and ")),
+        runs: used
+            .chain(later.iter().map(|path| path.as_path()))
+            .map(Path::to_owned)
+            .collect(),
         holdout_objected: objected && is_run,
     };
     Ok(Prepared {
@@ -290,6 +315,37 @@ fn limited_note(run: &Run) -> Option<String> {
     };
     (limited > 0)
         .then(|| format!("a limit of the drive held its output at {limited} samples; {instead}"))
+}
+
+/// What a run that was made after others is worth beside them, before it is put behind them: it, and what is to be said of it.
+///
+/// # Errors
+/// Why nothing can be judged by it.
+pub(crate) fn admit_later(
+    loaded: &LoadedRun,
+    model: &Model,
+    fitted: &Scenario,
+) -> Result<(Scenario, Vec<String>), Failure> {
+    let scenario = Scenario::from_run(&loaded.run)?;
+    let mut notes = cautions(&loaded.run, &scenario);
+    let judge = Judge {
+        model,
+        fitted,
+        judging: Judging::Refits,
+        fingerprint: OnceCell::new(),
+    };
+    match judge.objection(&loaded.run, &scenario) {
+        Some((reason, true)) => {
+            let headline = format!("the run that was made is not judged: {reason}");
+            return Err(Failure::usage(
+                headline,
+                "mend that, and make the run again",
+            ));
+        }
+        Some((reason, false)) => notes.push(reason),
+        None => {}
+    }
+    Ok((scenario, notes))
 }
 
 /// Whether another run can judge the fit: of the same motor, moving, long enough, and not the data that are fitted.
@@ -610,15 +666,15 @@ impl Place {
         })
     }
 
-    /// Writes the bench file, where there is a run to recommend; `run` is what was diagnosed.
+    /// Writes the bench file, where there is a run to recommend; `then` diagnoses that run.
     pub(crate) fn write(
         &self,
         path: &Path,
         diagnosis: &Diagnosis,
-        run: &Path,
+        then: &str,
     ) -> Result<(), Failure> {
         let (next, path_text) = (diagnosis.next_experiment.as_ref(), path.display());
-        let Some((next, text)) = next.and_then(|next| Some((next, next.bench.as_ref()?))) else {
+        let Some(text) = next.and_then(|next| next.bench.as_ref()) else {
             output::message(&format!(
                 "{path_text} is not written: there is no run to recommend"
             ));
@@ -630,9 +686,9 @@ impl Place {
         } else {
             " --port PORT (the runs do not say on which drive they were made)"
         };
-        let diagnose = next.diagnose_command(run);
+        let file = output::quoted(path);
         output::message(&format!(
-            "{path_text} is written: drivebench run {path_text}{port}, then {diagnose}"
+            "{path_text} is written: drivebench run {file}{port}, then {then}"
         ));
         Ok(())
     }

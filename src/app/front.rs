@@ -7,6 +7,7 @@ use std::path::Path;
 use crate::bench::BenchFile;
 use crate::plant::ModelFile;
 use crate::recording::{LATEST, RunFile};
+use crate::text::shell::quoted_word;
 
 /// The commands in the order of the loop, which goes back from `add` until only noise is left.
 const LOOP: &str = "  connect   ports, doctor       what is plugged in; can the line work?
@@ -143,7 +144,10 @@ impl Found {
         let step = |command: String, why: &str| (command, why.to_owned());
         let tuned = |model: String| {
             let why = "gains of a speed loop from the model, with reasons; then `drivebench speed`";
-            step(format!("drivebench tune --model {model}"), why)
+            step(
+                format!("drivebench tune --model {}", quoted_word(&model)),
+                why,
+            )
         };
         let mut own = self.models.iter().rev();
         if let Some((name, _)) = own.find(|(_, effects)| !effects.is_empty()) {
@@ -156,7 +160,7 @@ impl Found {
                 let effects = run.model.as_deref().unwrap_or_default();
                 let model = format!("{path}/{}", RunFile::Model.name());
                 let mut steps = vec![step(
-                    format!("drivebench diagnose {path}"),
+                    format!("drivebench diagnose {}", quoted_word(&path)),
                     "which effect its model still lacks, and the command that adds it",
                 )];
                 if !effects.is_empty() {
@@ -165,16 +169,19 @@ impl Found {
                 steps
             }
             (None, Some(run), _) => vec![step(
-                format!("drivebench identify {} --output model.toml", self.path(run)),
+                format!(
+                    "drivebench identify {} --output model.toml",
+                    quoted_word(&self.path(run))
+                ),
                 "the motor in figures, each with its uncertainty",
             )],
             (None, None, Some(bench)) => vec![
                 step(
-                    format!("drivebench plan {bench}"),
+                    format!("drivebench plan {}", quoted_word(bench)),
                     "what will happen, and what the guard allows, before anything moves",
                 ),
                 step(
-                    format!("drivebench commission {bench}"),
+                    format!("drivebench commission {}", quoted_word(bench)),
                     "the whole loop on this bench",
                 ),
             ],

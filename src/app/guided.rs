@@ -16,18 +16,20 @@ use std::sync::atomic::Ordering;
 
 use super::by_hand::{self, Shown, Standing};
 use super::ending::{Audience, Left, conduct};
+use super::evidence::admit_later;
 use super::failure::{Failure, USAGE};
 use super::files::read_text;
 use super::rig::{Rig, RigOptions};
 use super::run::{CommissionDone, RunDone, escalation_failure, run};
 use super::signals;
 use super::speed::{SpeedRequest, speed};
-use crate::bench::BenchFile;
-use crate::plant::{FileHistory, Scenario};
+use crate::bench::{BenchFile, next_bench};
+use crate::diagnosis::recommend;
+use crate::plant::FileHistory;
 use crate::recording::RunFile;
 use crate::text::number::significant;
 use crate::tui::{Exit, Opens};
-use crate::workflow::{Discovery, ProgressCell, Step};
+use crate::workflow::{ProgressCell, Step};
 
 const INTERRUPTED: &str = "interrupted; nothing is energised, what was recorded is kept";
 
@@ -61,13 +63,18 @@ pub(crate) fn follow(
         }
     };
     let interrupted = || Failure::interrupted(INTERRUPTED);
+    let first_file = first_folder(&done).map(|folder| folder.join(RunFile::NextBench.name()));
+    let mut next_file = first_file.ok();
     let outcome = loop {
         let Left::Screen(exit) = left else {
             break left.conclude(done.unkept.take());
         };
         let (step, came) = match exit {
             Exit::Diagnosis | Exit::Guess | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
-            Exit::Experiment => (Step::Experiment, experiment(&done, options)),
+            Exit::Experiment => (
+                Step::Experiment,
+                experiment(&mut done, &mut next_file, options),
+            ),
             Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
             _ => break Left::Screen(exit).conclude(done.unkept.take()),
         };
@@ -79,6 +86,9 @@ pub(crate) fn follow(
                 said.push(format!("{}: {line}", step.title()));
                 if step.is_on_request() {
                     done.progress.done_on_request(step, Ok(line));
+                }
+                if step == Step::Experiment {
+                    done.progress.follows(step, next_file.as_deref());
                 }
             }
             // What asks for too much, or leaves a run that cannot be judged, is said; everything else ends the program.
@@ -187,10 +197,18 @@ fn shown(title: &str, guess_first: bool, fitted_on: &Path) -> Shown {
     }
 }
 
-/// Records the run that was recommended and shows its diagnosis, the fit run of the loop held out; what came of it.
-fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Failure> {
-    let path = first_folder(done)?.join(RunFile::NextBench.name());
+/// Records the run that was recommended and shows what it and those before it say together; what came of it. What that
+/// recommends is what is recommended then.
+fn experiment(
+    done: &mut CommissionDone,
+    next_file: &mut Option<PathBuf>,
+    options: &RigOptions,
+) -> Result<String, Failure> {
+    let none = || Failure::internal("no run was recommended");
+    let path = next_file.clone().ok_or_else(none)?;
     let bench = BenchFile::parse(&path.display().to_string(), &read_text(&path)?)?;
+    let mut base = bench.clone();
+    base.sequence.clone_from(&options.bench.sequence);
     let options = RigOptions {
         bench,
         ..once_more(options)
@@ -207,18 +225,46 @@ fn experiment(done: &CommissionDone, options: &RigOptions) -> Result<String, Fai
     };
     goes_on(ended.left, recorded.failure())?;
     let folder = recorded.folder.path().to_owned();
-    let scenario = Scenario::from_run(&recorded.load()?.run)?;
     let none = || Failure::internal("a recommended run without a diagnosis before it");
-    let discovery = done.discovery.as_ref().ok_or_else(none)?;
+    let before = done.discovery.as_ref().ok_or_else(none)?;
+    let fitted = before.evidence().first_run();
+    let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted)?;
+    let discovery = before.with_run(scenario);
     let seen = by_hand::show(
-        Discovery::with_run(discovery, scenario),
-        shown("the run that tells more", false, &folder),
+        discovery.clone(),
+        shown("with the run that tells more", false, &folder),
     )?;
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    let answered = answered(&seen.standing);
-    Ok(format!("{answered}; {}", folder.display()))
+    let mut came = answered(&seen.standing);
+    for note in notes {
+        came = format!("{came}; {note}");
+    }
+    came = format!("{came}; {}", folder.display());
+    let is_changed = !seen.standing.heading().is_empty();
+    let mut found = seen.standing.diagnosis;
+    // It may have been left before the run was recommended.
+    let next = match (seen.standing.next, &found, discovery.limits()) {
+        (Some(next), _, _) => Some(next),
+        (None, Some(found), Some(limits)) => recommend(found, discovery.evidence(), limits)?,
+        _ => None,
+    };
+    *next_file = None;
+    if let (Some(mut next), Some(found)) = (next, &mut found) {
+        came = format!("{came}; {}", next.sentence);
+        if let Some(recipe) = &next.recipe {
+            let text = next_bench(&base, recipe, &found.model.model, &next.sentence);
+            *next_file = Some(recorded.folder.write(RunFile::NextBench, &text)?);
+            next.bench = Some(text);
+        }
+        found.next_experiment = Some(next);
+    }
+    done.discovery = Some(match found.filter(|_| !is_changed) {
+        Some(found) => discovery.with_answer(found),
+        None => discovery,
+    });
+    Ok(came)
 }
 
 /// Runs the speed loop of the bench with the model that was found; what came of it.

@@ -16,6 +16,7 @@ use crate::bench::{
     Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
 };
 use crate::config_text;
+use crate::diagnosis::known_along;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::kalman::LoadTrace;
 use crate::identification::nameplate::Comparison;
@@ -104,6 +105,9 @@ pub(crate) fn identify(
         scenario: &scenario,
         model,
     })?;
+    if scheme.id() == scheme::FREE_RUN {
+        found = known_along(&scenario, found);
+    }
     if scenario.input_channel == Channel::VoltageCmd
         && let Some(departure) = voltage_departure::find(run)
     {

@@ -15,6 +15,8 @@ use super::{progress, signals};
 use crate::report::card::{COLUMNS, Card};
 use crate::text::lines::{folded, wrapped};
 
+pub(crate) use crate::text::shell::{quoted, quoted_word};
+
 /// Narrower than any terminal that shows a table.
 const FEWEST_COLUMNS: usize = 40;
 
@@ -76,21 +78,6 @@ fn columns_of(stream: &impl IsTerminal) -> usize {
         .and_then(Result::ok)
         .map(|(columns, _)| usize::from(columns));
     own.map_or(COLUMNS, |own| own.clamp(FEWEST_COLUMNS, COLUMNS))
-}
-
-/// A path as a shell takes it.
-pub(crate) fn quoted(path: &Path) -> String {
-    quoted_word(&path.display().to_string())
-}
-
-/// A word of a command as a shell takes it.
-pub(crate) fn quoted_word(word: &str) -> String {
-    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./:=,+@%".contains(letter);
-    if !word.is_empty() && word.chars().all(is_plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
 }
 
 /// Appends each item as a line of its own, with these words before it.

@@ -121,13 +121,20 @@ pub(crate) fn report(
 /// Every picture of a page as a file of its own, in their order: `figure-1.svg`, ...
 fn write_pictures(html: &str, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     std::fs::create_dir_all(folder).map_err(|error| output::cannot_write(folder, &error))?;
-    let mut written = Vec::new();
-    for (place, svg) in plot::pictures(html).into_iter().enumerate() {
+    let pictures = plot::pictures(html).into_iter().enumerate();
+    let pictures = pictures.map(|(place, svg)| {
         let path = folder.join(format!("figure-{}.svg", place + 1));
-        output::file(&path, &svg)?;
-        written.push(path);
+        (path, svg)
+    });
+    let pictures: Vec<_> = pictures.collect();
+    // All of them or none.
+    for (path, _) in &pictures {
+        output::refuse_existing(path, "--svg (a folder)")?;
     }
-    Ok(written)
+    for (path, svg) in &pictures {
+        output::file(path, svg)?;
+    }
+    Ok(pictures.into_iter().map(|(path, _)| path).collect())
 }
 
 fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {

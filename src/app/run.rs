@@ -277,9 +277,16 @@ fn go_on(card: &mut Card, result: &CommissionResult, rig: &Rig, records: &[Recor
     let words = rig.asked.words.as_str();
     let (folder, file) = (first.folder.path(), |file| quoted(&first.folder.file(file)));
     let next = result.diagnosis.next_experiment.as_ref();
-    if let Some(next) = next.filter(|next| next.bench.is_some()) {
+    if next.is_some_and(|next| next.bench.is_some()) {
         card.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
-        card.go_on(next.diagnose_command(folder));
+        let [select, confirm] = [1, 2].map(|role| {
+            let record = records.get(role).unwrap_or(first);
+            quoted(record.folder.path())
+        });
+        card.go_on(format!(
+            "drivebench diagnose {} --model baseline --holdout {select} --confirm {confirm} --with NEW_RUN",
+            quoted(folder)
+        ));
     }
     let model = file(RunFile::Model);
     card.go_on(format!("drivebench speed{words} --model {model}"));

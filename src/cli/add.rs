@@ -199,11 +199,22 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
         card(&result, arguments)
     })?;
     if result.accepted {
-        Ok(())
-    } else {
-        let headline = format!("refused: {}", result.reason);
-        Err(Failure::new(REFUSED, headline))
+        return Ok(());
     }
+    // Why is said on stdout, once.
+    let (done, help) = if adding.is_some() {
+        (
+            "added",
+            "the reason is on stdout; --force takes it all the same",
+        )
+    } else {
+        (
+            "taken out",
+            "the reason is on stdout: these runs ask for it",
+        )
+    };
+    let headline = format!("{} was not {done}", result.effect);
+    Err(Failure::with_help(REFUSED, headline, help))
 }
 
 /// What came of it, and the commands that go on from here; where no file was named, the new model above it.

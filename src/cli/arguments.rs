@@ -158,8 +158,29 @@ pub(super) struct EvidenceArguments {
     /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
     #[arg(long, value_name = "RUN3", value_parser = run_path())]
     confirm: Option<PathBuf>,
+    /// A later run of the same machine, as a recommended one: fitted behind RUN, so that what both tell counts; may be
+    /// given again
+    #[arg(long = "with", value_name = "RUN4", value_parser = run_path())]
+    later: Vec<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
+}
+
+/// What stands behind the run where one is asked for: a second one, that was to be an option.
+#[derive(Args, Clone, Debug)]
+pub(super) struct MoreRuns {
+    #[arg(hide = true, value_name = "ANOTHER")]
+    more: Vec<PathBuf>,
+}
+
+impl MoreRuns {
+    pub(super) fn refuse(&self) -> Result<(), Failure> {
+        self.more.first().map_or(Ok(()), |second| {
+            let headline = format!("one run is judged, and another is given: {}", second.display());
+            let help = "name the run to judge by with --holdout, a third with --confirm, and models with --model";
+            Err(Failure::usage(headline, help))
+        })
+    }
 }
 
 /// The model as it is given, with a space before it.
@@ -185,7 +206,9 @@ impl EvidenceArguments {
             path("confirm", &self.confirm),
             Some(self.map.words()),
         ];
-        words.into_iter().flatten().collect()
+        let later = self.later.iter();
+        let later = later.map(|run| format!(" --with {}", output::quoted(run)));
+        words.into_iter().flatten().chain(later).collect()
     }
 
     /// Opens the runs and the model; data that cannot be judged end the command.
@@ -220,6 +243,7 @@ impl EvidenceArguments {
             model,
             holdout: self.holdout.as_deref(),
             confirm: self.confirm.as_deref(),
+            later: &self.later,
             for_screen,
         };
         let map = &self.map;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::arguments::{EvidenceArguments, model_words, run_path};
+use super::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
@@ -21,6 +21,8 @@ pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
     run: PathBuf,
+    #[command(flatten)]
+    more: MoreRuns,
     /// Model file; without it the run folder's, else a fitted baseline. Two of them are compared with each other
     #[arg(long, value_parser = run_path())]
     model: Vec<PathBuf>,
@@ -44,6 +46,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.more.refuse()?;
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
     }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::arguments::{EvidenceArguments, run_path};
+use super::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use super::failure::Failure;
 use super::{output, progress, signals};
 use crate::app::by_hand::{self, Shown};
@@ -22,13 +22,15 @@ use crate::workflow::Discovery;
   drivebench diagnose runs/a --model model.toml --holdout runs/b
   drivebench diagnose runs/a --holdout runs/b --html page.html     the same with every picture
   drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
-  drivebench run next.toml && drivebench diagnose runs/NEW --holdout runs/a
+  drivebench run next.toml && drivebench diagnose runs/a --with runs/NEW
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
   drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
     run: PathBuf,
+    #[command(flatten)]
+    more: MoreRuns,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
     model: Option<PathBuf>,
@@ -72,6 +74,7 @@ struct ScreenArguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.more.refuse()?;
     let on_screen = &arguments.on_screen;
     if on_screen.screen {
         let help = "leave --screen out: the answer is printed as text";
@@ -133,7 +136,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     let _endable = attended.map(|(endable, _)| endable);
     if let Some(path) = &arguments.next_bench {
-        place.write(path, &diagnosis, &arguments.run)?;
+        place.write(path, &diagnosis, &after_new_run(arguments))?;
     }
     let full = arguments.full;
     let (mut card, above, html) = pages::diagnosis(&prepared, &diagnosis, |report| {
@@ -171,6 +174,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     )
 }
 
+/// The same diagnosis with the run that was recommended, once it is made.
+fn after_new_run(arguments: &Arguments) -> String {
+    let run = output::quoted(&arguments.run);
+    let model = model_words(arguments.model.as_deref());
+    let words = arguments.evidence.words();
+    format!("drivebench diagnose {run}{model}{words} --with NEW_RUN")
+}
+
 /// The commands that go on from here: add what was found, or make the run that would tell more.
 fn go_on(
     card: &mut Card,
@@ -179,8 +190,7 @@ fn go_on(
     diagnosis: &Diagnosis,
 ) {
     let run = output::quoted(&arguments.run);
-    let model = model.map(output::quoted);
-    let model = model.map_or_else(String::new, |model| format!(" --model {model}"));
+    let model = model_words(model);
     let of = format!("{model} --run {run}{}", arguments.evidence.words());
     let curve = diagnosis.axis_map.first();
     let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());
@@ -191,10 +201,11 @@ fn go_on(
         let table = format!("drivebench add table --equation {equation} --axis {axis}");
         card.go_on(format!("{table}{of} --output model2.toml"));
     }
-    if let Some(next) = &diagnosis.next_experiment {
+    let next = diagnosis.next_experiment.as_ref();
+    if next.is_some_and(|next| next.recipe.is_some()) {
         if let Some(path) = &arguments.next_bench {
             card.go_on(format!("drivebench run {}", output::quoted(path)));
-            card.go_on(next.diagnose_command(&arguments.run));
+            card.go_on(after_new_run(arguments));
         } else if diagnosis.effect.is_none() {
             let words = arguments.evidence.words();
             card.go_on(format!(

@@ -51,20 +51,24 @@ impl Identity {
         )
     }
 
-    /// Vendor and product; where the product begins with its vendor, that once.
     pub fn name(&self) -> String {
-        let name = if self.product.starts_with(&self.vendor) {
-            self.product.clone()
-        } else {
-            format!("{} {}", self.vendor, self.product)
-        };
-        name.trim().to_owned()
+        drive_name(&self.vendor, &self.product)
     }
 
     /// The name and the plate.
     pub fn sentence(&self) -> String {
         format!("{}, {}", self.name(), self.plate())
     }
+}
+
+/// Vendor and product; where the product begins with its vendor, that once.
+pub fn drive_name(vendor: &str, product: &str) -> String {
+    let name = if product.starts_with(vendor) {
+        product.to_owned()
+    } else {
+        format!("{vendor} {product}")
+    };
+    name.trim().to_owned()
 }
 
 /// Every exchange ends in exactly one of these classes; the sum is `sent`.

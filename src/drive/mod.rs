@@ -59,7 +59,7 @@ pub(crate) mod virtual_line;
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use command_times::CommandTimes;
-pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
 pub(crate) use link_core::stop_confirmed;
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,

@@ -4,7 +4,8 @@
 use super::card::{COLUMNS, Card};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
-use super::{ConfirmRun, Context, commission, findings, tables};
+use super::traces::{ConfirmRun, traces};
+use super::{Context, findings, tables};
 use crate::diagnosis::{
     AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
     SignalComparison, SignalScore, Signals,
@@ -78,8 +79,9 @@ impl ComparisonReport<'_> {
         let mut card = Card::new(tone, word, &sentence);
         card.say("model", [self.model], 1);
         on_card(&mut card, &[("model", Some(self.comparison))]);
-        let locations = self.comparison.locations.iter().skip(1).take(MOST_PLACES);
-        card.say("", locations.map(|place| place.sentence.as_str()), 0);
+        let (_, places) = self.comparison.where_it_fails();
+        let places = places.iter().take(MOST_PLACES);
+        card.say("", places.map(|place| place.sentence.as_str()), 0);
         let balances = self.comparison.balances.iter();
         card.say("balance", balances.map(|own| own.sentence.as_str()), 1);
         let notes = self.context.notes.iter().chain(&self.comparison.limits);
@@ -104,7 +106,7 @@ impl ComparisonReport<'_> {
         let models = [("model", Some(found))];
         page.section("Model beside measurement");
         if let Some(run) = self.series {
-            commission::traces(&mut page, run);
+            traces(&mut page, run);
         }
         figures(&mut page, &models);
         if let Some(curve) = self.curve {
@@ -283,7 +285,7 @@ pub(super) fn on_card(card: &mut Card, comparisons: &[Named<'_>]) {
     });
     card.say("", left.collect::<Vec<_>>(), 2);
     card.say("", last.residual.details(), 0);
-    card.say("where", [last.where_in_words()].into_iter().flatten(), 1);
+    card.say("where", [last.where_it_fails().0], 1);
 }
 
 /// Fit and error of every signal, what is left in the residual, and its lights.
@@ -386,14 +388,9 @@ pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
             continue;
         };
         let label = capitalised(label);
-        if comparison.locations.is_empty() {
-            page.paragraph(format!("{label}: {}.", comparison.headline()));
-        } else {
-            let undecided = comparison.undecided().unwrap_or_default();
-            page.paragraph(format!("{label}: {undecided}").trim_end().to_owned());
-            let places = comparison.locations.iter().take(MOST_PLACES);
-            page.list(places.map(place).collect());
-        }
+        let (sentence, places) = comparison.where_it_fails();
+        page.paragraph(format!("{label}: {sentence}."));
+        page.list(places.iter().take(MOST_PLACES).map(place).collect());
         balances(page, comparison);
         map(page, comparison);
         let limits = comparison.limits.iter();

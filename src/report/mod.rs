@@ -25,13 +25,15 @@ pub mod plot;
 pub mod reproduce;
 pub mod run;
 pub(crate) mod tables;
+mod traces;
 
 pub use card::Card;
-pub use commission::{CommissionReport, ConfirmRun};
+pub use commission::CommissionReport;
 pub use comparison::{ComparisonReport, SignalFigures};
 pub use findings::effect_picture;
 pub use page::{Page, Tone};
 pub use run::{EarlyEnd, RunReport, SpeedLoop};
+pub use traces::ConfirmRun;
 
 /// Stands on every page and at the end of every text.
 pub const SAFETY_NOTICE: &str = "A stop over a serial line or a network is not a safety function. Have a wired STO or \

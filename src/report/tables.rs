@@ -2,9 +2,21 @@
 
 use super::page::{Cell, Page, Table};
 use super::{Context, Facts, SAFETY_NOTICE};
+use crate::drive::drive_name;
 use crate::plant::Model;
 use crate::sample::ParameterEstimate;
 use crate::text::number;
+
+/// What the nameplate says of a parameter.
+fn given(nameplate: Option<&Model>, key: &str) -> Option<f64> {
+    let model = nameplate?;
+    let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
+    model.get(&slot)
+}
+
+fn given_in_words(nameplate: Option<&Model>, key: &str) -> String {
+    given(nameplate, key).map_or_else(|| "-".to_owned(), |v| number::significant(v, 4))
+}
 
 /// Parameters side by side, keyed by `after`'s order; `before` may be empty.
 fn parameters(
@@ -12,11 +24,6 @@ fn parameters(
     before: &[ParameterEstimate],
     after: &[ParameterEstimate],
 ) -> Table {
-    let given = |key: &str| {
-        let model = nameplate?;
-        let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
-        model.get(&slot)
-    };
     let mut keys: Vec<&str> = Vec::new();
     for parameter in after.iter().chain(before) {
         if !keys.contains(&&parameter.key[..]) {
@@ -29,9 +36,7 @@ fn parameters(
         .column("parameter", |key| Cell::code(*key))
         .column("unit", |key| unit(key));
     if nameplate.is_some() {
-        table = table.column("nameplate", |key| {
-            given(key).map_or("-".to_owned(), |v| number::significant(v, 4))
-        });
+        table = table.column("nameplate", |key| given_in_words(nameplate, key));
     }
     let models: &[_] = if before.is_empty() {
         &[("estimate ± std", "verdict", after)]
@@ -43,9 +48,11 @@ fn parameters(
     };
     for (value, verdict, found) in models {
         table = table
-            .column(value, |key| estimate(of(found, key), given(key))[0].clone())
+            .column(value, |key| {
+                estimate(of(found, key), given(nameplate, key))[0].clone()
+            })
             .column(verdict, |key| {
-                estimate(of(found, key), given(key))[1].clone()
+                estimate(of(found, key), given(nameplate, key))[1].clone()
             });
     }
     table.into()
@@ -58,11 +65,6 @@ pub(crate) fn of_card(
     before: &[ParameterEstimate],
     after: &[ParameterEstimate],
 ) -> Table {
-    let given = |key: &str| {
-        let model = nameplate?;
-        let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
-        model.get(&slot)
-    };
     let is_alone = |own: &&ParameterEstimate| {
         let short = short_key(&own.key);
         let same = after.iter().filter(|other| short_key(&other.key) == short);
@@ -74,9 +76,7 @@ pub(crate) fn of_card(
         key.to_owned()
     });
     if nameplate.is_some() {
-        table = table.column("nameplate", |own| {
-            given(&own.key).map_or("-".to_owned(), |v| number::significant(v, 4))
-        });
+        table = table.column("nameplate", |own| given_in_words(nameplate, &own.key));
     }
     if !before.is_empty() {
         table = table.column("before", |own| {
@@ -148,16 +148,11 @@ pub(super) fn about(page: &mut Page, context: &Context) {
         let fact = facts.find(|(label, _)| label == key);
         fact.map(|(_, value)| value.trim()).unwrap_or_default()
     };
-    let (vendor, product) = (identity("vendor"), identity("product"));
-    let drive = if product.starts_with(vendor) {
-        product.to_owned()
-    } else {
-        format!("{vendor} {product}")
-    };
+    let drive = drive_name(identity("vendor"), identity("product"));
     let told = |text: &str| if text.is_empty() { "not told" } else { text }.to_owned();
     let facts = [
         ("date", context.date.as_str()),
-        ("drive", drive.trim()),
+        ("drive", &drive),
         ("serial number", identity("serial number")),
         ("motor", &context.motor),
     ];

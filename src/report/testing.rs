@@ -91,6 +91,7 @@ pub(crate) fn candidate(
 pub(crate) fn diagnosis() -> Diagnosis {
     let unrepeated = "whether this machine repeats is not known: too many rows were lost";
     Diagnosis {
+        grounds: None,
         rivals: Vec::new(),
         sensor_floor: Some(1.0),
         repeat_floor: None,
@@ -139,6 +140,7 @@ pub(crate) fn next_experiment() -> NextExperiment {
         pair: Some(["viscous_friction", "quadratic_load"]),
         pairs: Vec::new(),
         reveals: Vec::new(),
+        hidden: Vec::new(),
         expected_separation: 8463.0,
         menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
         peaks: None,

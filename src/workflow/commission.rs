@@ -1,6 +1,7 @@
 //! The commissioning loop: which task comes next, the part that finds an unknown motor (which stage comes next, what is handed
 //! on), the analysis between the tasks, what a screen shows of it, and what it leaves behind.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Serialize;
@@ -24,6 +25,7 @@ use crate::identification::start;
 use crate::plant::{Model, ModelError, Motor, Scenario, ScenarioError};
 use crate::report::Card;
 use crate::sample::{ParameterEstimate, Run};
+use crate::text::shell::quoted;
 
 /// What the driver is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -261,7 +263,7 @@ impl Commission {
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        self.step_done(Step::Compare, &before.headline(), Task::Analyse);
+        self.step_done(Step::Compare, &before.where_it_fails().0, Task::Analyse);
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
@@ -351,12 +353,14 @@ impl Commission {
     /// Everything is written. What can follow on request is offered.
     pub fn saved(&mut self, line: &str) {
         self.step_done(Step::Report, line, Task::Finished);
-        let next = self.result.as_ref().and_then(|result| {
-            let next = result.diagnosis.next_experiment.as_ref()?;
-            next.bench.as_ref().map(|_| next.sentence.clone())
-        });
-        let none = "none is recommended for these runs";
-        self.offered(Step::Experiment, next.as_deref().ok_or(none));
+        let next = self.result.as_ref();
+        let next = next.and_then(|result| result.diagnosis.next_experiment.clone());
+        let offer = match &next {
+            Some(next) if next.bench.is_some() => Ok(next.sentence.as_str()),
+            Some(next) => Err(next.sentence.as_str()),
+            None => Err("none is recommended for these runs"),
+        };
+        self.offered(Step::Experiment, offer);
         let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
         let is_unknown = self.bench.motor.is_unknown();
         let refused = self.bench.check_speed("the bench file", "").err();
@@ -463,6 +467,16 @@ impl Progress {
             Some(own) if own.state == StepState::Done && step.is_on_request() => Ok(()),
             Some(own) if self.finished && !own.line.is_empty() => Err(&own.line),
             _ => Err("not yet: it follows the report"),
+        }
+    }
+
+    /// With which bench file a step can follow again; none where it cannot, for what is said of it.
+    pub fn follows(&mut self, step: Step, file: Option<&Path>) {
+        if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
+            if file.is_none() {
+                own.state = StepState::Waiting;
+            }
+            own.command = file.map(|file| format!("drivebench run {}", quoted(file)));
         }
     }
 

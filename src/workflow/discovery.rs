@@ -137,20 +137,19 @@ impl Discovery {
         self
     }
 
-    /// The same question with one run more: it is fitted, and what was fitted before is held out.
+    /// The same question with one run more, which is fitted behind those before.
     #[must_use]
     pub fn with_run(&self, run: Scenario) -> Self {
-        let (before, confirm) = (
-            self.evidence.training.clone(),
-            self.evidence.confirm.clone(),
-        );
+        let evidence = self.evidence.clone().with_run(run);
         Self {
             limits: self.limits,
-            ..Self::new(
-                self.model.clone(),
-                Evidence::new(run, Some(before), confirm),
-            )
+            ..Self::new(self.model.clone(), evidence)
         }
+    }
+
+    /// The runs that it rests on.
+    pub const fn evidence(&self) -> &Evidence {
+        &self.evidence
     }
 
     /// Recommends runs within these limits.
@@ -158,6 +157,11 @@ impl Discovery {
     pub const fn with_limits(mut self, limits: ExperimentLimits) -> Self {
         self.limits = Some(limits);
         self
+    }
+
+    /// Within which runs are recommended.
+    pub const fn limits(&self) -> Option<&ExperimentLimits> {
+        self.limits.as_ref()
     }
 
     /// The model that the next fit starts from.
@@ -226,7 +230,12 @@ impl Discovery {
                 holdout_rmse: diagnosis.holdout_before,
             });
         }
-        self.fitted = Some(diagnosis.baseline.clone());
+        // Of a model that was changed by hand the sizes stay that were told with the change.
+        let ids = diagnosis.baseline.model.effect_ids();
+        let is_told = |fitted: &Fitted| fitted.model.effect_ids() == ids;
+        if !self.fitted.as_ref().is_some_and(is_told) {
+            self.fitted = Some(diagnosis.baseline.clone());
+        }
         self.curves.clone_from(&diagnosis.axis_map);
         self.latest = Some(Box::new(diagnosis.clone()));
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
@@ -688,6 +697,7 @@ mod tests {
             pair: None,
             pairs: Vec::new(),
             reveals: Vec::new(),
+            hidden: Vec::new(),
             expected_separation: 0.0,
             menu: Vec::new(),
             peaks: None,

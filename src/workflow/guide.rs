@@ -2,7 +2,9 @@
 //! same by itself.
 
 use crate::bench::{BenchFile, Port};
+use crate::recording::RunFile;
 use crate::text::number::shortest;
+use crate::text::shell::quoted_word;
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
 /// third; the fourth repeats the first and tells what the machine itself does not repeat.
@@ -147,15 +149,16 @@ impl Step {
         let live = |command: &str| format!("drivebench {command}{}", called.words);
         let [fit, select, confirm] =
             [Role::Fit, Role::Select, Role::Confirm].map(|role| called.run(role));
+        let of_fit = |file: RunFile| quoted_word(&format!("{fit}/{}", file.name()));
+        let [fit, select, confirm] = [&fit, &select, &confirm].map(|run| quoted_word(run));
         // The folder's own model has the effect already.
         let judged = format!("--model baseline --holdout {select} --confirm {confirm}");
         Some(match self {
             Self::Safety | Self::Report => return None,
             Self::Connect => format!("drivebench probe {}", called.line.as_deref()?),
             Self::Find => live("run") + " --escalate",
-            Self::Plan => format!("drivebench plan {}", called.bench)
-                .trim_end()
-                .to_owned(),
+            Self::Plan if called.bench.is_empty() => "drivebench plan".to_owned(),
+            Self::Plan => format!("drivebench plan {}", quoted_word(&called.bench)),
             Self::Record(role) => {
                 let seed = called.seed(role);
                 live("run") + &format!(" --run-seed {seed}")
@@ -171,10 +174,13 @@ impl Step {
             }
             Self::Tune => {
                 let rate_hz = shortest(called.rate_hz, 6);
-                format!("drivebench tune --model {fit}/model.toml --rate-hz {rate_hz}")
+                format!(
+                    "drivebench tune --model {} --rate-hz {rate_hz}",
+                    of_fit(RunFile::Model)
+                )
             }
-            Self::Experiment => format!("drivebench run {fit}/next-bench.toml"),
-            Self::SpeedLoop => live("speed") + &format!(" --model {fit}/model.toml"),
+            Self::Experiment => format!("drivebench run {}", of_fit(RunFile::NextBench)),
+            Self::SpeedLoop => live("speed") + " --model " + &of_fit(RunFile::Model),
         })
     }
 }

@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;
 
 use drivebench::bench::{
-    self, Bench, BenchFile, CheckOptions, Guard, Outcome, RunOptions, Session, SnapshotCell,
-    Target, Waivers, check,
+    self, Bench, BenchFile, CheckOptions, CheckReport, Guard, Outcome, RunOptions, Session,
+    SnapshotCell, Target, Waivers, check,
 };
 use drivebench::diagnosis::{DiagnosisVerdict, ErrorOf, Evidence, compare, diagnose};
 use drivebench::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
@@ -14,75 +14,98 @@ use drivebench::plant::{Model, Scenario};
 use drivebench::recording::MemoryRecorder;
 use drivebench::sample::{Channel, Origin};
 
-/// Four runs of one specimen: fit, select, confirm, repeat.
-fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
+/// A specimen of a machine on its bench, in virtual time.
+pub(crate) struct Specimen {
+    link: MemoryLink,
+    clock: VirtualClock,
+    report: CheckReport,
+    last_seq: u64,
+}
+
+impl Specimen {
+    pub(crate) fn new(config: &EmulatorConfig, seed: u64) -> Self {
+        let file = BenchFile::embedded_default();
+        let time = VirtualClock::new();
+        let mut clock = time.clone();
+        let mut link = MemoryLink::new(SoftDrive::new(config, seed), time, Latency::default());
+        let options = CheckOptions {
+            rate_hz: file.link.rate_hz,
+            hardware_allowed: false,
+            hardware_said: false,
+            waivers: Waivers::default(),
+            first_move: None,
+            stopped: &|| false,
+            reset_fault: false,
+        };
+        let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
+        assert!(report.passed(), "{:?}", report.refusal());
+        let last_seq = report.last_seq;
+        Self {
+            link,
+            clock,
+            report,
+            last_seq,
+        }
+    }
+
+    /// The sequence of a bench file, recorded.
+    pub(crate) fn run(&mut self, file: &BenchFile, run_seed: u64) -> Scenario {
+        let guard = Guard::new(
+            file.limits(),
+            &file.nameplate().unwrap(),
+            self.report.identity.current_limit_a,
+        );
+        let program = Box::new(file.program(run_seed).unwrap());
+        let session = Session::new(program, guard).after_seq(self.last_seq);
+        let mut recorder = MemoryRecorder::new(bench::layout(&self.report.signals));
+        let (_screen, intents) = channel();
+        let summary = bench::run(
+            session,
+            Bench {
+                link: &mut self.link,
+                clock: &mut self.clock,
+                recorder: &mut recorder,
+                estimator: None,
+                intents: &intents,
+                interrupted: &AtomicBool::new(false),
+                snapshots: &SnapshotCell::default(),
+            },
+            &RunOptions {
+                name: "run".to_owned(),
+                target: Target::Sim,
+                rate_hz: file.link.rate_hz,
+                motor: file.nameplate(),
+                auto_start: true,
+            },
+        );
+        assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
+        self.last_seq += summary.link.sent + 1;
+        recorder.finish();
+        let mut run = recorder.run("run").unwrap();
+        for (channel, origin) in [
+            (Channel::VoltageCmd, Origin::Commanded),
+            (Channel::Voltage, Origin::Measured),
+        ] {
+            let cells = run.column(channel).unwrap().to_vec();
+            run.set_column(channel, cells, origin).unwrap();
+        }
+        Scenario::from_run(&run).unwrap()
+    }
+}
+
+/// Runs of one specimen, one for each seed of its excitation.
+pub(crate) fn record(config: &EmulatorConfig, seed: u64, run_seeds: &[u64]) -> Vec<Scenario> {
     let file = BenchFile::embedded_default();
-    let time = VirtualClock::new();
-    let mut clock = time.clone();
-    let mut link = MemoryLink::new(SoftDrive::new(config, seed), time, Latency::default());
-    let options = CheckOptions {
-        rate_hz: file.link.rate_hz,
-        hardware_allowed: false,
-        hardware_said: false,
-        waivers: Waivers::default(),
-        first_move: None,
-        stopped: &|| false,
-        reset_fault: false,
-    };
-    let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
-    assert!(report.passed(), "{:?}", report.refusal());
-    let mut last_seq = report.last_seq;
-    [1, 2, 3, 1]
-        .iter()
-        .map(|run_seed| {
-            let guard = Guard::new(
-                file.limits(),
-                &file.nameplate().unwrap(),
-                report.identity.current_limit_a,
-            );
-            let program = Box::new(file.program(*run_seed).unwrap());
-            let session = Session::new(program, guard).after_seq(last_seq);
-            let mut recorder = MemoryRecorder::new(bench::layout(&report.signals));
-            let (_screen, intents) = channel();
-            let summary = bench::run(
-                session,
-                Bench {
-                    link: &mut link,
-                    clock: &mut clock,
-                    recorder: &mut recorder,
-                    estimator: None,
-                    intents: &intents,
-                    interrupted: &AtomicBool::new(false),
-                    snapshots: &SnapshotCell::default(),
-                },
-                &RunOptions {
-                    name: "run".to_owned(),
-                    target: Target::Sim,
-                    rate_hz: file.link.rate_hz,
-                    motor: file.nameplate(),
-                    auto_start: true,
-                },
-            );
-            assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
-            last_seq += summary.link.sent + 1;
-            recorder.finish();
-            let mut run = recorder.run("run").unwrap();
-            for (channel, origin) in [
-                (Channel::VoltageCmd, Origin::Commanded),
-                (Channel::Voltage, Origin::Measured),
-            ] {
-                let cells = run.column(channel).unwrap().to_vec();
-                run.set_column(channel, cells, origin).unwrap();
-            }
-            Scenario::from_run(&run).unwrap()
-        })
-        .collect()
+    let mut specimen = Specimen::new(config, seed);
+    let run = |run_seed: &u64| specimen.run(&file, *run_seed);
+    run_seeds.iter().map(run).collect()
 }
 
 /// Diagnoses a specimen and compares the speed error on the confirming run before and after.
 fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let config = EmulatorConfig::embedded(emulator).unwrap();
-    let runs = record(&config, seed);
+    // Fit, select, confirm, repeat.
+    let runs = record(&config, seed, &[1, 2, 3, 1]);
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();

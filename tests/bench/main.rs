@@ -6,8 +6,10 @@
 )]
 
 mod coverage;
+mod deviations;
 mod diagnosis_on_emulator;
 mod mechanical;
+mod next_run;
 mod placebo;
 mod rule6;
 

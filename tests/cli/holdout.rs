@@ -209,3 +209,14 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
     let done = call("compare {} --json --model {}", &[&holes, &nameplate]).expect(0);
     has(&done.stderr, &[" of 1,599 rows of voltage_v are missing"]);
 }
+
+#[test]
+fn a_second_run_is_told_which_option_it_belongs_to() {
+    let runs = Runs::hidden();
+    let (fit, holdout): (&Path, &Path) = (&runs.fit, &runs.holdout);
+    for command in ["compare", "diagnose"] {
+        let text = format!("{command} {{}} {{}} --holdout {{}}");
+        let told = refusal(&text, &[fit, holdout, holdout]);
+        has(&told, &["another is given", "--holdout", "--model"]);
+    }
+}

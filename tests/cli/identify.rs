@@ -126,3 +126,74 @@ fn wrong_options_are_named_with_what_is_allowed() {
         assert!(done.error().contains(phrase), "{options}: {}", done.error());
     }
 }
+
+#[test]
+fn one_size_has_one_deviation_whatever_command_tells_it() {
+    let runs = Runs::hidden();
+    let desk = Desk::new();
+    let better = desk.path("better.toml");
+    let (fit, holdout): (&Path, &Path) = (&runs.fit, &runs.holdout);
+    let id = "stribeck_friction";
+    let add = format!("add {id} --run {{}} --holdout {{}} --output {{}} --json");
+    let added = call(&add, &[fit, holdout, &better]).expect(0).json();
+    let diagnosed = json_of("diagnose {} --holdout {} --json", &[fit, holdout]);
+    let remove = format!("remove {id} --model {{}} --run {{}} --holdout {{}} --json");
+    let removed = call(&remove, &[&better, fit, holdout]).expect(1).json();
+    let identified = json_of("identify {} --model {} --json", &[fit, &better]);
+    let written = fs::read_to_string(&better).expect("a model file");
+    let written: toml::Table = written.parse().expect("a model file");
+    let of_file = |key: &str| {
+        let fitted = written["history"]["fitted"].as_array().expect("a list");
+        let own = fitted
+            .iter()
+            .find(|own| own["key"].as_str() == Some(key))
+            .expect("a fitted value");
+        own["std"].as_float().expect("a number")
+    };
+    let at = |found: &Value, place: &str, what: &str| number(found, &format!("{place}/{what}"));
+    for key in ["stribeck_n_m", "stribeck_speed_rad_s"] {
+        let place = format!("/parameters/{key}");
+        let own = format!("/parameters/{id}.{key}");
+        let named = format!("/candidates/0/parameters/{key}");
+        let value = at(&added, &place, "value");
+        let std = at(&added, &place, "std");
+        let of_file = of_file(&format!("{id}.{key}"));
+        assert!((of_file / std - 1.0).abs() < 1e-12, "{of_file} {std}");
+        for (command, found, place, share) in [
+            ("diagnose", &diagnosed, &named, 1e-9),
+            // What starts from the values found ends within some hundredths of their deviations of them.
+            ("remove", &removed, &place, 0.1),
+            // One run alone knows what is random in it less well than two.
+            ("identify", &identified, &own, 0.4),
+        ] {
+            let apart = (at(found, place, "value") - value) / std;
+            let wider = at(found, place, "std") / std;
+            assert!(
+                apart.abs() < share && (wider - 1.0).abs() < share,
+                "{command} {key}: {apart} deviations apart, {wider} times as wide"
+            );
+        }
+    }
+    for key in ["resistance_ohm", "inertia_kg_m2"] {
+        let wider = at(&identified, &format!("/parameters/{key}"), "std") / of_file(key);
+        assert!((wider - 1.0).abs() < 0.4, "{key}: {wider} times as wide");
+    }
+    // The cards show the same number.
+    let card = |text: &str, paths: &[&Path]| {
+        let shown = call(text, paths).stdout;
+        let is_size = |row: &&str| row.contains("stribeck_n_m") && row.contains('±');
+        let mut rows = shown.lines().filter(is_size);
+        let row = rows.next().expect("the size is told").to_owned();
+        let from = row.find("stribeck_n_m").expect("it was found") + "stribeck_n_m".len();
+        row[from..].split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let of_diagnose = card("diagnose {} --holdout {}", &[fit, holdout]);
+    let add = format!("add {id} --run {{}} --holdout {{}}");
+    let of_add = card(&add, &[fit, holdout]);
+    let remove = format!("remove {id} --model {{}} --run {{}} --holdout {{}}");
+    let of_remove = card(&remove, &[&better, fit, holdout]);
+    assert_eq!(of_diagnose, format!("- {of_add}"));
+    // The value may differ in its last place, the deviation and the verdict do not.
+    let behind = |text: &str| text.split_once(" ± ").expect("a deviation").1.to_owned();
+    assert_eq!(behind(&of_add), behind(&of_remove));
+}

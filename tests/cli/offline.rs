@@ -326,7 +326,10 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
     let refused = call(&format!("add voltage_drop {add}"), &paths).expect(1);
     assert_eq!(refused.json()["accepted"], false);
     assert!(!word(&refused.json(), "/reason").is_empty());
-    has(&refused.error(), &["refused"]);
+    let told = refused.error();
+    has(&told, &["voltage_drop was not added", "--force"]);
+    // Why is said once.
+    lacks(&told, &[word(&refused.json(), "/reason")]);
     // To remove what is needed is refused too.
     let kept = call(&format!("remove stribeck_friction {add}"), &paths).expect(1);
     assert_eq!(kept.json()["accepted"], false);

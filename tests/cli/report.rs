@@ -19,6 +19,10 @@ fn a_run_gives_its_page_and_every_picture_of_it() {
         assert!(svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"));
     }
 
+    // They are not written over, and it is said what to do.
+    let again = refusal("report {} --svg {}", &[&run, &figures]);
+    has(&again, &["figure-1.svg", "exists already", "--svg"]);
+
     // The page of the record anew is that of the run but for what only the live run knew: its plan.
     let anew = desk.path("anew.html");
     call("report {} --output {}", &[&run, &anew]).expect(0);

@@ -126,30 +126,34 @@ impl Comparison {
         undecided(&self.balances, &self.locations)
     }
 
-    /// Where it fails, where that is more than its noise; that it is not known, where no noise is.
-    pub fn where_in_words(&self) -> Option<String> {
-        let nowhere = self.locations.is_empty() && self.balances.iter().all(|own| !own.fails);
-        match (nowhere, self.balances.iter().any(|own| own.nres.is_none())) {
-            (false, _) => Some(self.headline()),
-            (true, true) => Some(
-                "not known: the errors follow nothing that was asked, and no noise is known"
-                    .to_owned(),
-            ),
-            (true, false) if self.balances.is_empty() => None,
-            (true, false) => Some("nowhere: no equation fails beyond its noise".to_owned()),
+    /// Where it fails, as card, page, terminal and screen say it: one sentence, and the places that it does not name. The
+    /// balances of short windows and the residual of the whole run are two tests: what one of them finds and the other does
+    /// not is said of both.
+    pub fn where_it_fails(&self) -> (String, &[FailureLocation]) {
+        let (undecided, places) = (self.undecided(), self.locations.as_slice());
+        match (undecided, places.split_first()) {
+            (Some(sentence), _) => (sentence, places),
+            (None, Some((first, others))) => (first.sentence.clone(), others),
+            (None, None) => (self.no_place().to_owned(), places),
         }
     }
 
-    /// Where it fails, in one sentence that holds for models that are nearly the same too.
-    pub fn headline(&self) -> String {
-        let first = || Some(self.locations.first()?.sentence.clone());
-        let sentence = self.undecided().or_else(first);
-        let none = if self.balances.is_empty() {
+    /// Why no place is named.
+    fn no_place(&self) -> &'static str {
+        let lights = &self.residual;
+        let is_more_than_noise = lights.enough_samples && !lights.is_noise();
+        if self.balances.is_empty() {
             "these runs do not tell where it fails"
+        } else if self.balances.iter().any(|own| own.fails) {
+            "an equation fails, and its error follows no speed, current, angle or time"
+        } else if self.balances.iter().any(|own| own.nres.is_none()) {
+            "not known: the errors follow nothing that was asked, and no noise is known"
+        } else if is_more_than_noise {
+            "no equation fails beyond its noise in short windows, yet more than noise is left over the whole run: too little at \
+             any one place, or too slow, to say where"
         } else {
-            "the error follows no speed, current, angle or time"
-        };
-        sentence.unwrap_or_else(|| none.to_owned())
+            "nowhere: no equation fails beyond its noise"
+        }
     }
 }
 

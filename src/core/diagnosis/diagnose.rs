@@ -7,6 +7,7 @@ use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
 use super::joint::answer::{Inference, Unknown, asked};
+use super::joint::foresight::Grounds;
 use super::joint::free_run::likelier;
 use super::ladder::{A_SIZE_SIGMAS, Bench, Rung, Standing, climb};
 use super::location::{
@@ -131,6 +132,9 @@ pub struct Diagnosis {
     pub baseline: Fitted,
     #[serde(skip)]
     pub model: Fitted,
+    /// What was random in the runs, which the next run has to see through; none in an answer that was put together.
+    #[serde(skip)]
+    pub grounds: Option<Grounds>,
     /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
     #[serde(skip)]
     pub rivals: Vec<Model>,
@@ -288,6 +292,9 @@ pub fn diagnose_with(
         inference.doubt(id);
         rungs = climb(&bench, &baseline, &inference, progress)?;
     }
+    if let Some(last) = rungs.pop() {
+        rungs.push(last.with_deviations(&bench, &inference));
+    }
     Ok(answer(&bench, &inference, &rungs))
 }
 
@@ -384,8 +391,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .copied()
             .collect(),
         next_experiment: None,
-        baseline: base.fit.clone(),
+        baseline: bench.with_deviations(base.fit.clone(), inference),
         model: best.fit.clone(),
+        grounds: Some(Grounds::new(inference.noise, inference.excess())),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
     diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);

@@ -25,8 +25,10 @@ pub struct Evidence {
     pub confirm: Option<Scenario>,
     pub holdout_from: HoldoutFrom,
     pub noise: NoiseFloor,
-    /// A run of the same excitation as `training`.
+    /// A run of the same excitation as the first that is fitted.
     pub repeat: Option<Scenario>,
+    /// The runs that `training` puts behind each other, where it is more than one.
+    pub parts: Vec<Scenario>,
 }
 
 impl Evidence {
@@ -53,7 +55,50 @@ impl Evidence {
             holdout_from,
             noise,
             repeat: None,
+            parts: Vec::new(),
         }
+    }
+
+    /// The same with one run more to fit, behind those that are fitted: what is known of the machine stays known.
+    #[must_use]
+    pub fn with_run(mut self, run: Scenario) -> Self {
+        if self.parts.is_empty() {
+            self.parts.push(self.training.clone());
+        }
+        self.training = self.training.followed_by(&run);
+        self.parts.push(run);
+        self
+    }
+
+    /// The run that is fitted, the first of several.
+    pub fn first_run(&self) -> &Scenario {
+        self.parts.first().unwrap_or(&self.training)
+    }
+
+    /// The runs that speak, each as it was recorded and the one that is fitted first, and the place of the one that is held
+    /// out. Where one run was split the whole of it speaks.
+    pub(super) fn speaking(&self) -> (Vec<&Scenario>, usize) {
+        let later = self.parts.iter().skip(1);
+        match self.holdout_from {
+            HoldoutFrom::Run => {
+                let first = std::iter::once(self.first_run());
+                let mut runs: Vec<&Scenario> = first.chain(later).collect();
+                runs.push(&self.holdout);
+                let held_out = runs.len() - 1;
+                (runs, held_out)
+            }
+            HoldoutFrom::Split => (std::iter::once(&self.holdout).chain(later).collect(), 0),
+        }
+    }
+
+    /// When each of the runs in `training` begins there, s after its first input.
+    pub(super) fn begins_s(&self) -> Vec<f64> {
+        let mut begins = vec![0.0];
+        let before_last = self.parts.len().saturating_sub(1);
+        for part in &self.parts[..before_last] {
+            begins.push(begins[begins.len() - 1] + part.whole_s());
+        }
+        begins
     }
 
     /// The same with the beginning of runs that are longer than a search can hold, and in words what of them it is. What
@@ -61,6 +106,20 @@ impl Evidence {
     pub(super) fn shortened(mut self) -> (Self, Option<String>) {
         if self.training.input != Input::Voltage {
             return (self, None);
+        }
+        if self.parts.len() > 1 && self.training.samples() > MOST_SAMPLES {
+            let most = MOST_SAMPLES / self.parts.len();
+            let mut words = Vec::new();
+            for part in &mut self.parts {
+                let name = part.name.clone();
+                words.extend(shorten(part, most, &name).map(|cut| cut.searched));
+            }
+            let parts = self.parts.iter().skip(1);
+            let first = self.parts[0].clone();
+            self.training = parts.fold(first, |before, part| before.followed_by(part));
+            let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
+            words.extend(holdout.map(|cut| cut.searched));
+            return (self, (!words.is_empty()).then(|| words.join("; ")));
         }
         let last = match self.holdout_from {
             HoldoutFrom::Run => {

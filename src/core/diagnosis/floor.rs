@@ -98,7 +98,7 @@ impl Repeatability {
         let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
             return Self::default();
         };
-        let runs = [&evidence.training, repeat];
+        let runs = [evidence.first_run(), repeat];
         let unseen = runs.map(|run| {
             let unseen = unseen_in(run, model, noise, is_known)?;
             in_noise(unseen.map(Some), &evidence.noise)

@@ -8,17 +8,19 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::compare::{Comparison, ProcessingError, compare};
-use super::evidence::Evidence;
-use super::joint::answer::{Inference, asked, infer, refined};
+use super::evidence::{Evidence, HoldoutFrom};
+use super::joint::answer::{Inference, asked, infer, refined, with_deviations};
 use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
 use crate::identification::balance::Method;
+use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
+use crate::identification::scheme::Identified;
 use crate::numerics::levenberg_marquardt::Options;
 use crate::plant::{Effect, Input, Model, Scenario, State};
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 use crate::text::number::probability;
 
 /// Standard deviations below which a size may as well be zero: in a free run, before which the names have been weighed
@@ -174,6 +176,14 @@ impl Bench {
         }
     }
 
+    /// A model that something else is missing from: the sizes of its effects are as uncertain as those of the answer.
+    pub(super) fn with_deviations(&self, fit: Fitted, inference: &Inference) -> Fitted {
+        if self.fits_at_once() || fit.model.effects.is_empty() || inference.named.is_empty() {
+            return fit;
+        }
+        with_deviations(fit, &self.evidence.training, inference.noise)
+    }
+
     /// What these runs cannot answer, and what errors are of.
     pub(super) fn limits(&self) -> Vec<String> {
         let mut limits = self.evidence.unjudged();
@@ -209,16 +219,22 @@ fn beside(
 pub(super) struct Standing {
     pub(super) fit: Fitted,
     pub(super) score: Score,
+    /// The values are the free run's, since those of its prediction errors do not foretell the hold-out.
+    keeps_free_run: bool,
 }
 
 impl Standing {
     fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
         let score = bench.held_out(&fit.model)?;
-        Ok(Self { fit, score })
+        Ok(Self {
+            fit,
+            score,
+            keeps_free_run: false,
+        })
     }
 
-    /// With the parameters that prediction errors give, unless they do not foretell the hold-out. A balance of torques has
-    /// no free run that a load could lead astray.
+    /// With the parameters that prediction errors give, unless they do not foretell the hold-out: whatever is said of an
+    /// effect's size is said of these. A balance of torques has no free run that a load could lead astray.
     fn handed_on(fit: Fitted, bench: &Bench, inference: &Inference) -> Result<Self, FitError> {
         let free = Self::of(fit, bench)?;
         if bench.fits_at_once() {
@@ -226,8 +242,21 @@ impl Standing {
         }
         let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
         let led = Self::of(led, bench)?;
-        let is_worse = led.score.nrms > AS_GOOD * free.score.nrms;
-        Ok(if is_worse { free } else { led })
+        let keeps_free_run = led.score.nrms > AS_GOOD * free.score.nrms;
+        let kept = if keeps_free_run { free } else { led };
+        Ok(Self {
+            keeps_free_run,
+            ..kept
+        })
+    }
+
+    /// Where the values are the free run's each is uncertain by how far it is from that of its prediction errors beside. What
+    /// was decided by the deviations that it had stays.
+    pub(super) fn with_deviations(mut self, bench: &Bench, inference: &Inference) -> Self {
+        if self.keeps_free_run {
+            self.fit = with_deviations(self.fit, &bench.evidence.training, inference.noise);
+        }
+        self
     }
 
     pub(super) fn rung(&self) -> Rung {
@@ -370,8 +399,17 @@ fn change(
     adding: bool,
 ) -> Result<AddResult, FitError> {
     let id = effect.card().id;
-    let after = Standing::handed_on(after, bench, inference)?;
-    let before = Standing::of(before, bench)?;
+    let handed_on = |fit| {
+        let standing = Standing::handed_on(fit, bench, inference)?;
+        Ok::<_, FitError>(standing.with_deviations(bench, inference))
+    };
+    let after = handed_on(after)?;
+    // The model before has the effect that is taken out, and tells its size.
+    let before = if adding {
+        Standing::of(before, bench)?
+    } else {
+        handed_on(before)?
+    };
     let confirm = match &bench.evidence.confirm {
         Some(run) => {
             let on = |standing: &Standing| -> Result<Rung, FitError> {
@@ -403,6 +441,58 @@ fn change(
         confirm,
         fit: after.fit,
     })
+}
+
+/// What is said of the parameters of a model with effects that was fitted to the free run of one record: values and deviations
+/// as [`add`] and `diagnose` give them, from the prediction errors along the run. The free run's own deviations count what
+/// neighbouring samples err by together, and nothing of what the form of an effect or the stamps may be wrong by: that of a
+/// drop of brushes is then ten times too small. As it was for a model without effects, and for runs without a voltage.
+#[must_use]
+pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
+    if run.input != Input::Voltage || found.model.effects.is_empty() {
+        return found;
+    }
+    match along(run, &found.model) {
+        Ok(led) => {
+            // What was chosen from a grid was not fitted here.
+            let fitted = led.parameters.into_iter();
+            for own in fitted.filter(|own| own.verdict != Verdict::Fixed) {
+                let mut known = found.parameters.iter_mut();
+                if let Some(known) = known.find(|known| known.key == own.key) {
+                    *known = own;
+                }
+            }
+            found.model = led.model;
+            found.with_note(
+                "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and count \
+                 what the forms of the effects and the stamps may be wrong by",
+            )
+        }
+        Err(error) => found.with_note(format!(
+            "the model cannot be followed along the run ({error}): ± counts noise alone, and nothing of what the forms of its \
+             effects may be wrong by"
+        )),
+    }
+}
+
+fn along(run: &Scenario, model: &Model) -> Result<Fitted, FitError> {
+    let noise = NoiseFloor::from_standstill(run);
+    let evidence = Evidence {
+        training: run.clone(),
+        holdout: run.clone(),
+        confirm: None,
+        holdout_from: HoldoutFrom::Split,
+        noise: noise.unwrap_or_else(|| NoiseFloor::from_spread(run)),
+        repeat: None,
+        parts: Vec::new(),
+    };
+    let (evidence, fit) = evidence.with_baseline(model)?;
+    let fit = Fitted::from(fit);
+    let own = model.effects.iter().map(|active| active.effect);
+    let own: Vec<&'static dyn Effect> = own.collect();
+    let (searched, _) = evidence.shortened();
+    let noise = infer(&fit, model, &own, &searched, &silent)?.noise;
+    Ok(refined(fit, run, noise))
 }
 
 /// What each processing of a balance of torques says of the change, in words; nothing of a free run.

@@ -41,7 +41,8 @@ pub use diagnose::{Answer, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with}
 pub use evidence::{Evidence, HoldoutFrom, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
-pub use ladder::{AddResult, Rung, add, remove};
+pub use joint::foresight::Grounds;
+pub use ladder::{AddResult, Rung, add, known_along, remove};
 pub use location::{
     AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
     Located, MapCell, MapDigits, Off, OwnChange, axis_map, effect_curve, error_curve, lean, locate,

@@ -233,3 +233,45 @@ fn a_machine_that_does_not_repeat_is_not_called_complete() {
     // It follows nothing that repeats: the time alone.
     assert_eq!(found.repeat_follows[0].variable, "time_s", "{said}");
 }
+
+#[test]
+fn where_a_model_fails_is_one_sentence_whatever_two_tests_say() {
+    let whole = compared(evidence(&nameplate(), 6));
+    let sentence = |change: &dyn Fn(&mut Comparison)| {
+        let mut found = whole.clone();
+        found.locations.clear();
+        found.balances.iter_mut().for_each(|own| own.fails = false);
+        found.residual = ResidualLights {
+            white: true,
+            enough_samples: true,
+            independent_of_input: Some(true),
+            ..ResidualLights::default()
+        };
+        change(&mut found);
+        found.where_it_fails().0
+    };
+    let nowhere = sentence(&|_| {});
+    assert_eq!(nowhere, "nowhere: no equation fails beyond its noise");
+    // The windows find nothing, the whole run does: both are said, and neither "nowhere".
+    let both = sentence(&|found| found.residual.white = false);
+    assert!(
+        both.starts_with("no equation fails") && both.contains("more than noise is left"),
+        "{both}"
+    );
+    let few = sentence(&|found| found.residual.enough_samples = false);
+    assert_eq!(few, nowhere);
+    let unknown = sentence(&|found| found.balances[0].nres = None);
+    assert!(unknown.starts_with("not known"), "{unknown}");
+    let follows_nothing = sentence(&|found| found.balances[0].fails = true);
+    assert!(
+        follows_nothing.contains("follows no speed"),
+        "{follows_nothing}"
+    );
+    let not_asked = sentence(&|found| found.balances.clear());
+    assert!(not_asked.contains("do not tell"), "{not_asked}");
+    // What is named first is not told twice.
+    let missing = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
+    let (first, others) = missing.where_it_fails();
+    assert!(others.iter().all(|place| place.sentence != first));
+    assert!(others.len() + 1 >= missing.locations.len());
+}

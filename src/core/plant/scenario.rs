@@ -98,6 +98,8 @@ const EXCHANGE: f64 = 2.0;
 const WRITING: f64 = 0.1;
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
+/// Time at rest between runs that are put behind each other, s.
+const AT_REST_S: f64 = 3.0;
 /// Rows below which nothing can be said about a motor.
 const FEWEST_ROWS: usize = 20;
 
@@ -402,6 +404,68 @@ impl Scenario {
         first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
     }
 
+    /// This run and behind it a later one of the same machine as one record; between them the input is zero until the motor
+    /// has come to rest.
+    #[must_use]
+    pub fn followed_by(&self, later: &Self) -> Self {
+        let shift_s = self.whole_s() + self.begin_s() - later.begin_s();
+        let there = |time_s: f64| time_s + shift_s;
+        let points = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
+            let points = points.iter();
+            points
+                .map(|(time_s, value)| (there(*time_s), *value))
+                .collect()
+        };
+        let joined = |a: &[f64], b: &[f64]| [a, b].concat();
+        let ended_s = self.whole_s() + self.begin_s() - AT_REST_S;
+        let events = self.events.iter().filter(|event| event.0 < ended_s);
+        let mut events: Vec<(f64, f64)> = events.copied().collect();
+        events.push((ended_s, 0.0));
+        events.extend(points(&later.events));
+        // Without the angle of one of them nobody knows where the shaft was.
+        let angle = if self.angle.is_empty() || later.angle.is_empty() {
+            Vec::new()
+        } else {
+            [self.angle.clone(), points(&later.angle)].concat()
+        };
+        let is_sharp = self.time_half_width_s.is_empty() && later.time_half_width_s.is_empty();
+        let widths = |run: &Self| -> Vec<f64> {
+            let samples = 0..run.samples();
+            samples.map(|sample| run.half_width_s(sample)).collect()
+        };
+        let mut unknown_input = self.unknown_input.clone();
+        unknown_input.extend(later.unknown_input.iter().map(|hole| UnknownInput {
+            from_s: there(hole.from_s),
+            to_s: there(hole.to_s),
+            ..*hole
+        }));
+        let times: Vec<f64> = later.sample_time_s.iter().copied().map(there).collect();
+        Self {
+            angle,
+            current_a: joined(&self.current_a, &later.current_a),
+            speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
+            time_half_width_s: if is_sharp {
+                Vec::new()
+            } else {
+                joined(&widths(self), &widths(later))
+            },
+            unknown_input,
+            ..Self::planned(
+                format!("{} and {}", self.name, later.name),
+                self.input,
+                self.input_channel,
+                events,
+                joined(&self.sample_time_s, &times),
+            )
+        }
+    }
+
+    /// From the run's first input to that of a run that is put behind it, s.
+    pub fn whole_s(&self) -> f64 {
+        let last_s = self.sample_time_s[self.samples() - 1];
+        last_s + self.mean_period_s() - self.begin_s() + AT_REST_S
+    }
+
     /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
     /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
@@ -592,6 +656,31 @@ mod tests {
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
         assert!(whole.unknown_input.is_empty() && !is_unknown(&whole, 0.0, 1.0));
         assert_eq!(whole.events.len(), 40);
+    }
+
+    #[test]
+    fn a_run_behind_another_is_simulated_as_it_is_by_itself() {
+        let values = [1.1, 0.0099, 0.3538, 0.0045, 0.455];
+        let model = crate::plant::Model::baseline(crate::plant::testing::motor("m", &values));
+        let run = |volts: f64, seed| {
+            let events = vec![(0.0, 0.0), (0.3, volts), (0.9, -0.5 * volts)];
+            crate::plant::testing::record(&model, events, 0.01, 2.0, seed)
+        };
+        let (first, second) = (run(40.0, 1), run(60.0, 2));
+        let both = first.followed_by(&second);
+        assert_eq!(both.samples(), first.samples() + second.samples());
+        let simulated = |run: &Scenario| {
+            let mut plant = crate::plant::Plant::new(&model, Input::Voltage).unwrap();
+            plant
+                .simulate(run, crate::plant::State::default())
+                .speed_rad_s
+        };
+        let (whole, alone) = (simulated(&both), simulated(&second));
+        for (a, b) in whole[first.samples()..].iter().zip(&alone) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+        let from_s = both.sample_time_s[first.samples()] - first.begin_s();
+        assert!((from_s - first.whole_s() - second.sample_time_s[0]).abs() < 1e-9);
     }
 
     #[test]

@@ -224,7 +224,7 @@ fn verdict_line(state: &State) -> Line<'static> {
         return Line::styled(guess_first(state), theme::BOLD);
     }
     if let (true, Some(comparison)) = (state.only_compares(), &state.comparison) {
-        return Line::styled(comparison.headline(), theme::BOLD);
+        return Line::styled(comparison.where_it_fails().0, theme::BOLD);
     }
     let Some(diagnosis) = &state.diagnosis else {
         let judged = state.judged.values();
@@ -401,9 +401,9 @@ fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
         vec![Line::from(figures)]
     };
     lines.push(lights(&comparison.residual, area.width));
-    let undecided = comparison.undecided();
-    lines.extend(undecided.map(|sentence| Line::raw(format!(" - {sentence}"))));
-    let places = comparison.locations.iter().take(MOST_PLACES);
+    let (sentence, places) = comparison.where_it_fails();
+    lines.push(Line::raw(format!(" - {sentence}")));
+    let places = places.iter().take(MOST_PLACES - 1);
     lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
     if comparison.locations.is_empty() {
         let balances = comparison.balances.iter();

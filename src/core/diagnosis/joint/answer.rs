@@ -1,17 +1,18 @@
 //! Posterior of each effect of the catalogue, and of what none of them explains.
 
-use serde::Serialize;
-use statrs::function::erf::erfc;
-
 use super::acting::constants;
 use super::asked::{prepared, why_not};
-use super::columns::{Around, Candidate, ColumnInformation};
+use super::columns::{Around, Candidate};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
 use super::search::{self, SearchResult};
 use super::select::Set;
+use super::shown::{
+    BOUND_SIGMAS, NAMED_IN_95_SIGMAS, SAYS_NOTHING_SLABS, is_amplitude, moments, size_in,
+    spread_slabs, whenever, without,
+};
 use super::solution::{self, Happened};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
@@ -25,15 +26,8 @@ use crate::numerics::statistics::{self, largest};
 use crate::plant::effect::CATALOGUE;
 use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State};
 use crate::sample::Verdict;
+use serde::Serialize;
 
-/// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
-const BOUND_SIGMAS: f64 = 1.75;
-/// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
-const NAMED_IN_95_SIGMAS: f64 = 1.645;
-/// Standard deviations beyond which nothing of note lies.
-const BEYOND_SIGMAS: f64 = 4.0;
-/// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
-const SAYS_NOTHING_SLABS: f64 = 0.5;
 /// Plausible sets that bounds are asked of.
 const SETS: usize = 12;
 /// Probability from which on an effect is named.
@@ -50,6 +44,8 @@ const LEAST_PART_SHARE: f64 = 0.03;
 pub enum RunOf {
     Fit,
     Holdout,
+    /// One that was made after the first, and is fitted with it.
+    Later,
     /// Both, where one run was split.
     Whole,
 }
@@ -118,9 +114,8 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) unseen: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
-    /// Length of the first run, s, and what each run is.
-    first_ends_s: f64,
-    runs: &'static [RunOf],
+    /// What each run is, and when it begins in what is fitted, s; behind the end where it has no part in it.
+    runs: Vec<(RunOf, f64)>,
     found: SearchResult,
 }
 
@@ -170,7 +165,7 @@ impl Inference {
         let mut own: Vec<_> = own.filter(|own| own.event.id() == id).collect();
         own.sort_by_key(|own| own.event.run);
         let onset = |own: &Happened| Onset {
-            run: self.runs[own.event.run],
+            run: self.runs[own.event.run].0,
             time_s: own.moment.time_s,
             interval_95_s: own.moment.interval_s,
             size: own.event.values[own.event.effect.size_index()],
@@ -229,7 +224,7 @@ impl Inference {
         known.sort_by_key(|event| event.run);
         for event in known.into_iter().chain(&there.events) {
             if ids.contains(&event.id()) && !model.has(event.id()) {
-                model.effects.push(in_first_run(event, self.first_ends_s));
+                model.effects.push(in_fitted(event, self.runs[event.run]));
             }
         }
         (missing.is_empty() && ids.iter().all(|id| model.has(id))).then_some(model)
@@ -239,11 +234,13 @@ impl Inference {
 /// Time behind the end of a run at which what begins there does nothing in it, s.
 const BEHIND_S: f64 = 1.0;
 
-/// An event as the first run has it: what happened in another one only comes after its end.
-fn in_first_run(event: &Event, ends_s: f64) -> ActiveEffect {
+/// An event as the runs that are fitted have it: what happened only in the one that is held out comes after their end.
+fn in_fitted(event: &Event, (run, begins_s): (RunOf, f64)) -> ActiveEffect {
     let mut event = event.clone();
-    if event.run != 0 {
-        event.put_at(ends_s + BEHIND_S);
+    match run {
+        RunOf::Fit | RunOf::Whole => {}
+        RunOf::Later => event.put_at(begins_s + event.time_s()),
+        RunOf::Holdout => event.put_at(begins_s + BEHIND_S),
     }
     event.active()
 }
@@ -273,13 +270,9 @@ pub(in crate::diagnosis) fn infer(
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
-    // Where one run was split the whole of it speaks.
     let known = evidence.noise.source != FloorSource::None;
-    let ready = |run: &Scenario| prepared(run, known);
-    let runs: Vec<Scenario> = match evidence.holdout_from {
-        HoldoutFrom::Run => vec![ready(&evidence.training), ready(&evidence.holdout)],
-        HoldoutFrom::Split => vec![ready(&evidence.holdout)],
-    };
+    let (speaking, held_out) = evidence.speaking();
+    let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
     let scenarios: Vec<&Scenario> = runs.iter().collect();
     let start = |(number, run): (usize, &&Scenario)| match (run.input, number) {
         (Input::Voltage, 0) => State::at(baseline.start.current_a, baseline.start.speed_rad_s),
@@ -297,7 +290,12 @@ pub(in crate::diagnosis) fn infer(
     }
     let given = model.effect_ids();
     let models = [&model, before];
-    let found = search::search(models, asked, &scenarios, &starts, noise, progress);
+    let together = search::Runs {
+        scenarios: &scenarios,
+        starts: &starts,
+        held_out,
+    };
+    let found = search::search(models, asked, together, noise, progress);
     let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
     let inferred = |effect: &&'static dyn Effect| Inferred {
         given: given.contains(&effect.card().id),
@@ -346,13 +344,23 @@ pub(in crate::diagnosis) fn infer(
         unseen: in_noise(found.unseen.map(Some), &evidence.noise).unwrap_or(0.0),
         noise: found.noise,
         superfluous,
-        runs: match evidence.holdout_from {
-            HoldoutFrom::Run => &[RunOf::Fit, RunOf::Holdout],
-            HoldoutFrom::Split => &[RunOf::Whole],
-        },
-        first_ends_s: runs[0].sample_time_s[runs[0].samples() - 1] - runs[0].begin_s(),
+        runs: runs_of(evidence, runs.len()),
         found,
     })
+}
+
+/// What each of so many runs is, and when it begins in what is fitted, s.
+fn runs_of(evidence: &Evidence, count: usize) -> Vec<(RunOf, f64)> {
+    let fitted = &evidence.training;
+    let ends_s = fitted.sample_time_s[fitted.samples() - 1] - fitted.begin_s();
+    let begins_s = evidence.begins_s();
+    let of = |place: usize| match (evidence.holdout_from, begins_s.get(place)) {
+        (HoldoutFrom::Split, _) if place == 0 => (RunOf::Whole, 0.0),
+        (HoldoutFrom::Run, _) if place == 0 => (RunOf::Fit, 0.0),
+        (_, Some(begin_s)) => (RunOf::Later, *begin_s),
+        (_, None) => (RunOf::Holdout, ends_s),
+    };
+    (0..count).map(of).collect()
 }
 
 /// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
@@ -390,16 +398,26 @@ const LED_ONLY_RATIO: f64 = 1.1;
 /// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
 /// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
 /// be followed on the run; times of events stay.
-pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+pub(in crate::diagnosis) fn refined(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, true)
+}
+
+/// The same of a fit whose values stay in any case: each is uncertain by how far it is from that of its prediction errors
+/// beside.
+pub(in crate::diagnosis) fn with_deviations(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, false)
+}
+
+fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> Fitted {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
     let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
     let Some(estimated) = estimated else {
         return fit;
     };
-    let led = Score::of(&estimated.model, run, &fit.noise);
+    let led = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
     let led = led
-        .ok()
+        .and_then(Result::ok)
         .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
     let kept = led.as_ref().map_or(&model, |_| &estimated.model);
     let period_s = run.mean_period_s();
@@ -490,138 +508,40 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         out.log_odds = out.log_odds.max(found.posterior.log_factor[k]);
         let form = found.posterior.forms[k];
         let variant = &candidate.variants[form];
-        if variant.mean > 0.0 {
-            // There wholly or not at all: seen where that makes a difference beyond the noise.
-            let columns = reduced.columns(&without(&found.posterior.best, k));
-            let own = variant.columns[0].at - reduced.linear.nuisances.len();
-            let seen = reduced.seen(&columns, own, 1.0).information;
-            out.excited |= seen * variant.mean.powi(2) > 25.0;
+        let best = &found.posterior.best;
+        let spread = spread_slabs(reduced, best, found.excess, [k, form]);
+        let excited = spread.is_some_and(|spread| spread < SAYS_NOTHING_SLABS);
+        out.excited |= excited;
+        if variant.mean > 0.0 || !excited {
             continue;
         }
         let mut bound: f64 = 0.0;
         for (set, _) in found.posterior.sets.iter().take(SETS) {
             let mut with = reduced.cleared(set, k);
             with[k] = Some(form);
-            if let Some((size, sd)) = size_in(found, &with, k) {
+            if let Some((size, sd)) = size_in(reduced, &with, k) {
                 bound = bound.max(size + BOUND_SIGMAS * sd);
             }
         }
         if candidate.is_event() && !candidate.in_model {
-            bound = bound.max(whenever(&moments(found, k)));
+            bound = bound.max(whenever(&moments(reduced, best, found.excess, k)));
         }
-        let mut with = reduced.cleared(&found.posterior.best, k);
+        out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
+        // Injected at one moment an event would say nothing of all the others at which it might have come.
+        if candidate.is_event() {
+            continue;
+        }
+        let mut with = reduced.cleared(best, k);
         with[k] = Some(form);
-        if let Some((_, sd)) = size_in(found, &with, k) {
-            let slab = variant.columns[0].unit;
-            let excited = sd < SAYS_NOTHING_SLABS * slab;
-            out.excited |= excited;
-            if excited {
-                out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
-                // Injected at one moment an event would say nothing of all the others at which it might have come.
-                let detectable = if candidate.is_event() {
-                    None
-                } else {
-                    detectable(found, &with, k, sd)
-                };
-                out.detectable = match (out.detectable, detectable) {
-                    (Some(a), Some(b)) => Some(a.max(b)),
-                    (a, b) => a.or(b),
-                };
-            }
-        }
+        let sd = size_in(reduced, &with, k).map(|(_, sd)| sd);
+        let detectable = sd.and_then(|sd| detectable(found, &with, k, sd));
+        out.detectable = match (out.detectable, detectable) {
+            (Some(a), Some(b)) => Some(a.max(b)),
+            (a, b) => a.or(b),
+        };
     }
     out.probability = (1.0 - absent).clamp(0.0, 1.0);
     out
-}
-
-/// What the runs say of an event at each moment of one of them, beside the best set.
-fn moments(found: &SearchResult, k: usize) -> Vec<ColumnInformation> {
-    let reduced = &found.reduced;
-    let candidate = &reduced.linear.candidates[k];
-    if !candidate.moments.is_empty() {
-        let wider = |seen: &ColumnInformation| ColumnInformation {
-            information: seen.information / found.excess,
-            asked: seen.asked / found.excess,
-            ..*seen
-        };
-        return candidate.moments.iter().map(wider).collect();
-    }
-    let others = reduced.columns(&reduced.cleared(&found.posterior.best, k));
-    let alone = candidate.variants.iter();
-    let alone = alone.filter(|variant| variant.columns.len() == 1);
-    let m = reduced.linear.nuisances.len();
-    let columns = alone.map(|variant| variant.columns[0]);
-    let seen = columns.map(|column| reduced.seen(&others, column.at - m, column.unit));
-    seen.collect()
-}
-
-/// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
-/// say nothing it may have any size that is plausible.
-fn whenever(moments: &[ColumnInformation]) -> f64 {
-    let size = |seen: &ColumnInformation| {
-        let precision = seen.information.max(0.0) + 1.0;
-        let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
-        let mean = (seen.asked / precision).abs() * seen.unit;
-        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit;
-        (log, mean, sd)
-    };
-    let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
-    let logs = sizes.iter().map(|size| size.0);
-    let most = logs.fold(f64::NEG_INFINITY, f64::max);
-    let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
-    let beyond = |bound: f64| -> f64 {
-        let beyond = |(log, mean, sd): &(f64, f64, f64)| {
-            let tail = 0.5 * erfc((bound - mean) / sd / std::f64::consts::SQRT_2);
-            (log - most).exp() * tail
-        };
-        sizes.iter().map(beyond).sum::<f64>() / total
-    };
-    let (mut low, mut high) = (0.0, 0.0);
-    for (_, mean, sd) in &sizes {
-        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
-    }
-    for _ in 0..40 {
-        let middle = 0.5 * (low + high);
-        if beyond(middle) > 1.0 - 0.95 {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    high
-}
-
-fn without(set: &Set, k: usize) -> Set {
-    let mut set = set.clone();
-    set[k] = None;
-    set
-}
-
-/// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
-fn size_in(found: &SearchResult, set: &Set, k: usize) -> Option<(f64, f64)> {
-    let reduced = &found.reduced;
-    let variant = &reduced.linear.candidates[k].variants[set[k]?];
-    let columns = reduced.columns(set);
-    let (mean, covariance) = reduced.sizes(&columns)?;
-    let m = reduced.linear.nuisances.len();
-    let second = variant.columns.get(1);
-    let is_wave = second.is_some_and(|own| own.unit > 0.0 && own.parameter == Some(1))
-        && is_amplitude(reduced.linear.candidates[k].effect);
-    let count = if is_wave { 2 } else { 1 };
-    let (mut square, mut variance) = (0.0, 0.0_f64);
-    for column in variant.columns.iter().take(count) {
-        let at = columns.iter().position(|c| *c == column.at - m)?;
-        let size = mean[at] * column.unit;
-        square += size * size;
-        variance = variance.max(covariance[(at, at)] * column.unit * column.unit);
-    }
-    Some((square.sqrt(), variance.sqrt()))
-}
-
-/// Whether an effect's first two parameters are sine and cosine.
-fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
-    let first = effect.and_then(|effect| effect.parameters().first());
-    first.is_some_and(|spec| spec.key.starts_with("sin_"))
 }
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
@@ -831,33 +751,5 @@ mod tests {
             led.nrms,
             free.nrms
         );
-    }
-
-    #[test]
-    fn an_event_is_below_its_bound_whenever_it_happened() {
-        let seen = |precision: f64| ColumnInformation {
-            information: precision - 1.0,
-            asked: 0.0,
-            unit: 2.0,
-        };
-        // Moments that say the same of it, as one of them alone.
-        let sharp = whenever(&[seen(400.0); 40]);
-        assert!(
-            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
-            "{sharp}"
-        );
-        // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
-        let mut open = vec![seen(400.0); 30];
-        open.extend([seen(1.0); 10]);
-        let bound = whenever(&open);
-        assert!(bound > 2.0, "{bound}");
-        // One in which it is there counts, and the others hardly do.
-        let mut there = vec![seen(400.0); 39];
-        there.push(ColumnInformation {
-            asked: 0.5 * 400.0,
-            ..seen(400.0)
-        });
-        let bound = whenever(&there);
-        assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");
     }
 }

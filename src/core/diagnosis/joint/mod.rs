@@ -14,6 +14,8 @@
 //! refits:   what refits refute of a set;  approach: far from the data, effects that join one by one
 //! search:   all of these in rounds, linearised anew, until set and noise stand
 //! free_run: what a model leaves of a run: error that none can foretell, excess over white noise, likelihood ratio
+//! foresight: what the same problem with a run more, as it is expected, would show
+//! shown:    how sharply runs show an effect, and one that happens once whenever it came
 //! answer:   probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
@@ -24,6 +26,7 @@ pub(super) mod asked;
 mod columns;
 pub(super) mod events;
 mod follow;
+pub(super) mod foresight;
 mod forms;
 pub(super) mod free_run;
 mod noise;
@@ -32,6 +35,7 @@ mod prediction_error;
 mod refits;
 mod search;
 mod select;
+mod shown;
 mod solution;
 mod tangent;
 mod whitened;

@@ -49,7 +49,7 @@ pub(super) struct SearchResult {
     pub(super) noise: Noise,
     /// How many times as large as expected what the best set leaves is.
     pub(super) excess: f64,
-    /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the last run.
+    /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the held-out run.
     pub(super) wandering: [f64; 2],
     /// The same of what the holes of its record make.
     pub(super) unseen: [f64; 2],
@@ -94,6 +94,14 @@ fn names(linear: &Linear, set: &Set) -> Names {
     named.collect()
 }
 
+/// Runs that speak together, where each starts, and the place of the one that is held out.
+#[derive(Clone, Copy)]
+pub(super) struct Runs<'a> {
+    pub(super) scenarios: &'a [&'a Scenario],
+    pub(super) starts: &'a [State],
+    pub(super) held_out: usize,
+}
+
 /// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
 /// already; `floor` is the noise to begin with, whose sensors are those at rest. A refit may end where the model is no machine,
 /// or is led by sensors that are much too late, so that no column means anything: then the last model that could be followed
@@ -101,8 +109,11 @@ fn names(linear: &Linear, set: &Set) -> Names {
 pub(super) fn search(
     models: [&Model; 2],
     asked: &[&'static dyn Effect],
-    scenarios: &[&Scenario],
-    starts: &[State],
+    Runs {
+        scenarios,
+        starts,
+        held_out,
+    }: Runs<'_>,
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<SearchResult> {
@@ -110,6 +121,7 @@ pub(super) fn search(
         asked,
         scenarios,
         starts,
+        held_out,
         floor,
         noise: floor,
         is_near: false,
@@ -127,6 +139,7 @@ struct Search<'a> {
     asked: &'a [&'static dyn Effect],
     scenarios: &'a [&'a Scenario],
     starts: &'a [State],
+    held_out: usize,
     floor: Noise,
     /// What is random as far as it is known, and whether little was missing to begin with.
     noise: Noise,
@@ -274,7 +287,8 @@ impl<'a> Search<'a> {
     ) -> Option<SearchResult> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
-        let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
+        let held_out = runs.get(self.held_out)?;
+        let (wandering, unseen) = (wandering(held_out), unseen(held_out));
         if excess > 1.0 {
             reduced = Reduced::new(reduced.linear, excess, true)?;
             let sets = [posterior.best.clone(), present(&reduced.linear)];

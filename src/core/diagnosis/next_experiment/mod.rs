@@ -8,14 +8,18 @@
 //!                            the best, refitted in full <--- the smaller of the two, over c-hat
 //! ```
 //!
+//! Where no pair is to be told apart, a run is recommended for what the runs in hand would not have shown: each recipe is
+//! simulated with the model that was found, put behind the runs in hand, and weighed by the linear problem that will judge it
+//! (`joint/foresight`). An effect is promised where twice the precision that shows it is expected: no repetition of a run in
+//! hand doubles what is known, so that no run is recommended twice.
+//!
 //! After the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
 //! run is the one in which the rival still differs when it has been fitted to the old data and the new.
 
 mod plan;
 mod recommend;
+mod reveal;
 mod separation;
-
-use std::path::Path;
 
 use serde::Serialize;
 
@@ -31,6 +35,13 @@ pub use recommend::{menu_within, next_experiment, recommend};
 /// with a difference spread over the run as excitations spread it; 2/sqrt(D) where every block has the same share).
 pub const SEPARATED: f64 = 150.0;
 
+/// An effect that the recommended run does not show, and what would.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Hidden {
+    pub effect: &'static str,
+    pub reason: String,
+}
+
 /// What to run next, or that no run of this kind will do.
 #[derive(Clone, Debug, Serialize)]
 pub struct NextExperiment {
@@ -44,6 +55,8 @@ pub struct NextExperiment {
     pub pairs: Vec<PairEntry>,
     /// The effects that become visible, where there is no pair.
     pub reveals: Vec<&'static str>,
+    /// What stays hidden after it.
+    pub hidden: Vec<Hidden>,
     /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
     /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
     /// data to the noise.
@@ -54,16 +67,6 @@ pub struct NextExperiment {
     pub peaks: Option<Peaks>,
     #[serde(skip)]
     pub recipe: Option<Recipe>,
-}
-
-impl NextExperiment {
-    /// What to call after the run. Of rivals the run in hand says something too, so it is the hold-out; what it did not
-    /// excite it cannot judge.
-    pub fn diagnose_command(&self, in_hand: &Path) -> String {
-        let holdout = || format!(" --holdout {}", in_hand.display());
-        let holdout = self.pair.map_or_else(String::new, |_| holdout());
-        format!("drivebench diagnose NEW_RUN{holdout}")
-    }
 }
 
 /// One pair of rivals: what the recommended run tells of it, and the run that would tell most.

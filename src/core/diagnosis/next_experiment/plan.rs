@@ -377,6 +377,11 @@ pub(super) struct Planned {
 }
 
 impl Planned {
+    /// Rows of the bench that one of the plan stands for.
+    pub(super) const fn stands_for(&self) -> f64 {
+        self.stands_for
+    }
+
     /// Rows that the bench would record.
     pub(super) fn rows(&self) -> f64 {
         self.stands_for * self.blank.samples() as f64

@@ -1,15 +1,15 @@
-//! The menu tried on the rivals, and the best of it; where nothing was found, the run that shows what the runs in hand would
-//! not have shown.
+//! The menu tried on the rivals, and the best of it.
 
 use rayon::prelude::*;
 
 use super::plan::{COUNT, Planned, Recipe, planned};
+use super::reveal::reveal;
 use super::separation::{Response, Rival, refitted};
 use super::{ExperimentLimits, MenuEntry, NextExperiment, PairEntry, SEPARATED};
-use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
+use crate::diagnosis::{Diagnosis, Evidence};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{ActiveEffect, Input, Model, Scenario, effect, typical_size};
+use crate::plant::{Input, Model, Scenario, effect};
 use crate::text::number::significant;
 
 /// Pairs that one run is asked to tell apart.
@@ -197,8 +197,8 @@ fn smaller(directions: [Option<f64>; 2]) -> f64 {
     promised(directions[0]).min(promised(directions[1]))
 }
 
-/// The run after this diagnosis: for the pairs that it could not tell apart, else, where nothing was found, for what the
-/// runs did not excite. `None` where there is nothing to ask, or no voltage to ask it with.
+/// The run after this diagnosis: for the pairs that it could not tell apart, else for what the runs did not excite. `None`
+/// where there is nothing to ask, or no voltage to ask it with.
 pub fn recommend(
     diagnosis: &Diagnosis,
     evidence: &Evidence,
@@ -212,13 +212,7 @@ pub fn recommend(
         ..evidence.clone()
     };
     if diagnosis.confusable.is_empty() {
-        if diagnosis.verdict != DiagnosisVerdict::None {
-            return Ok(None);
-        }
-        let candidates = diagnosis.candidates.iter();
-        let unseen = candidates.filter(|one| one.status == Status::NotExcited);
-        let unseen: Vec<&'static str> = unseen.map(|one| one.effect).collect();
-        return reveal(&diagnosis.baseline.model, &unseen, evidence, limits);
+        return Ok(reveal(diagnosis, evidence, limits));
     }
     let pairs = diagnosis
         .confusable
@@ -320,6 +314,7 @@ fn tell_apart(
         bench: None,
         pair: Some(first.pair),
         reveals: Vec::new(),
+        hidden: Vec::new(),
         expected_separation: first.expected_separation,
         menu: tried.iter().map(entry).collect(),
         peaks: separable.then_some(plan.peaks),
@@ -340,99 +335,7 @@ fn smallest(separations: &[f64]) -> f64 {
     separations.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// The run in which most of `unseen` would show at their typical size, against a baseline that is fitted again.
-fn reveal(
-    baseline: &Model,
-    unseen: &[&'static str],
-    evidence: &Evidence,
-    limits: &ExperimentLimits,
-) -> Result<Option<NextExperiment>, FitError> {
-    let truths = unseen.iter();
-    let truths = truths.filter_map(|id| Some((*id, with_typical(baseline, id, evidence)?)));
-    let (ids, truths): (Vec<&'static str>, Vec<Model>) = truths.unzip();
-    if truths.is_empty() {
-        return Ok(None);
-    }
-    let rival = Rival::new(baseline, evidence)?;
-    let models: Vec<&Model> = std::iter::once(baseline).chain(&truths).collect();
-    let tried = (0..COUNT).into_par_iter().filter_map(|index| {
-        let plan = planned(index, &models, limits)?;
-        let shown = shown(&plan, &rival, &truths, evidence)?;
-        Some((plan, shown))
-    });
-    let mut tried: Vec<(Planned, Vec<f64>)> = tried.collect();
-    let is_shown = |value: &f64| *value >= SEPARATED;
-    let count = |shown: &[f64]| shown.iter().filter(|value| is_shown(value)).count();
-    let total = |shown: &[f64]| shown.iter().map(|value| (1.0 + value).ln()).sum::<f64>();
-    tried.sort_by(|a, b| {
-        let fewer = count(&b.1).cmp(&count(&a.1));
-        fewer.then(total(&b.1).total_cmp(&total(&a.1)))
-    });
-    let largest = |shown: &[f64]| shown.iter().copied().fold(0.0, f64::max);
-    let entry = |(plan, shown): &(Planned, Vec<f64>)| MenuEntry {
-        program: plan.recipe.id,
-        expected_separation: largest(shown),
-        needed: SEPARATED,
-    };
-    let menu = tried.iter().map(entry).collect();
-    let Some((plan, shown)) = tried.first() else {
-        return Ok(None);
-    };
-    let all = ids.iter().copied().zip(shown);
-    let (told, hidden): (Vec<_>, Vec<_>) = all.partition(|(_, value)| is_shown(value));
-    let names = |own: &[(&'static str, &f64)]| own.iter().map(|own| own.0).collect::<Vec<_>>();
-    let reveals = names(&told);
-    let weakest = told.iter().map(|own| *own.1).fold(f64::INFINITY, f64::min);
-    let found = !told.is_empty();
-    Ok(Some(NextExperiment {
-        sentence: reveals_in_words(plan, &reveals, &names(&hidden)),
-        bench: None,
-        pair: None,
-        pairs: Vec::new(),
-        expected_separation: if found { weakest } else { largest(shown) },
-        menu,
-        peaks: found.then_some(plan.peaks),
-        recipe: found.then(|| plan.recipe.clone()),
-        reveals,
-    }))
-}
-
-/// How far the refitted baseline stays from each truth.
-fn shown(
-    plan: &Planned,
-    rival: &Rival<'_>,
-    truths: &[Model],
-    evidence: &Evidence,
-) -> Option<Vec<f64>> {
-    let (own, noise) = (plan.measured(rival.model)?, plan.noise(evidence.noise));
-    let (response, _) = Response::of(rival, &own, noise)?;
-    let separation = |truth: &Model| {
-        let run = plan.measured(truth)?;
-        let separation = response.separation_from(&run, rival, noise)? / rival.inflation;
-        Some(
-            Some(separation)
-                .filter(|value| value.is_finite())
-                .unwrap_or(0.0),
-        )
-    };
-    truths.iter().map(separation).collect()
-}
-
-/// The model with the effect at its typical size, its shapes at their guesses.
-fn with_typical(baseline: &Model, id: &str, evidence: &Evidence) -> Option<Model> {
-    let effect = effect::find(id)?;
-    let typical = |index| typical_size(effect, index, baseline, &evidence.training);
-    let values: Vec<f64> = (0..effect.parameters().len()).map(typical).collect();
-    let mut model = baseline.clone();
-    model.effects.push(ActiveEffect::with(effect, &values));
-    model.require_complete().ok()?;
-    Some(model)
-}
-
 // A recommendation in words for a person.
-
-/// Names of a list that are said; the rest is counted.
-const MOST_NAMES: usize = 4;
 
 /// For pairs of rivals with their separations in this run; `program` names a run of the menu.
 fn pairs_in_words(
@@ -484,27 +387,7 @@ fn with_more_slew(plan: &Planned, separation: f64) -> String {
     )
 }
 
-/// For effects that the runs in hand did not excite.
-fn reveals_in_words(plan: &Planned, shown: &[&'static str], hidden: &[&'static str]) -> String {
-    let mut sentence = if shown.is_empty() {
-        format!(
-            "no run of this kind will show {} within the limits",
-            list(hidden)
-        )
-    } else {
-        format!(
-            "these runs would not have shown {}; run {}",
-            list(shown),
-            described(plan)
-        )
-    };
-    if !shown.is_empty() && !hidden.is_empty() {
-        sentence = format!("{sentence}; it still does not show {}", list(hidden));
-    }
-    sentence
-}
-
-fn described(plan: &Planned) -> String {
+pub(super) fn described(plan: &Planned) -> String {
     let peaks = &plan.peaks;
     format!(
         "{} ({:.1} s, up to {:.0} V, {:.1} A and {:.0} rad/s)",
@@ -512,15 +395,7 @@ fn described(plan: &Planned) -> String {
     )
 }
 
-fn list(ids: &[&'static str]) -> String {
-    let names: Vec<&str> = ids.iter().take(MOST_NAMES).map(|id| name(id)).collect();
-    match ids.len().checked_sub(MOST_NAMES) {
-        Some(more) if more > 0 => format!("{} and {more} more", names.join(", ")),
-        _ => names.join(", "),
-    }
-}
-
-fn name(id: &'static str) -> &'static str {
+pub(super) fn name(id: &'static str) -> &'static str {
     effect::find(id).map_or(id, |effect| effect.card().name)
 }
 

@@ -156,6 +156,9 @@ const STEP_RESPONSE: Scheme = Scheme {
     },
 };
 
+/// Name of the scheme that fits the free run of a model.
+pub const FREE_RUN: &str = output_error::OUTPUT_ERROR.id;
+
 /// The scheme of that name.
 pub fn find(id: &str) -> Result<&'static Scheme, IdentifyError> {
     CATALOGUE

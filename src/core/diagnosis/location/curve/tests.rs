@@ -176,3 +176,27 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
             .all(|map| map.axis != "current_a" && map.axis != "voltage_v")
     );
 }
+
+#[test]
+fn times_count_from_the_begin_of_a_run_whenever_it_was_recorded() {
+    let settings = torque("a*exp(-((t-8)/2)^2)");
+    let run = run(&settings, &[0.18], 7, 0.001, 12.0);
+    let mut later = run.clone();
+    for time_s in &mut later.sample_time_s {
+        *time_s += 32.0;
+    }
+    for (time_s, _) in &mut later.events {
+        *time_s += 32.0;
+    }
+    let [first, again] = [&run, &later].map(|run| {
+        let mut maps = maps(run).into_iter();
+        let own = maps.find(|map| (map.equation, map.axis) == ("torque", "time_s"));
+        own.expect("a torque over time")
+    });
+    let (place, _) = first.largest().unwrap();
+    assert!((6.0..10.0).contains(place.start()), "{place:?}");
+    assert!(first.sentence.contains(" s of the run: "), "{first:?}");
+    assert_eq!(first.sentence, again.sentence);
+    let apart = first.knots.iter().zip(&again.knots);
+    assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
+}

@@ -1,0 +1,182 @@
+//! How sharply runs show an effect: the spread that they leave to its size, and the size that one that happens once is below.
+
+use statrs::function::erf::erfc;
+
+use super::columns::ColumnInformation;
+use super::select::{Reduced, Set};
+use crate::numerics::count::whole;
+use crate::plant::Effect;
+
+/// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
+pub(super) const SAYS_NOTHING_SLABS: f64 = 0.5;
+/// Standard deviations that what is there wholly or not at all must make to be seen.
+const WHOLLY_SEEN_SIGMAS: f64 = 5.0;
+/// Standard deviations beyond which nothing of note lies.
+const BEYOND_SIGMAS: f64 = 4.0;
+/// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
+pub(super) const BOUND_SIGMAS: f64 = 1.75;
+/// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
+pub(super) const NAMED_IN_95_SIGMAS: f64 = 1.645;
+/// Share of the moments at which an event may have come from which on runs show it.
+const MOST_MOMENTS: f64 = 0.9;
+
+/// Standard deviation, in slabs, that runs leave to the size of a candidate in a form beside a set. That of what happens once
+/// is the one that it has at nine of ten moments at which it may have come: there is always one at the end of a run that
+/// nothing shows, and no run has none.
+pub(super) fn spread_slabs(
+    reduced: &Reduced,
+    best: &Set,
+    excess: f64,
+    [k, form]: [usize; 2],
+) -> Option<f64> {
+    let candidate = &reduced.linear.candidates[k];
+    let variant = &candidate.variants[form];
+    if candidate.is_event() && !candidate.in_model {
+        let moments = moments(reduced, best, excess, k);
+        let mut seen: Vec<f64> = moments
+            .iter()
+            .map(|seen| seen.information.max(0.0))
+            .collect();
+        seen.sort_by(|a, b| b.total_cmp(a));
+        let at_most = whole(MOST_MOMENTS * seen.len() as f64);
+        let information = seen.get(at_most.min(seen.len().saturating_sub(1)))?;
+        return Some((information + 1.0).sqrt().recip());
+    }
+    if variant.mean > 0.0 {
+        // There wholly or not at all: seen where that makes a difference beyond the noise.
+        let columns = reduced.columns(&without(best, k));
+        let own = variant.columns[0].at - reduced.linear.nuisances.len();
+        let seen = reduced.seen(&columns, own, 1.0).information * variant.mean.powi(2);
+        return (seen > 0.0).then(|| SAYS_NOTHING_SLABS * WHOLLY_SEEN_SIGMAS / seen.sqrt());
+    }
+    let mut with = reduced.cleared(best, k);
+    with[k] = Some(form);
+    let (_, sd) = size_in(reduced, &with, k)?;
+    Some(sd / variant.columns[0].unit)
+}
+
+/// What the runs say of an event at each moment of one of them, beside a set; `excess` is that of what the set leaves.
+pub(super) fn moments(
+    reduced: &Reduced,
+    best: &Set,
+    excess: f64,
+    k: usize,
+) -> Vec<ColumnInformation> {
+    let candidate = &reduced.linear.candidates[k];
+    if !candidate.moments.is_empty() {
+        let wider = |seen: &ColumnInformation| ColumnInformation {
+            information: seen.information / excess,
+            asked: seen.asked / excess,
+            ..*seen
+        };
+        return candidate.moments.iter().map(wider).collect();
+    }
+    let others = reduced.columns(&reduced.cleared(best, k));
+    let alone = candidate.variants.iter();
+    let alone = alone.filter(|variant| variant.columns.len() == 1);
+    let m = reduced.linear.nuisances.len();
+    let columns = alone.map(|variant| variant.columns[0]);
+    let seen = columns.map(|column| reduced.seen(&others, column.at - m, column.unit));
+    seen.collect()
+}
+
+/// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
+/// say nothing it may have any size that is plausible.
+pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
+    let size = |seen: &ColumnInformation| {
+        let precision = seen.information.max(0.0) + 1.0;
+        let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
+        let mean = (seen.asked / precision).abs() * seen.unit;
+        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit;
+        (log, mean, sd)
+    };
+    let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
+    let logs = sizes.iter().map(|size| size.0);
+    let most = logs.fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
+    let beyond = |bound: f64| -> f64 {
+        let beyond = |(log, mean, sd): &(f64, f64, f64)| {
+            let tail = 0.5 * erfc((bound - mean) / sd / std::f64::consts::SQRT_2);
+            (log - most).exp() * tail
+        };
+        sizes.iter().map(beyond).sum::<f64>() / total
+    };
+    let (mut low, mut high) = (0.0, 0.0);
+    for (_, mean, sd) in &sizes {
+        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if beyond(middle) > 1.0 - 0.95 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+pub(super) fn without(set: &Set, k: usize) -> Set {
+    let mut set = set.clone();
+    set[k] = None;
+    set
+}
+
+/// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
+pub(super) fn size_in(reduced: &Reduced, set: &Set, k: usize) -> Option<(f64, f64)> {
+    let variant = &reduced.linear.candidates[k].variants[set[k]?];
+    let columns = reduced.columns(set);
+    let (mean, covariance) = reduced.sizes(&columns)?;
+    let m = reduced.linear.nuisances.len();
+    let second = variant.columns.get(1);
+    let is_wave = second.is_some_and(|own| own.unit > 0.0 && own.parameter == Some(1))
+        && is_amplitude(reduced.linear.candidates[k].effect);
+    let count = if is_wave { 2 } else { 1 };
+    let (mut square, mut variance) = (0.0, 0.0_f64);
+    for column in variant.columns.iter().take(count) {
+        let at = columns.iter().position(|c| *c == column.at - m)?;
+        let size = mean[at] * column.unit;
+        square += size * size;
+        variance = variance.max(covariance[(at, at)] * column.unit * column.unit);
+    }
+    Some((square.sqrt(), variance.sqrt()))
+}
+
+/// Whether an effect's first two parameters are sine and cosine.
+pub(super) fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
+    let first = effect.and_then(|effect| effect.parameters().first());
+    first.is_some_and(|spec| spec.key.starts_with("sin_"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_is_below_its_bound_whenever_it_happened() {
+        let seen = |precision: f64| ColumnInformation {
+            information: precision - 1.0,
+            asked: 0.0,
+            unit: 2.0,
+        };
+        // Moments that say the same of it, as one of them alone.
+        let sharp = whenever(&[seen(400.0); 40]);
+        assert!(
+            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
+            "{sharp}"
+        );
+        // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
+        let mut open = vec![seen(400.0); 30];
+        open.extend([seen(1.0); 10]);
+        let bound = whenever(&open);
+        assert!(bound > 2.0, "{bound}");
+        // One in which it is there counts, and the others hardly do.
+        let mut there = vec![seen(400.0); 39];
+        there.push(ColumnInformation {
+            asked: 0.5 * 400.0,
+            ..seen(400.0)
+        });
+        let bound = whenever(&there);
+        assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");
+    }
+}
