@@ -325,7 +325,7 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     rows(&shown.collect::<Vec<_>>(), area, buffer);
     if first < hidden {
         let more = Line::styled(" … ▼ Down: more ", theme::CAREFUL).right_aligned();
-        let last = area.rows().last().unwrap_or(area);
+        let last = area.rows().next_back().unwrap_or(area);
         Clear.render(
             Rect {
                 x: last.right().saturating_sub(more.width() as u16).max(last.x),
