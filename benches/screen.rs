@@ -45,6 +45,7 @@ fn frame(criterion: &mut Criterion) {
         snapshots: snapshots.unheard(),
         leaning: LeaningCell::default(),
         workflow: None,
+        leads: None,
         intents: channel().0,
         worker: WorkerCell::default(),
         stop_requested: Arc::default(),

@@ -47,8 +47,10 @@ pub(crate) struct Standing {
     changes: Vec<String>,
     /// Changes that the answer does not know of: it was not waited for.
     since: usize,
-    /// Where the model was written to.
+    /// Where models were written to.
     written: Vec<String>,
+    /// The last of them is the model as it stands.
+    is_written: bool,
 }
 
 impl Standing {
@@ -64,11 +66,15 @@ impl Standing {
             News::Undone { .. } => {
                 // The answer to the model as it is again follows at once.
                 self.changes.pop();
+                self.is_written = false;
                 (self.diagnosis, self.next, self.since) = (None, None, 0);
                 return;
             }
             News::Recommended(next) => return self.next = Some((**next).clone()),
-            News::Written(text) => return self.written.push(text.clone()),
+            News::Written(text) => {
+                self.is_written = true;
+                return self.written.push(text.clone());
+            }
             _ => return,
         };
         if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
@@ -76,13 +82,15 @@ impl Standing {
             let times = result.after.noise_floor_from.times();
             let change = format!("{sign} {effect}: held-out error {error:.2} {times}");
             self.changes.push(change);
+            self.is_written = false;
             self.since += 1;
         }
     }
 
-    /// Where the model as it stands is, of that which was written last.
+    /// Where the model as it stands was written to.
     pub(crate) fn model(&self) -> Option<&str> {
-        self.written.last()?.strip_prefix(WRITTEN)
+        let last = self.written.last().filter(|_| self.is_written);
+        last?.strip_prefix(WRITTEN)
     }
 
     /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
@@ -118,19 +126,21 @@ impl Left {
     }
 }
 
-/// Goes on with a run that was just recorded, where its screen was left for that; its last part is held out.
-pub(crate) fn go_on(left: &ending::Left, folder: &Path) -> Result<(), Failure> {
+/// Goes on with a run that was just recorded, where its screen was left for that; its last part is held out. Where the
+/// model as it stands then was written to, if it was.
+pub(crate) fn go_on(left: &ending::Left, folder: &Path) -> Result<Option<String>, Failure> {
     let opens = match left {
         ending::Left::Screen(exit) => Opens::asked_by(*exit),
         _ => None,
     };
     let Some(opens) = opens else {
-        return Ok(());
+        return Ok(None);
     };
-    if show_run(folder, opens)?.is_interrupted() {
+    let seen = show_run(folder, opens)?;
+    if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    Ok(())
+    Ok(seen.standing.model().map(str::to_owned))
 }
 
 fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {

@@ -38,6 +38,8 @@ pub enum Audience {
     Headless,
     /// Somebody at the screen, with the steps of a workflow where there is one.
     Screen(Option<ProgressCell>),
+    /// The same for a run after which the program goes on; the words say where `q` leads then.
+    Leads(&'static str),
 }
 
 /// Work that is over, with how its screen was left.
@@ -99,13 +101,20 @@ pub fn conduct<T: Send + 'static>(
                 left: Left::Headless,
             })
         }
-        Audience::Screen(progress) => {
-            let (controls, ends) = Controls::new(SnapshotCell::default());
-            signals::pull(ends.clone())?;
-            let shown = |sources| show(LiveScreen::new(sources));
-            beside_screen(controls, &ends, progress, shown, work)
-        }
+        Audience::Screen(progress) => on_screen(progress, None, work),
+        Audience::Leads(leads) => on_screen(None, Some(leads), work),
     }
+}
+
+fn on_screen<T: Send + 'static>(
+    progress: Option<ProgressCell>,
+    leads: Option<&'static str>,
+    work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
+) -> Result<Ended<T>, Failure> {
+    let (controls, ends) = Controls::new(SnapshotCell::default());
+    signals::pull(ends.clone())?;
+    let shown = move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }));
+    beside_screen(controls, &ends, progress, shown, work)
 }
 
 /// Without a screen: what has to be known at once is told on stderr, by a thread that may wait for it.
@@ -150,6 +159,7 @@ pub fn beside_screen<T: Send + 'static>(
         snapshots: ends.snapshots.clone(),
         leaning,
         workflow: progress,
+        leads: None,
         intents: ends.intents.clone(),
         worker: worker.clone(),
         stop_requested: Arc::clone(&ends.stop_requested),

@@ -137,11 +137,9 @@ fn answered(standing: &Standing) -> String {
     let changes = standing.heading();
     let answer = standing.diagnosis.as_ref();
     let answer = answer.map_or("left before there was an answer", |found| &found.sentence);
-    changes
-        .lines()
-        .chain([answer])
-        .collect::<Vec<_>>()
-        .join("; ")
+    let model = standing.model().map(|model| format!("model: {model}"));
+    let said = changes.lines().chain([answer]).chain(model.as_deref());
+    said.collect::<Vec<_>>().join("; ")
 }
 
 /// The page of the loop once more, over nothing that is energised.
@@ -179,7 +177,8 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    let is_changed = !seen.standing.heading().is_empty();
+    let standing = &seen.standing;
+    let is_changed = !standing.heading().is_empty() || standing.model().is_some();
     Ok(if is_changed {
         answered(&seen.standing)
     } else {
@@ -214,7 +213,7 @@ fn experiment(
         bench,
         ..once_more(options)
     };
-    let ended = conduct(Audience::Screen(None), move |controls| {
+    let ended = conduct(Audience::Leads("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
     let recorded = match ended.work {
@@ -282,7 +281,7 @@ fn speed_loop(
         feed_forward: None,
         actuator: None,
     };
-    let ended = conduct(Audience::Screen(None), move |controls| {
+    let ended = conduct(Audience::Leads("back to the loop"), move |controls| {
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;

@@ -1,6 +1,6 @@
 //! `diagnose`: which physical effect is missing.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use super::failure::Failure;
@@ -150,7 +150,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     card.say("by hand", by_hand.lines(), 1);
     if by_hand.is_empty() {
-        go_on(&mut card, arguments, &prepared.model.from, &diagnosis);
+        let model = written.as_deref().map(Path::new);
+        let model = model.or(arguments.model.as_deref());
+        let from = written.as_deref().unwrap_or(&prepared.model.from);
+        go_on(&mut card, arguments, (model, from), &diagnosis);
     } else if let Some(model) = &written {
         let model = output::quoted_word(model);
         card.go_on(format!("drivebench tune --model {model}"));
@@ -180,9 +183,14 @@ fn after_new_run(arguments: &Arguments) -> String {
 }
 
 /// The commands that go on from here: add what was found, or make the run that would tell more.
-fn go_on(card: &mut Card, arguments: &Arguments, from: &str, diagnosis: &Diagnosis) {
+fn go_on(
+    card: &mut Card,
+    arguments: &Arguments,
+    (model, from): (Option<&Path>, &str),
+    diagnosis: &Diagnosis,
+) {
     let run = output::quoted(&arguments.run);
-    let model = model_words(arguments.model.as_deref());
+    let model = model_words(model);
     let of = format!("{model} --run {run}{}", arguments.evidence.words());
     let curve = diagnosis.axis_map.first();
     let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());

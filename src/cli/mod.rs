@@ -34,6 +34,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::app::{failure, front, opening, output, progress, signals};
+use crate::tui::{use_light, use_mouse};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -53,18 +54,22 @@ Exit status:
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
-    /// Colours of screens: the terminal's sixteen, or none (as with NO_COLOR); nothing is said by colour alone
+    /// Colours of screens: the terminal's sixteen, those for a white background, or none (as with NO_COLOR)
     #[arg(long, global = true, value_enum, value_name = "THEME")]
     #[expect(
         clippy::doc_markdown,
         reason = "the help in a terminal shows backticks as they are"
     )]
     theme: Option<Theme>,
+    /// Screens take the mouse: the wheel zooms traces and scrolls, a click selects; text is then selected with Shift held
+    #[arg(long, global = true)]
+    mouse: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Theme {
     Colour,
+    Light,
     Mono,
 }
 
@@ -113,7 +118,13 @@ pub fn main() -> ExitCode {
         }
     };
     if let Some(theme) = arguments.theme {
-        crossterm::style::force_color_output(theme == Theme::Colour);
+        crossterm::style::force_color_output(theme != Theme::Mono);
+        if theme == Theme::Light {
+            use_light();
+        }
+    }
+    if arguments.mouse {
+        use_mouse();
     }
     let Some(command) = arguments.command else {
         return ended(output::text(&front::page(Path::new("."))));

@@ -15,6 +15,7 @@ use crate::app::{
 };
 use crate::bench::{ControllerKind, ForwardUse};
 use crate::control::Actuator;
+use crate::report::Card;
 use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
@@ -57,11 +58,23 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             }
             let seen = by_hand::go_on(&left, whole.recorded.folder.path());
             // However it was left: the result of the run is there all the same.
-            output::card(&result, json, live.full, above, || cards::run(whole, plate))?;
+            let written = seen.as_ref().ok().cloned().flatten();
+            output::card(&result, json, live.full, above, || {
+                with_model(cards::run(whole, plate), written)
+            })?;
             // A trip or a lost drive is said before anything that became of the look at its record.
-            left.conclude(whole.recorded.failure()).and(seen)
+            left.conclude(whole.recorded.failure()).and(seen.map(drop))
         }
     }
+}
+
+/// With the command that goes on from a model that was written by hand.
+fn with_model(mut card: Card, model: Option<String>) -> Card {
+    if let Some(model) = model {
+        let model = output::quoted_word(&model);
+        card.go_on(format!("drivebench tune --model {model}"));
+    }
+    card
 }
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -211,8 +224,11 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
         above = cards::speed_in_full(&result);
     }
     let seen = by_hand::go_on(&done.left, recorded.folder.path());
+    let written = seen.as_ref().ok().cloned().flatten();
     output::card(&result, json, full, above, || {
-        cards::speed(&result, recorded, &words)
+        with_model(cards::speed(&result, recorded, &words), written)
     })?;
-    done.left.conclude(done.work.recorded.failure()).and(seen)
+    done.left
+        .conclude(done.work.recorded.failure())
+        .and(seen.map(drop))
 }

@@ -5,29 +5,50 @@ use std::io::{self, IsTerminal, Stdout, Write};
 use std::mem::ManuallyDrop;
 use std::os::fd::AsFd as _;
 use std::panic::PanicHookInfo;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
 use crossterm::cursor::{Hide, Show};
-use crossterm::event::{self, Event as TerminalEvent};
+use crossterm::event::{
+    self, DisableMouseCapture, EnableMouseCapture, Event as TerminalEvent, MouseButton,
+    MouseEventKind,
+};
 use crossterm::execute;
 use crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
 };
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::unistd::{getpgrp, tcgetpgrp};
+use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, kill, sigaction};
+use nix::unistd::{Pid, getpgrp, getpid, getsid, tcgetpgrp};
 use ratatui::backend::CrosstermBackend;
+use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
-use signal_hook::consts::SIGTSTP;
+use signal_hook::consts::SIGCONT;
 
 use super::keys::{Held, Press, press};
+use super::theme;
 use crate::bench::Intent;
 use crate::workflow::Order;
 
 /// Longest time between two looks at what a screen is told: 25 frames a second. A key is answered at once.
 const FRAME: Duration = Duration::from_millis(40);
+
+/// How often, and with which pause, it is looked whether the program was halted and goes on: a signal that halts it may
+/// take a moment on a busy machine.
+const HALT_LOOKS: u32 = 50;
+const HALT_LOOK: Duration = Duration::from_millis(10);
+const NO_SHELL: &str = "Ctrl-Z: no shell stands behind this program that could bring it back";
+
+/// Whether screens take the mouse. Then the terminal's own selection of text needs the Shift key, so that it is asked for.
+static MOUSE: AtomicBool = AtomicBool::new(false);
+
+/// From here on screens take the mouse.
+pub fn use_mouse() {
+    MOUSE.store(true, Ordering::Relaxed);
+}
 
 /// Why a screen was left. The motor's outcome is the worker's to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +91,10 @@ pub trait Screen {
     fn look(&mut self) -> (bool, Option<Exit>);
     /// Answers a key; whether it is left for it.
     fn press(&mut self, press: Press) -> Option<Exit>;
+    /// Answers a click of the mouse on a screen of this size.
+    fn click(&mut self, at: Position, area: Rect);
+    /// Says something in the place of the answer to the last key.
+    fn say(&mut self, text: &str);
     /// Whether the program may be halted now; else the screen says why not.
     fn may_suspend(&mut self) -> bool;
     /// Whether a panic of another thread is the end of it.
@@ -95,7 +120,10 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
             return Ok(Exit::WorkerPanicked);
         }
         if std::mem::take(&mut changed) || is_told {
-            owned.terminal.draw(|frame| screen.draw(frame))?;
+            owned.terminal.draw(|frame| {
+                screen.draw(frame);
+                theme::apply(frame.buffer_mut());
+            })?;
         }
         // Asked of the terminal itself first: crossterm reads one that is gone for ever.
         if is_gone(FRAME)? {
@@ -105,9 +133,24 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
         let mut is_idle = true;
         while event::poll(Duration::ZERO)? {
             (changed, is_idle) = (true, false);
-            // Everything else, as a change of size, only needs a new frame.
-            if let TerminalEvent::Key(key) = event::read()? {
-                presses.extend(press(key).and_then(|press| held.key(press)));
+            match event::read()? {
+                TerminalEvent::Key(key) => {
+                    presses.extend(press(key).and_then(|press| held.key(press)));
+                }
+                TerminalEvent::Mouse(mouse) => match mouse.kind {
+                    MouseEventKind::ScrollUp => presses.push(Press::Wheel(-1)),
+                    MouseEventKind::ScrollDown => presses.push(Press::Wheel(1)),
+                    MouseEventKind::Down(MouseButton::Left) => {
+                        let area = Rect::from((Position::ORIGIN, owned.terminal.size()?));
+                        let at = Position::new(mouse.column, mouse.row);
+                        if area.contains(at) {
+                            screen.click(at, area);
+                        }
+                    }
+                    _ => {}
+                },
+                // A change of size, for instance, only needs a new frame.
+                _ => {}
             }
         }
         if is_idle {
@@ -116,8 +159,8 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
         changed |= !presses.is_empty();
         for press in presses {
             if press == Press::Suspend {
-                if screen.may_suspend() {
-                    owned.suspend()?;
+                if screen.may_suspend() && !owned.suspend()? {
+                    screen.say(NO_SHELL);
                 }
             } else if let Some(exit) = screen.press(press) {
                 return Ok(exit);
@@ -186,26 +229,55 @@ impl Owned {
         })
     }
 
-    /// Gives the terminal back and halts the program until it is in the foreground again.
-    fn suspend(&mut self) -> io::Result<()> {
+    /// Gives the terminal back and halts the program, with everything that was started with it, until it is in the
+    /// foreground again; whether it could be halted.
+    fn suspend(&mut self) -> io::Result<bool> {
+        // Who leads the session has no shell behind it.
+        if getsid(None) == Ok(getpid()) {
+            return Ok(false);
+        }
         give_back();
+        let mut is_halted = halt_group()?;
         // Who goes on in the background must not draw over the shell: it is halted again.
-        loop {
-            signal_hook::low_level::emulate_default_handler(SIGTSTP)?;
-            let owner = tcgetpgrp(io::stdout());
-            if owner.is_err() || owner == Ok(getpgrp()) {
-                break;
-            }
+        while is_halted && tcgetpgrp(io::stdout()).is_ok_and(|owner| owner != getpgrp()) {
+            is_halted = halt_group()?;
         }
         // A new one draws every cell; the old one is not dropped, as ever.
         self.terminal = ManuallyDrop::new(enter()?);
-        Ok(())
+        Ok(is_halted)
     }
 
     /// Whether a thread other than the screen's has panicked.
     pub(super) fn panicked_elsewhere(&self) -> bool {
         !kept(&self.elsewhere).is_empty()
     }
+}
+
+/// Halts the process group as the terminal itself would: `cargo run` and this program are one job of the shell. Returns
+/// when the job goes on; whether it was halted: the system lets no group stop that nobody could bring back.
+fn halt_group() -> io::Result<bool> {
+    let goes_on = Arc::new(AtomicBool::new(false));
+    let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&goes_on))?;
+    let default = SigAction::new(SigHandler::SigDfl, SaFlags::empty(), SigSet::empty());
+    #[expect(
+        unsafe_code,
+        reason = "there is no safe way to the default of a signal"
+    )]
+    // SAFETY: the default action runs nothing of ours, and what is put back is what was there.
+    let before = unsafe { sigaction(Signal::SIGTSTP, &default) }?;
+    let sent = kill(Pid::from_raw(0), Signal::SIGTSTP);
+    for _ in 0..HALT_LOOKS {
+        if sent.is_err() || goes_on.load(Ordering::Acquire) {
+            break;
+        }
+        thread::sleep(HALT_LOOK);
+    }
+    #[expect(unsafe_code, reason = "as above")]
+    // SAFETY: as above.
+    unsafe { sigaction(Signal::SIGTSTP, &before) }?;
+    signal_hook::low_level::unregister(watch);
+    sent?;
+    Ok(goes_on.load(Ordering::Acquire))
 }
 
 fn kept(messages: &Mutex<Vec<String>>) -> MutexGuard<'_, Vec<String>> {
@@ -230,11 +302,17 @@ impl Drop for Owned {
 fn enter() -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
     enable_raw_mode()?;
     execute!(io::stdout(), EnterAlternateScreen, Hide)?;
+    if MOUSE.load(Ordering::Relaxed) {
+        execute!(io::stdout(), EnableMouseCapture)?;
+    }
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
 
 fn give_back() {
     // A terminal that is gone cannot be restored, and need not be.
     let _ = disable_raw_mode();
+    if MOUSE.load(Ordering::Relaxed) {
+        let _ = execute!(io::stdout(), DisableMouseCapture);
+    }
     let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
 }

@@ -28,9 +28,57 @@ pub(super) fn is_too_small(
     let is = area.width < SMALLEST.0 || area.height < SMALLEST.1;
     if is {
         let text = format!("{word}: {}x{}, {key}", area.width, area.height);
-        Line::styled(text, style).render(area, buffer);
+        row(&Line::styled(text, style), area, buffer);
     }
     is
+}
+
+/// One row of text; where it has no room, it ends in a mark of that.
+pub(super) fn row(line: &Line<'_>, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    line.render(area, buffer);
+    if !area.is_empty() && line.width() > usize::from(area.width) {
+        buffer[(area.right() - 1, area.y)].set_char('…');
+    }
+}
+
+/// Rows of text one under the other, each as [`row`]; those that have no room below are left out.
+pub(super) fn rows(lines: &[Line<'_>], area: Rect, buffer: &mut Buffer) {
+    for (line, place) in lines.iter().zip(area.rows()) {
+        row(line, place, buffer);
+    }
+}
+
+/// Text that is broken between words; where it has no room below, it ends in a mark of that.
+pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
+    let area = area.intersection(buffer.area);
+    if area.is_empty() {
+        return;
+    }
+    let width = usize::from(area.width);
+    let broken = lines.into_iter().flat_map(|line| match &line.spans[..] {
+        // What follows keeps the indentation of the first row.
+        [only] => {
+            let style = line.style.patch(only.style);
+            let rows = wrapped(&only.content, width).into_iter();
+            rows.map(|row| Line::styled(row, style)).collect()
+        }
+        _ => vec![line],
+    });
+    let lines: Vec<_> = broken.collect();
+    let needed = lines
+        .iter()
+        .map(|line| wrapped(&line.to_string(), width).len());
+    let is_cut = needed.sum::<usize>() > usize::from(area.height);
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: false })
+        .render(area, buffer);
+    if is_cut {
+        let y = area.bottom() - 1;
+        let last = (area.x..area.right()).rfind(|x| buffer[(*x, y)].symbol() != " ");
+        let end = last.map_or(area.x, |x| (x + 1).min(area.right() - 1));
+        buffer[(end, y)].set_char('…');
+    }
 }
 
 /// The last lines: the answer to the last key, else the keys that fit, of which `always` is kept.
@@ -43,15 +91,32 @@ pub(super) fn hints(
 ) {
     let width = usize::from(area.width);
     if let Some(message) = message {
-        let rows = wrapped(&format!("> {message}"), width.saturating_sub(1));
         let style = theme::CAREFUL.patch(theme::BOLD);
-        let lines = rows
-            .into_iter()
-            .map(|row| Line::styled(format!(" {row}"), style));
-        Paragraph::new(lines.collect::<Vec<_>>()).render(area, buffer);
+        let mut lines = said(message, width);
+        let most = usize::from(area.height).max(1);
+        if lines.len() > most {
+            // In one row with the last that there is room for, so that it is seen that it goes on.
+            let rest = lines.split_off(most - 1).join(" ");
+            lines.push(rest);
+        }
+        let lines = lines.into_iter();
+        let lines: Vec<_> = lines
+            .map(|row| Line::styled(format!(" {row}"), style))
+            .collect();
+        rows(&lines, area, buffer);
     } else {
         Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
     }
+}
+
+fn said(message: &str, width: usize) -> Vec<String> {
+    wrapped(&format!("> {message}"), width.saturating_sub(1))
+}
+
+/// Rows that the answer to the last key takes, `most` at the most; the keys take one.
+pub(super) fn hint_rows(message: Option<&str>, width: u16, most: usize) -> u16 {
+    let rows = message.map_or(1, |message| said(message, usize::from(width)).len());
+    rows.clamp(1, most.max(1)) as u16
 }
 
 /// The keys that fit into a row: `always` is kept, of the others as many as there is room for, the first first.
@@ -72,8 +137,14 @@ fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
 }
 
 /// The keys of a screen and the meaning of its words, over the middle of it, from row `first` on; the last page stays
-/// full. The screen beneath stays live.
-pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer) {
+/// full. The screen beneath stays live. Returns the rows for which there is no room.
+pub(super) fn help(
+    on: On,
+    meanings: &[&str],
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> usize {
     let width = area.width.min(WIDEST);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
     let height = area
@@ -93,6 +164,7 @@ pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: 
     } else {
         " help, any key closes it "
     };
+    let title = cut(title, usize::from(width.saturating_sub(2)));
     Clear.render(place, buffer);
     let shown: Vec<Line<'static>> = lines.into_iter().skip(first).take(room).collect();
     let mut block = Block::bordered().title(title);
@@ -100,6 +172,7 @@ pub(super) fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: 
         block = block.title_bottom(Line::from(" more below ").right_aligned());
     }
     Paragraph::new(shown).block(block).render(place, buffer);
+    hidden
 }
 
 fn help_lines(on: On, meanings: &[&str], width: usize) -> Vec<Line<'static>> {
@@ -167,8 +240,13 @@ pub(super) fn paragraph(title: &str, text: impl Into<String>) -> Line<'static> {
     Line::from(vec![title, Span::raw(text.into())])
 }
 
-/// Paragraphs from row `first` on; the last page stays full.
-pub(super) fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: &mut Buffer) {
+/// Paragraphs from row `first` on; the last page stays full. Returns the rows for which there is no room.
+pub(super) fn page(
+    lines: Vec<Line<'static>>,
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> usize {
     let width = usize::from(area.width).max(1);
     // Counted generously, as words are not broken between rows.
     let rows = lines.iter().map(|line| 1 + line.width() * 5 / (4 * width));
@@ -178,6 +256,7 @@ pub(super) fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: 
         .wrap(Wrap { trim: true })
         .scroll((offset, 0))
         .render(area, buffer);
+    hidden
 }
 
 #[cfg(test)]

@@ -28,6 +28,8 @@ pub enum Press {
     Page(usize),
     /// Rows to scroll or to select by, downwards positive.
     Move(i32),
+    /// The same from the wheel of a mouse, which zooms a time axis.
+    Wheel(i32),
     Open,
     Add,
     Remove,

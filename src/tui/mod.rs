@@ -27,11 +27,14 @@ mod keys;
 mod live;
 mod plot;
 #[cfg(test)]
+mod screens;
+#[cfg(test)]
 mod testing;
 mod theme;
 mod traces;
 
-pub use application::{Exit, Screen, is_gone, show};
+pub use application::{Exit, Screen, is_gone, show, use_mouse};
 pub use diagnosis::{DiagnosisScreen, DiagnosisSources, Opens};
 pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};
+pub use theme::use_light;

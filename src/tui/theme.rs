@@ -1,6 +1,10 @@
-//! Colours, each beside a word or a mark that says the same.
+//! Colours, each beside a word or a mark that says the same. They are the terminal's sixteen, made for a dark background;
+//! on a light one each has another in its place that is dark enough.
 
-use ratatui::style::Style;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use ratatui::buffer::Buffer;
+use ratatui::style::{Color, Style};
 
 use crate::bench::{Level, Target};
 use crate::sample::Verdict;
@@ -45,4 +49,46 @@ pub(super) const fn level(level: Level) -> Style {
         Level::Warning => CAREFUL,
         Level::Error => BAD,
     }
+}
+
+static IS_LIGHT: AtomicBool = AtomicBool::new(false);
+
+/// From here on screens are drawn for a light background.
+pub fn use_light() {
+    IS_LIGHT.store(true, Ordering::Relaxed);
+}
+
+/// Puts the colours of the theme in the place of those that a screen was drawn with.
+pub(super) fn apply(buffer: &mut Buffer) {
+    if IS_LIGHT.load(Ordering::Relaxed) {
+        lighten(buffer);
+    }
+}
+
+/// For a light background, whatever the theme.
+pub(super) fn lighten(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        // Letters on a colour stay white: an alarm.
+        cell.fg = match (cell.fg, cell.bg) {
+            (colour, Color::Reset) => on_light(colour),
+            _ => Color::Indexed(231),
+        };
+        cell.bg = on_light(cell.bg);
+    }
+}
+
+/// The colour in the place of one of the sixteen: of the 256, which are the same on every terminal. The terminal's own
+/// foreground and background stay.
+const fn on_light(colour: Color) -> Color {
+    Color::Indexed(match colour {
+        Color::DarkGray => 240,
+        Color::Red => 124,
+        Color::Green => 22,
+        Color::Yellow => 94,
+        Color::Magenta => 90,
+        Color::Cyan => 24,
+        Color::LightBlue => 26,
+        Color::White => 16,
+        other => return other,
+    })
 }

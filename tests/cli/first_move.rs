@@ -4,7 +4,7 @@
 use crate::kit::prelude::*;
 
 /// A short bench over the paper's motor: head, more sections, and the parts of the sequence.
-fn bench(more: &str, sequence: &str) -> String {
+pub(super) fn bench(more: &str, sequence: &str) -> String {
     let (head, _) = BENCH.split_once("# What `drivebench speed` does").unwrap();
     format!("{head}\n{more}\n{sequence}\n")
 }

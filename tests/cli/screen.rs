@@ -33,7 +33,10 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
     lacks(&session.text(), &["supported"]);
     session.press("a");
     session.wait_for("guess first");
-    for _ in 0..4 {
+    // No row stands for a guess by itself.
+    session.press("p");
+    session.wait_for("choose first");
+    for _ in 0..5 {
         session.press(DOWN);
     }
     session.wait_for("▶ stribeck_friction");
@@ -196,22 +199,126 @@ fn is_halted(id: u32) -> bool {
     status.lines().any(|line| line.starts_with("State:\tT"))
 }
 
+/// A shell that halts its jobs and brings them back; the job is a shell of its own with the program in it, as `cargo run` is.
+const JOB: &str = r#"
+set -m
+sh -c '"$@"; exit $?' job "$@"
+echo "halted $?"
+read answer
+fg
+echo "over $?"
+"#;
+
 #[test]
-#[cfg(target_os = "linux")]
-fn ctrl_z_gives_the_terminal_back_and_the_screen_comes_again() {
+fn ctrl_z_halts_the_whole_job_and_fg_brings_the_screen_back() {
     let folder = Desk::new();
-    let mut session = diagnose("", folder.folder(), (100, 30));
+    let runs = Runs::hidden();
+    let mut arguments = line("-c {} shell", &[Path::new(JOB)]);
+    arguments.push(BINARY.into());
+    let command = "diagnose {} --holdout {} --screen";
+    arguments.extend(line(command, &[&runs.fit, &runs.holdout]));
+    let mut session = Session::of("sh", arguments, folder.folder(), (100, 30));
     session.wait_for(ADD);
-    let id = session.id();
     session.press("\u{1a}");
     session.wait("the shell", |screen| !screen.alternate_screen());
-    wait_for("the program is halted", || is_halted(id).then_some(()));
-    session.signal(Signal::SIGCONT);
+    session.wait_for("halted ");
+    session.press("\n");
     session.wait("the screen", vt100::Screen::alternate_screen);
     session.wait_for(ADD);
     session.press("q");
+    session.wait_for("over 0");
     assert_eq!(session.end(), 0, "{}", session.text());
     session.expect_terminal_as_it_was();
+}
+
+#[test]
+fn ctrl_z_where_no_shell_could_bring_it_back_says_so_and_goes_on() {
+    let folder = Desk::new();
+    // The program leads its session.
+    let mut session = diagnose("", folder.folder(), (100, 30));
+    session.wait_for(ADD);
+    session.press("\u{1a}");
+    session.wait_for("Ctrl-Z: no shell stands behind this program");
+    session.press("e");
+    session.wait_for("error over speed x current");
+    session.press("qq");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    session.expect_terminal_as_it_was();
+}
+
+#[test]
+fn after_a_trip_nothing_is_diagnosed_and_the_status_stays() {
+    let fast = "[[sequence]]\nsteps = { levels_v = [95.0, 0.0], hold_s = 1.0 }\n";
+    let stiff = PLAIN.replace("bus_v = 120.0", "bus_v = 120.0\nbus_capacitance_f = 1e-3");
+    let folder = Desk::new();
+    let bench = folder.put("bench.toml", &super::first_move::bench("", fast));
+    let emulator = folder.put("emulator.toml", &stiff);
+    let arguments = line(
+        "run {} --emulator {} --port sim: --out runs",
+        &[&bench, &emulator],
+    );
+    let mut session = Session::start(arguments, folder.folder(), (100, 30));
+    session.wait_for("SAFETY TRIP");
+    session.wait_for("q = quit");
+    for key in ["d", "v"] {
+        session.press(key);
+        session.wait_for("not yet: the diagnosis begins where a run has gone to its end");
+        session.press("f");
+        session.wait_for("FROZEN");
+        session.press("f");
+        session.wait("the answer gone", |screen| {
+            !screen.contents().contains("FROZEN")
+        });
+    }
+    session.press("q");
+    assert_eq!(session.end(), 4, "{}", session.text());
+    has(&session.text(), &["bus voltage too high"]);
+    session.expect_terminal_as_it_was();
+}
+
+#[test]
+fn a_model_that_was_written_by_hand_is_in_the_next_command() {
+    let folder = Desk::new();
+    let arguments = line("run --port sim: --seed 7 --out runs", &[]);
+    let mut session = Session::start(arguments, folder.folder(), (120, 40));
+    session.wait_for("d = diagnosis by hand, q = quit");
+    session.press("d");
+    session.wait_for(ADD);
+    session.press("w");
+    session.wait_for("model written to model.toml");
+    keep_what_scrolls(&mut session);
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    has(&session.text(), &["drivebench tune --model model.toml"]);
+}
+
+#[test]
+fn the_mouse_is_taken_only_where_it_is_asked_for_and_a_click_selects() {
+    let folder = Desk::new();
+    let mut session = diagnose("", folder.folder(), (100, 30));
+    session.wait_for(ADD);
+    lacks(&String::from_utf8_lossy(&session.sent), &["\u{1b}[?1000h"]);
+    session.press("q");
+    assert_eq!(session.end(), 0);
+    let mut session = diagnose("--mouse", folder.folder(), (100, 30));
+    session.wait_for(ADD);
+    session.wait_for("▶ ✓ supported   stribeck_friction");
+    let shown = session.text();
+    let row = shown
+        .lines()
+        .position(|row| row.contains("stribeck_friction  "));
+    // Counted from one; the row below the selected one, as terminals tell it (SGR).
+    let below = row.expect("the list") + 2;
+    session.press(&format!("\u{1b}[<0;30;{below}M\u{1b}[<0;30;{below}m"));
+    session.wait("another row", |screen| {
+        !screen
+            .contents()
+            .contains("▶ ✓ supported   stribeck_friction")
+    });
+    session.press("q");
+    assert_eq!(session.end(), 0);
+    session.expect_terminal_as_it_was();
+    has(&String::from_utf8_lossy(&session.sent), &["\u{1b}[?1000l"]);
 }
 
 #[test]

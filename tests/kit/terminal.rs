@@ -144,6 +144,17 @@ impl Session {
         self.child.process_id().unwrap()
     }
 
+    /// The program's side of the terminal.
+    #[cfg(target_os = "linux")]
+    pub(crate) fn terminal(&self) -> std::fs::File {
+        use std::os::unix::fs::OpenOptionsExt as _;
+        let mut options = std::fs::OpenOptions::new();
+        // Never as the terminal of the test itself.
+        options.read(true).custom_flags(nix::libc::O_NOCTTY);
+        let path = format!("/proc/{}/fd/1", self.id());
+        options.open(path).expect("the program has a terminal")
+    }
+
     pub(crate) fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.id().cast_signed()), signal).unwrap();
     }

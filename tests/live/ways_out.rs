@@ -5,6 +5,8 @@ use std::process::{Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use nix::sys::termios::{FlowArg, tcflow};
+
 use crate::kit::prelude::*;
 use crate::kit::process::{RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
 
@@ -111,6 +113,45 @@ fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
             has(&manifest, &["\"interrupted\"", "\"finished\": true"]);
         }
     }
+}
+
+/// A terminal that takes nothing for a while, as one behind a slow line: the bench goes on, row by row.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
+    const BLOCKED_ROWS: usize = 150;
+    let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 3.0");
+    let mut session = lab.on_screen("run");
+    let rows = || commands(&lab).len();
+    let terminal = session.terminal();
+    tcflow(&terminal, FlowArg::TCOOFF).unwrap();
+    let before = rows();
+    // The last chunk may still be on its way; then nothing comes any more.
+    let seen = wait_for("rows while nothing is drawn", || {
+        session.now();
+        (rows() >= before + BLOCKED_ROWS / 3).then_some(session.sent.len())
+    });
+    wait_for("more rows", || {
+        session.now();
+        (rows() >= before + BLOCKED_ROWS).then_some(())
+    });
+    assert_eq!(session.sent.len(), seen, "the terminal takes nothing");
+    tcflow(&terminal, FlowArg::TCOON).unwrap();
+    drop(terminal);
+    session.wait_for("DONE");
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    session.expect_terminal_as_it_was();
+    lab.expect_stopped("a slow terminal");
+    let times = column(&lab.desk.read("samples.csv"), "time_s");
+    let longest_s = times.windows(2).map(|pair| pair[1] - pair[0]);
+    let longest_s = longest_s.fold(0.0, f64::max);
+    // Three seconds were not drawn; what a loaded machine takes away is much less than the silence that ends a run.
+    assert!(longest_s < 0.95, "{longest_s} s between two rows");
+}
+
+fn commands(lab: &Lab) -> Vec<f64> {
+    column(&lab.desk.read("samples.csv"), "voltage_cmd_v")
 }
 
 #[test]

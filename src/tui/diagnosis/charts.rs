@@ -7,13 +7,13 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Paragraph, Widget};
 
 use super::state::State;
-use crate::diagnosis::{CurvePoint, EffectCurve, MapCell, MapDigits, Off};
+use crate::diagnosis::{AxisMap, CurvePoint, EffectCurve, MapCell, MapDigits, Off};
+use crate::plant::effect::Axis;
 use crate::text::lines::wrapped;
 use crate::text::number::{shortest, significant, with_std};
-use crate::tui::frame::titled_with;
+use crate::tui::frame::{rows, titled_with};
 use crate::tui::plot::{
     Bounds, LABELS, Stroke, Trace, across, plot, range, round, tick, value_axis,
 };
@@ -57,17 +57,23 @@ pub(super) fn curve(
     } else {
         FEW_WORDS
     };
-    let rows = words(curve).into_iter().flat_map(|text| {
-        let rows = wrapped(&text, width.saturating_sub(1).max(1)).into_iter();
-        rows.map(|row| Line::styled(format!(" {row}"), theme::BOLD))
-    });
-    let mut lines: Vec<Line<'static>> = rows.take(most).collect();
+    let room = width.saturating_sub(1).max(1);
+    let said = words(curve).into_iter();
+    let mut said: Vec<String> = said.flat_map(|text| wrapped(&text, room)).collect();
+    if said.len() > most {
+        // The rest of it makes the last row too long, so that it is seen that there is more.
+        let rest = said.split_off(most.saturating_sub(1)).join(" ");
+        said.push(rest);
+    }
+    let said = said.into_iter();
+    let said = said.map(|row| Line::styled(format!(" {row}"), theme::BOLD));
+    let mut lines: Vec<Line<'static>> = said.collect();
     lines.push(legend(curve));
     if let Some(point) = cursor.and_then(|at| curve.points.get(at).map(|point| (at, point))) {
         lines.push(at_cursor(curve, point));
     }
     let head = u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
     let height = inner.height.saturating_sub(head);
     if height < 3 || inner.width < LABELS + 8 {
         return;
@@ -117,8 +123,8 @@ fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'st
     Line::styled(text, theme::BOLD)
 }
 
-/// The chart with the labels of its axis in the row below `area`.
-fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Buffer) {
+/// What the chart of a curve spans; none where there is nothing to draw.
+fn bounds(curve: &EffectCurve) -> Option<Bounds> {
     let points = || curve.points.iter().chain(&curve.with_it);
     let places = points().map(|point| point.at);
     let places = range(places.chain(curve.line.iter().map(|at| at.0)));
@@ -131,23 +137,43 @@ fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Bu
         [point.mean - bar, point.mean + bar]
     });
     let values = range(ends.chain(curve.line.iter().map(|at| at.1)));
-    let (Some((first, last)), Some((least, most))) = (places, values) else {
-        return;
-    };
+    let ((first, last), (least, most)) = (places?, values?);
     let (low, high) = round(least.min(0.0), most.max(0.0));
     let margin = MARGIN * (last - first);
-    let bounds = Bounds {
+    Some(Bounds {
         from: first - margin,
         to: last + margin,
         low,
         high,
+    })
+}
+
+/// The point of a curve that is drawn nearest to this column of the page.
+pub(super) fn point_at(state: &State, index: usize, column: u16, area: Rect) -> Option<usize> {
+    let drawn = state.drawn();
+    let (curve, _) = drawn.get(index)?;
+    let bounds = bounds(curve)?;
+    let chart = Rect {
+        x: area.x + LABELS,
+        width: area.width.checked_sub(LABELS)?,
+        ..area
     };
+    let columns = curve.points.iter().enumerate().filter_map(|(at, point)| {
+        let drawn = bounds.column(point.at, chart)?;
+        Some((drawn.abs_diff(column), at))
+    });
+    columns.min().map(|(_, at)| at)
+}
+
+/// The chart with the labels of its axis in the row below `area`.
+fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Buffer) {
+    let Some(bounds) = bounds(curve) else { return };
     let inner = Rect {
         x: area.x + LABELS,
         width: area.width - LABELS,
         ..area
     };
-    value_axis(low, high, inner, buffer);
+    value_axis(bounds.low, bounds.high, inner, buffer);
     let here = cursor.and_then(|at| curve.points.get(at));
     if let Some(x) = here.and_then(|point| bounds.column(point.at, inner)) {
         for y in inner.y..inner.bottom() {
@@ -170,6 +196,7 @@ fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Bu
             dot(point, mark, style, bounds, inner, buffer);
         }
     }
+    let (first, last) = (bounds.from, bounds.to);
     let labels = [first, f64::midpoint(first, last), last].map(tick);
     let [left, middle, right] = &labels;
     let right = format!("{right} {}", curve.axis_unit);
@@ -222,7 +249,10 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     } else {
         ("voltage", "V")
     };
-    let MapDigits { largest, rows } = map.digits(equation);
+    let MapDigits {
+        largest,
+        rows: speeds,
+    } = map.digits(equation);
     let nine = significant(largest, 3);
     let title = format!("{equation} error over speed x current: 9 and i are {nine} {unit}");
     let inner = titled_with(&title, "", area, buffer);
@@ -230,7 +260,7 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     let columns = map.current_edges_a.len().saturating_sub(1).max(1);
     let cell_width = (usize::from(inner.width).saturating_sub(14) / columns).clamp(1, 6);
     // Two rows for each speed where there is room, so that the map is nearly square.
-    let repeat = (room / rows.len().max(1)).clamp(1, 2);
+    let repeat = (room / speeds.len().max(1)).clamp(1, 2);
     let mut lines = vec![Line::from(vec![
         Span::styled(" 1-9 model too low", shade(Off::TooLow)),
         Span::styled("  a-i too high", shade(Off::TooHigh)),
@@ -238,8 +268,8 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
         Span::styled("  · never there", theme::DIM),
     ])];
     // Where there are fewer rows than speeds, some of them over the whole range.
-    let step = rows.len().div_ceil(room.max(1)).max(1);
-    for (middle, cells) in rows.iter().skip(step / 2).step_by(step) {
+    let step = speeds.len().div_ceil(room.max(1)).max(1);
+    for (middle, cells) in speeds.iter().skip(step / 2).step_by(step) {
         for copy in 0..repeat {
             let label = if copy == 0 {
                 format!("{middle:>6.0} rad/s ")
@@ -268,7 +298,7 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
         let axis = format!(" {left_out:<12}{from}{to:>gap$}");
         lines.push(Line::styled(axis, theme::DIM));
     }
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 const fn shade(off: Off) -> Style {
@@ -276,5 +306,41 @@ const fn shade(off: Off) -> Style {
         Off::TooLow => theme::TOO_LOW,
         Off::TooHigh => theme::TOO_HIGH,
         Off::BothWays => theme::CAREFUL,
+    }
+}
+
+/// The curve that an unexplained error follows, as one that is drawn.
+pub(super) fn of_a_map(map: &AxisMap) -> EffectCurve {
+    let axis = Axis::from_key(map.axis);
+    let points = map.knots.iter().zip(&map.values).enumerate();
+    let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
+        at: *at,
+        mean: *mean,
+        std: map.std.get(knot).copied().unwrap_or(f64::NAN),
+        count: 0,
+    };
+    EffectCurve {
+        effect: None,
+        equation: map.equation,
+        unit: if map.equation == "voltage" {
+            "V"
+        } else {
+            "N.m"
+        },
+        axis: map.axis,
+        axis_unit: axis.map_or("", Axis::unit),
+        axis_name: map
+            .axis_label()
+            .split(',')
+            .next()
+            .unwrap_or_default()
+            .to_owned(),
+        why_axis: Some(map.sentence.clone()),
+        points: points.map(point).collect(),
+        line: Vec::new(),
+        with_it: Vec::new(),
+        noise: None,
+        rms_without: f64::NAN,
+        rms_with: None,
     }
 }

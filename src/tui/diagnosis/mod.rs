@@ -17,17 +17,19 @@
 
 mod charts;
 mod guess;
+mod list;
 mod state;
 mod view;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
 
 use ratatui::Frame;
+use ratatui::layout::{Position, Rect};
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
@@ -131,6 +133,14 @@ impl Screen for DiagnosisScreen {
 
     fn press(&mut self, press: Press) -> Option<Exit> {
         self.act(Event::Press(press))
+    }
+
+    fn click(&mut self, at: Position, area: Rect) {
+        view::click(&mut self.state, at, area);
+    }
+
+    fn say(&mut self, text: &str) {
+        self.state.message = Some(text.to_owned());
     }
 
     fn may_suspend(&mut self) -> bool {

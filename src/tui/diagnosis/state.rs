@@ -1,16 +1,19 @@
 //! State of the diagnosis screen, and what each event does to it. Pure: an update returns what the program is to do.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Opens;
-use super::guess::{Guess, Guessing, compared};
+use super::charts::of_a_map;
+use super::guess::{Guessing, compared};
+use super::list::{Judged, Row};
 use crate::diagnosis::{
-    AddResult, AxisMap, Candidate, Comparison, CurvePoint, Diagnosis, EffectCurve, ErrorOf,
-    Event as Found, NextExperiment,
+    AddResult, AxisMap, Candidate, Comparison, Diagnosis, EffectCurve, ErrorOf, Event as Found,
+    NextExperiment,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::effect::{self, Axis};
+use crate::plant::effect::Axis;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::tui::traces::{FRAMES, TracesPage};
@@ -28,15 +31,6 @@ pub(super) enum Event {
     WorkerGone,
     /// One frame of a change that is being drawn.
     Frame,
-}
-
-/// An effect while the search is under way.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Judged {
-    /// Share of the unexplained error, to first order.
-    pub(super) share: Option<f64>,
-    /// Training error after the refit, in units of the noise.
-    pub(super) error: Option<f64>,
 }
 
 /// One model on the way and how it came about.
@@ -73,34 +67,6 @@ pub(super) enum Over {
     Curve(usize, Option<usize>),
     /// Measured and model over time.
     Traces,
-    /// From this row on.
-    Help(usize),
-}
-
-/// What a row of the list stands for.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Row<'a> {
-    /// Already in the model.
-    Present(&'static str),
-    Judged(&'static str, Judged),
-    Candidate(&'a Candidate),
-    Choice(Guess),
-}
-
-impl Row<'_> {
-    /// What the row is selected by.
-    pub(super) const fn key(&self) -> &'static str {
-        match self {
-            Self::Present(id) | Self::Judged(id, _) => id,
-            Self::Candidate(candidate) => candidate.effect,
-            Self::Choice(guess) => guess.key(),
-        }
-    }
-
-    /// The effect it stands for, if any.
-    pub(super) fn effect(&self) -> Option<&'static dyn crate::plant::Effect> {
-        effect::find(self.key())
-    }
 }
 
 /// The state of the screen.
@@ -134,6 +100,10 @@ pub(super) struct State {
     /// The row selected; none before the person has moved.
     pub(super) selected: Option<&'static str>,
     pub(super) over: Over,
+    /// First row of the help, where it lies over everything else.
+    pub(super) help: Option<usize>,
+    /// Rows for which what scrolls had no room when it was drawn: the keys go no further.
+    pub(super) hidden: Cell<usize>,
     pub(super) guessing: Guessing,
     /// A model that is to be written is not in its file yet.
     pub(super) writing: bool,
@@ -177,6 +147,15 @@ impl State {
         self.is_a_comparison() && self.working.is_none() && self.comparison.is_some()
     }
 
+    /// Whether the traces have the page: opened over it, or beside nothing but the comparison.
+    pub(super) fn sees_traces(&self) -> bool {
+        match self.over {
+            Over::Traces => true,
+            Over::Nothing => self.only_compares(),
+            _ => false,
+        }
+    }
+
     /// Whether something is being drawn frame by frame; it ends by itself.
     pub(super) const fn is_moving(&self) -> bool {
         self.falling > 0 || self.traces.is_moving()
@@ -190,8 +169,7 @@ impl State {
     /// What the curve page goes through: the curve of the selected effect, where it has one, else the error alone; then what
     /// an unexplained error follows, each with its place in the diagnosis.
     pub(super) fn drawn(&self) -> Vec<(Arc<EffectCurve>, Option<usize>)> {
-        let rows = self.rows();
-        let selected = rows.get(self.selected(&rows)).and_then(Row::effect);
+        let selected = self.row().and_then(|row| row.effect());
         let selected = selected.map(|effect| effect.card().id);
         let of = |id: Option<&str>| self.curves.iter().find(|curve| curve.effect == id);
         let own = selected.and_then(|id| of(Some(id))).or_else(|| of(None));
@@ -199,31 +177,6 @@ impl State {
         let maps = self.curves().into_iter();
         drawn.extend(maps.map(|(place, map)| (Arc::new(of_a_map(map)), Some(place))));
         drawn
-    }
-
-    /// The rows of the list, in the order in which they are shown.
-    pub(super) fn rows(&self) -> Vec<Row<'_>> {
-        if self.guessing == Guessing::Choosing {
-            return Guess::all(&self.present).map(Row::Choice).collect();
-        }
-        let mut rows: Vec<Row<'_>> = self.present.iter().map(|id| Row::Present(id)).collect();
-        if let Some(diagnosis) = &self.diagnosis {
-            rows.extend(diagnosis.candidates.iter().map(Row::Candidate));
-            return rows;
-        }
-        let mut judged: Vec<_> = self.judged.iter().collect();
-        let share = |judged: &Judged| judged.share.unwrap_or(f64::NEG_INFINITY);
-        judged.sort_by(|a, b| share(b.1).total_cmp(&share(a.1)));
-        let judged = judged.into_iter();
-        rows.extend(judged.map(|(id, judged)| Row::Judged(id, *judged)));
-        rows
-    }
-
-    /// The selected row: before the person has moved, the first that is not in the model.
-    pub(super) fn selected(&self, rows: &[Row<'_>]) -> usize {
-        let chosen = |key| rows.iter().position(|row| row.key() == key);
-        let first = || rows.iter().position(|row| !matches!(row, Row::Present(_)));
-        self.selected.and_then(chosen).or_else(first).unwrap_or(0)
     }
 
     /// What the unexplained error follows, where it follows anything that a table can hold, each with its place in the
@@ -398,18 +351,27 @@ impl State {
             Press::Interrupt => return Some(Effect::Leave(Exit::Interrupted)),
             Press::Stop if self.leaving => self.leaving = false,
             _ if self.leaving => self.say(LEAVING),
-            Press::Move(_) | Press::Stop
-                if self.over == Over::Traces && self.traces.press(press) => {}
+            Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
+                let hidden = self.hidden.get();
+                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
+                self.help = self.help.map(scrolled);
+            }
+            // It gives back the page that it explains.
+            _ if self.help.is_some() => self.help = None,
+            Press::Help => self.help = Some(0),
+            Press::Move(_) | Press::Stop if self.sees_traces() && self.traces.press(press) => {}
             Press::Quit if self.over != Over::Nothing => self.over = Over::Nothing,
             Press::Quit if self.writing => {
                 self.leaving = true;
                 self.say(LEAVING);
             }
             Press::Quit => return Some(Effect::Leave(self.exit())),
-            Press::Move(rows) => self.go(rows),
-            _ if matches!(self.over, Over::Help(_)) => self.over = Over::Nothing,
+            Press::Wheel(rows) if self.sees_traces() => {
+                self.traces.press(Press::Zoomed(rows < 0));
+            }
+            Press::Move(rows) | Press::Wheel(rows) => self.go(rows),
             Press::Traces => self.see_traces(),
-            _ if self.over == Over::Traces && self.traces.press(press) => {}
+            _ if self.sees_traces() && self.traces.press(press) => {}
             Press::Cursor(way) => self.move_cursor(way),
             // The worst place is also a way into the page.
             Press::Worst => {
@@ -432,9 +394,8 @@ impl State {
             Press::Write => return self.write(),
             Press::Curve => self.curve(),
             Press::Table => return self.table(),
-            Press::Help => self.over = Over::Help(0),
             Press::Stop => self.back(),
-            _ => {}
+            other => self.say(why_nothing(other)),
         }
         None
     }
@@ -455,19 +416,16 @@ impl State {
     }
 
     fn go(&mut self, by: i32) {
-        let by = by as isize;
-        if let Over::Card(line) | Over::Next(line) | Over::Help(line) = &mut self.over {
-            *line = line.saturating_add_signed(by);
-            return;
+        if let Over::Card(line) | Over::Next(line) = &mut self.over {
+            let drawn = (*line).min(self.hidden.get());
+            *line = drawn.saturating_add_signed(by as isize);
+        } else if self.only_compares() {
+            self.say(self.why_none());
+        } else if let Over::Traces | Over::Map(_) = self.over {
+            self.say("this page does not scroll");
+        } else {
+            self.select_by(by);
         }
-        if matches!(self.over, Over::Traces | Over::Map(_)) {
-            return;
-        }
-        let rows = self.rows();
-        let last = rows.len().saturating_sub(1);
-        let next = self.selected(&rows).saturating_add_signed(by).min(last);
-        let key = rows.get(next).map(Row::key);
-        self.selected = key;
     }
 
     fn open(&mut self) {
@@ -475,15 +433,25 @@ impl State {
             self.over = Over::Nothing;
             return;
         }
-        let rows = self.rows();
-        let row = rows.get(self.selected(&rows));
-        let key = row.filter(|row| row.effect().is_some()).map(Row::key);
-        if key.is_some() {
-            // The list may be put in another order while the card is read.
-            self.selected = key;
-            self.over = Over::Card(0);
-        } else {
-            self.say("no effect is selected");
+        let row = self.row();
+        let effect = row.filter(|row| row.effect().is_some());
+        match (effect.map(|row| row.key()), row.map(|row| row.key())) {
+            (Some(key), _) => {
+                // The list may be put in another order while the card is read.
+                self.selected = Some(key);
+                self.over = Over::Card(0);
+            }
+            (None, Some(guess)) => self.say(format!("\"{guess}\" is no effect and has no card")),
+            (None, None) => self.say(self.why_none()),
+        }
+    }
+
+    /// Why no row is selected.
+    fn why_none(&self) -> &'static str {
+        match (self.guessing, self.only_compares()) {
+            (Guessing::Choosing, _) => "choose first: Up and Down go through the list",
+            (_, true) => "there is no list of effects yet: d searches what is missing",
+            _ => "not yet: no effect has been judged",
         }
     }
 
@@ -499,11 +467,10 @@ impl State {
         if self.guessing == Guessing::Choosing {
             return Err(GUESS_FIRST.to_owned());
         }
-        let rows = self.rows();
-        match rows.get(self.selected(&rows)) {
+        match self.row() {
             Some(Row::Present(id)) => Ok((id, true)),
             Some(Row::Candidate(candidate)) => Ok((candidate.effect, false)),
-            _ => Err("no effect is selected".to_owned()),
+            _ => Err(self.why_none().to_owned()),
         }
     }
 
@@ -640,6 +607,7 @@ impl State {
     /// From point to point of the curve in sight.
     fn move_cursor(&mut self, way: i32) {
         let Over::Curve(index, at) = self.over else {
+            self.say(why_nothing(Press::Cursor(way)));
             return;
         };
         let drawn = self.drawn();
@@ -718,8 +686,8 @@ impl State {
     fn guess(&mut self) {
         match self.guessing {
             Guessing::Choosing => {
-                let rows = self.rows();
-                let Some(Row::Choice(guess)) = rows.get(self.selected(&rows)).copied() else {
+                let Some(Row::Choice(guess)) = self.row() else {
+                    self.say(self.why_none());
                     return;
                 };
                 self.guessing = Guessing::Guessed(guess);
@@ -770,38 +738,24 @@ impl State {
     }
 }
 
-/// The curve that an unexplained error follows, as one that is drawn.
-fn of_a_map(map: &AxisMap) -> EffectCurve {
-    let axis = Axis::from_key(map.axis);
-    let points = map.knots.iter().zip(&map.values).enumerate();
-    let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
-        at: *at,
-        mean: *mean,
-        std: map.std.get(knot).copied().unwrap_or(f64::NAN),
-        count: 0,
-    };
-    EffectCurve {
-        effect: None,
-        equation: map.equation,
-        unit: if map.equation == "voltage" {
-            "V"
-        } else {
-            "N.m"
-        },
-        axis: map.axis,
-        axis_unit: axis.map_or("", Axis::unit),
-        axis_name: map
-            .axis_label()
-            .split(',')
-            .next()
-            .unwrap_or_default()
-            .to_owned(),
-        why_axis: Some(map.sentence.clone()),
-        points: points.map(point).collect(),
-        line: Vec::new(),
-        with_it: Vec::new(),
-        noise: None,
-        rms_without: f64::NAN,
-        rms_with: None,
+/// Why a key that the program knows does nothing here.
+fn why_nothing(press: Press) -> &'static str {
+    match press {
+        Press::Start | Press::Freeze | Press::Mark | Press::ResetFault => {
+            "nothing runs here: that key is for the screen of a run"
+        }
+        Press::Experiment | Press::SpeedLoop => {
+            "that follows a commissioning: q, then the key on the page of its steps"
+        }
+        Press::Zoom | Press::Zoomed(_) | Press::Pan(_) | Press::Signals => {
+            "zoom, pan and signals belong to the traces: v shows them"
+        }
+        Press::Cursor(_) => "the cursor belongs to traces and curves: v or c shows them",
+        Press::NextScreen | Press::PreviousScreen | Press::Page(_) => {
+            "there is one page here: ? lists the keys that show others over it"
+        }
+        Press::Diagnose => "what is missing is searched already",
+        Press::Yes => "nothing was asked",
+        _ => "that key does nothing here: ? lists those that do",
     }
 }

@@ -1,9 +1,10 @@
 //! Screens on a fixed diagnosis, keys in every state, and any data at any size.
 
-use insta::assert_snapshot;
-use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use ratatui::layout::{Position, Rect};
+
+mod any;
 
 use super::guess::{Guess, Guessing, compared};
 use super::state::{Event, Over, State};
@@ -17,7 +18,8 @@ use crate::plant::testing::with_a_fan;
 use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
-use crate::tui::testing::{self, fan_model, fan_traces, number};
+use crate::tui::screens::Page;
+use crate::tui::testing::{self, fan_model, fan_traces};
 use crate::tui::traces::FRAMES;
 use crate::workflow::{News, Order};
 
@@ -174,166 +176,76 @@ fn shows(state: &State, parts: &[&str]) {
     }
 }
 
-#[test]
-fn fixed_screens() {
-    let over = |over| State { over, ..answered() };
-    let (mut refused, mut card) = (answered(), answered());
-    for key in [Press::Move(1), Press::Add] {
-        press(&mut refused, key);
-    }
-    hear(&mut refused, added("cogging", false));
-    press(&mut card, Press::Open);
-    for (name, state, width, height) in [
-        ("begun_80x24", begun(false), 80, 24),
-        ("searching_80x24", searching(false), 80, 24),
-        ("guessing_80x24", searching(true), 80, 24),
-        ("answered_80x24", answered(), 80, 24),
-        ("answered_120x40", answered(), 120, 40),
-        ("answered_40x10", answered(), 40, 10),
-        ("at_the_floor_80x24", at_the_floor(), 80, 24),
-        ("refused_80x24", refused, 80, 24),
-        ("card_80x24", card, 80, 24),
-        ("map_80x24", over(Over::Map(0)), 80, 24),
-        ("help_80x24", over(Over::Help(0)), 80, 24),
-    ] {
-        assert_snapshot!(name, text(&state, width, height));
-    }
-}
-
-/// The sizes that every page is looked at in.
-const SIZES: [(u16, u16); 4] = [(40, 10), (80, 24), (120, 40), (200, 50)];
-
-#[test]
-fn fixed_pages() {
+/// Every page of the screen.
+pub(in crate::tui) fn pages() -> Vec<Page> {
+    let refused = || {
+        let mut state = pressed(answered(), &[Press::Move(1)]);
+        press(&mut state, Press::Add);
+        hear(&mut state, added("cogging", false));
+        state
+    };
+    let next = || {
+        let mut state = answered();
+        let mut found = diagnosis();
+        found.confusable = vec![["viscous_friction", "quadratic_load"]];
+        answer(&mut state, found);
+        hear(&mut state, News::Recommended(Box::new(next_experiment())));
+        pressed(state, &[Press::Next])
+    };
+    let failed = || {
+        let mut state = begun(false);
+        let reason = "the run is too short: 12 rows, at least 200 are needed";
+        hear(&mut state, News::Failed(reason.to_owned()));
+        state
+    };
     let traces = pressed(of_a_fan(), &[Press::Traces]);
-    let worst = pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)]);
-    let signals = pressed(of_a_fan(), &[Press::Traces, Press::Signals, Press::Move(1)]);
     let curve = pressed(of_a_fan(), &[Press::Curve]);
-    let point = pressed(curve.clone(), &[Press::Cursor(-1), Press::Cursor(-1)]);
-    let map = pressed(of_a_fan(), &[Press::Map]);
-    for (name, state) in [
+    let states = [
+        ("begun", begun(false)),
+        ("searching", searching(false)),
+        ("guessing", pressed(searching(true), &[Press::Move(1)])),
+        ("answered", answered()),
         ("fan", of_a_fan()),
-        ("traces", traces),
-        ("curve", curve),
-        ("map", map),
-        ("compared", compared_alone()),
         ("falling", falling()),
-    ] {
-        for (width, height) in SIZES {
-            let name = format!("page_{name}_{width}x{height}");
-            assert_snapshot!(name, text(&state, width, height));
-        }
-    }
-    for (name, state) in [
-        ("worst", worst),
-        ("signals", signals),
-        ("curve_cursor", point),
+        ("at_the_floor", at_the_floor()),
+        ("refused", refused()),
+        ("failed", failed()),
+        ("card", pressed(answered(), &[Press::Open])),
+        ("map", pressed(of_a_fan(), &[Press::Map])),
+        ("next", next()),
+        ("curve", curve.clone()),
+        (
+            "curve_cursor",
+            pressed(curve, &[Press::Cursor(-1), Press::Cursor(-1)]),
+        ),
+        ("traces", traces.clone()),
+        (
+            "worst",
+            pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)]),
+        ),
+        (
+            "signals",
+            pressed(traces, &[Press::Signals, Press::Move(1)]),
+        ),
         ("drawn_over", pressed(falling(), &[Press::Traces])),
-    ] {
-        assert_snapshot!(format!("page_{name}_80x24"), text(&state, 80, 24));
-    }
+        ("compared", compared_alone()),
+        ("help", pressed(answered(), &[Press::Help])),
+    ];
+    let page = |(name, state): (&'static str, State)| -> Page {
+        (name, Box::new(move |frame| view(&state, frame)))
+    };
+    states.map(page).into()
 }
 
-const OVER: [Over; 9] = [
+const OVER: [Over; 7] = [
     Over::Card(3),
     Over::Map(0),
     Over::Map(1),
     Over::Next(1),
-    Over::Help(0),
-    Over::Help(7),
     Over::Curve(0, Some(2)),
     Over::Curve(7, None),
     Over::Traces,
 ];
-
-fn state() -> impl Strategy<Value = State> {
-    let over = prop_oneof![
-        Just(Over::Nothing),
-        (0..400_usize).prop_map(Over::Card),
-        Just(Over::Map(0)),
-        Just(Over::Map(1)),
-        (0..400_usize).prop_map(Over::Next),
-        (0..400_usize).prop_map(Over::Help),
-        (0..3_usize, prop::option::of(0..40_usize))
-            .prop_map(|(index, point)| Over::Curve(index, point)),
-        Just(Over::Traces),
-    ];
-    let verdict = prop::sample::select(vec![
-        DiagnosisVerdict::Effect,
-        DiagnosisVerdict::Ambiguous,
-        DiagnosisVerdict::None,
-        DiagnosisVerdict::Unexplained,
-    ]);
-    let numbers = prop::collection::vec(number(), 8);
-    let (kind, down) = (0..8_usize, 0..40_i32);
-    (
-        kind,
-        over,
-        verdict,
-        numbers,
-        ".{0,120}",
-        down,
-        any::<bool>(),
-    )
-        .prop_map(|(kind, over, verdict, numbers, words, down, speaks)| {
-            let mut state = match kind {
-                0 => begun(false),
-                1 => searching(false),
-                2 => searching(true),
-                3 => at_the_floor(),
-                4 => of_a_fan(),
-                5 => falling(),
-                6 => compared_alone(),
-                _ => answered(),
-            };
-            let mut answer = diagnosis();
-            answer.verdict = verdict;
-            answer.sentence.clone_from(&words);
-            answer.holdout_before = numbers[0];
-            for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
-                candidate.explained_percent = Some(*number);
-                candidate.detectable = Some(*number);
-                candidate.upper_bound = Some(*number);
-                candidate.probability = *number;
-                for parameter in &mut candidate.parameters {
-                    parameter.value = Some(*number);
-                    parameter.std = Some(numbers[7]);
-                }
-            }
-            if kind > 2 && kind != 6 {
-                hear(&mut state, News::Diagnosed(Box::new(answer)));
-            } else {
-                let found = Found::Screened {
-                    effect: "cogging",
-                    share: numbers[1],
-                };
-                hear(&mut state, News::Progress(found));
-            }
-            for (step, number) in state.ladder.iter_mut().zip(&numbers) {
-                step.error = *number;
-            }
-            for _ in 0..down {
-                press(&mut state, Press::Move(1));
-            }
-            state.over = over;
-            state.title.clone_from(&words);
-            state.message = speaks.then_some(words);
-            state
-        })
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
-
-    #[test]
-    fn any_diagnosis_can_be_drawn_at_any_size(
-        state in state(),
-        width in 1..=200_u16,
-        height in 1..=60_u16,
-    ) {
-        terminal(&state, width, height);
-    }
-}
 
 #[test]
 fn every_small_size() {
@@ -356,9 +268,9 @@ fn every_small_size() {
 fn the_selected_row_is_always_in_sight() {
     let mut state = searching(true);
     for _ in 0..40 {
+        press(&mut state, Press::Move(1));
         let shown = text(&state, 80, 24);
         assert!(shown.contains('▶'), "{shown}");
-        press(&mut state, Press::Move(1));
     }
 }
 
@@ -390,8 +302,7 @@ fn every_state() -> Vec<State> {
 }
 
 fn selected(state: &State) -> &'static str {
-    let rows = state.rows();
-    rows[state.selected(&rows)].key()
+    state.row().map_or("", |row| row.key())
 }
 
 fn select(state: &mut State, key: &str) {
@@ -525,6 +436,100 @@ fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
         "{shown}"
     );
     assert!(shown.contains("as good as stribeck_friction"), "{shown}");
+}
+
+#[test]
+fn a_guess_is_the_persons_own_and_no_row_stands_for_one_by_itself() {
+    let mut state = begun(false);
+    for _ in 0..3 {
+        press(&mut state, Press::Guess);
+        assert_eq!(state.guessing, Guessing::Choosing);
+    }
+    assert!(told(&state).starts_with("choose first"), "{}", told(&state));
+    assert!(!text(&state, 80, 24).contains('▶'));
+    press(&mut state, Press::Open);
+    assert!(told(&state).starts_with("choose first"), "{}", told(&state));
+    press(&mut state, DOWN);
+    assert_eq!(selected(&state), "nothing is missing");
+    press(&mut state, Press::Open);
+    assert_eq!(
+        told(&state),
+        "\"nothing is missing\" is no effect and has no card"
+    );
+    press(&mut state, Press::Guess);
+    assert_eq!(state.guessing, Guessing::Guessed(Guess::Nothing));
+}
+
+#[test]
+fn the_help_gives_back_the_page_that_it_explains() {
+    for over in OVER {
+        let mut state = State { over, ..of_a_fan() };
+        press(&mut state, Press::Help);
+        press(&mut state, DOWN);
+        assert_eq!((state.help, state.over), (Some(1), over));
+        shows(&state, &["to the shell, once nothing is energised"]);
+        press(&mut state, Press::Quit);
+        assert_eq!((state.help, state.over), (None, over));
+    }
+}
+
+#[test]
+fn a_key_that_does_nothing_says_why() {
+    for state in every_state() {
+        for key in [
+            Press::Start,
+            Press::Yes,
+            Press::Freeze,
+            Press::Mark,
+            Press::ResetFault,
+            Press::Experiment,
+            Press::SpeedLoop,
+            Press::Page(1),
+            Press::Zoom,
+            Press::Other,
+        ] {
+            let mut state = state.clone();
+            assert_eq!(press(&mut state, key), None);
+            assert!(state.message.is_some(), "{key:?} {:?}", state.over);
+        }
+    }
+}
+
+#[test]
+fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
+    let area = Rect::new(0, 0, 120, 40);
+    let click = |state: &mut State, what: &str| {
+        let shown = terminal(state, area.width, area.height);
+        let rows = shown.backend().buffer().content.chunks(120);
+        let mut rows = rows.map(|row| row.iter().map(ratatui::buffer::Cell::symbol));
+        let y = rows.position(|row| row.collect::<String>().contains(what));
+        let at = Position::new(40, y.unwrap_or_else(|| panic!("{what}")) as u16);
+        super::view::click(state, at, area);
+    };
+    let mut state = answered();
+    for effect in ["viscous_friction ", "stribeck_friction ", "cogging "] {
+        click(&mut state, effect);
+        assert_eq!((selected(&state), &state.message), (effect.trim(), &None));
+    }
+    click(&mut state, "DIAGNOSIS");
+    assert!(told(&state).starts_with("there is nothing to select"));
+    let mut traces = pressed(of_a_fan(), &[Press::Traces]);
+    let shown = |state: &State| text(state, area.width, area.height);
+    assert!(!shown(&traces).contains("cursor at"));
+    click(&mut traces, "speed: measured - model");
+    assert!(shown(&traces).contains("cursor at"), "{}", shown(&traces));
+    let before = shown(&traces);
+    press(&mut traces, Press::Wheel(-1));
+    assert_ne!(shown(&traces), before);
+    press(&mut traces, Press::Wheel(1));
+    assert_eq!(shown(&traces), before);
+    let mut curve = pressed(of_a_fan(), &[Press::Curve]);
+    click(&mut curve, "┤");
+    assert!(
+        matches!(curve.over, Over::Curve(0, Some(_))),
+        "{:?}",
+        curve.over
+    );
 }
 
 #[test]

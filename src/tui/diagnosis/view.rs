@@ -5,26 +5,25 @@ use std::fmt::Write as _;
 
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
-use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::layout::{Constraint, Layout, Position, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::charts;
 use super::guess::Guessing;
-use super::state::{Over, Row, State, Step};
+use super::list::{candidates, status};
+use super::state::{Over, State, Step};
 use crate::diagnosis::{
-    AddResult, Answer, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
-    Status,
+    AddResult, Answer, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
 };
-use crate::plant::effect;
 use crate::report::SignalFigures;
-use crate::sample::{ParameterEstimate, TWO_SIDED_95};
+use crate::sample::TWO_SIDED_95;
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::{percent, probability, significant};
-use crate::tui::frame::{bar, help, hints, is_too_small, page, paragraph, titled, titled_with};
+use crate::tui::frame::{
+    help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
+};
 use crate::tui::keys::On;
-use crate::tui::live::parameter_name;
 use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
 
@@ -39,18 +38,33 @@ const MEANING: [&str; 5] = [
     "A name is an equation, not a cause: the card lists causes that share it.",
 ];
 
-pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
-    let area = frame.area();
-    let buffer = frame.buffer_mut();
-    if is_too_small("too small", "q = leave", theme::CAREFUL, area, buffer) {
-        return;
+/// Where the parts of the page stand.
+struct Places {
+    top: Rect,
+    verdict: Rect,
+    failing: Rect,
+    strip: Rect,
+    list: Rect,
+    ladder: Rect,
+    bottom: Rect,
+}
+
+impl Places {
+    /// What lies between the verdict and the keys: a page over it takes all of that.
+    fn body(&self) -> Rect {
+        let parts = [self.failing, self.strip, self.list, self.ladder];
+        Rect {
+            height: parts.iter().map(|part| part.height).sum(),
+            ..self.failing
+        }
     }
+}
+
+fn places(state: &State, area: Rect) -> Places {
     let tall = area.height >= 20;
-    let width = usize::from(area.width);
-    let verdict_line = verdict_line(state);
-    let verdict_room = width.saturating_sub(1);
+    let verdict_room = usize::from(area.width).saturating_sub(1);
     let most_rows = if tall { 3 } else { 1 };
-    let verdict_rows = rows_of(&verdict_line.to_string(), verdict_room, most_rows);
+    let verdict_rows = wrapped(&verdict_line(state).to_string(), verdict_room).len();
     let most = match area.height {
         0..=11 => 0,
         12..=19 => 2,
@@ -67,14 +81,11 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         14..=19 => 2 + change_rows.min(1),
         _ => 1 + rungs + change_rows,
     };
-    let message = state.message.as_deref();
-    let bottom_rows = message.map_or(1, |text| {
-        let most = if tall { 4 } else { 1 };
-        rows_of(&format!("> {text}"), width.saturating_sub(1), most)
-    });
-    let [top, verdict, where_area, strip, list, ladder_area, bottom] = Layout::vertical([
+    let most_said = if tall { 4 } else { 2 };
+    let bottom_rows = hint_rows(state.message.as_deref(), area.width, most_said);
+    let [top, verdict, failing, strip, list, ladder, bottom] = Layout::vertical([
         Constraint::Length(1),
-        Constraint::Length(verdict_rows),
+        Constraint::Length(verdict_rows.clamp(1, most_rows) as u16),
         Constraint::Length(failing_rows),
         Constraint::Length(strip_rows),
         Constraint::Fill(1),
@@ -82,24 +93,63 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Constraint::Length(bottom_rows),
     ])
     .areas(area);
-    top_bar(state, top, buffer);
-    Paragraph::new(verdict_line)
-        .wrap(Wrap { trim: false })
-        .render(inset(verdict), buffer);
-    let body = Rect {
-        height: where_area.height + strip.height + list.height + ladder_area.height,
-        ..where_area
+    Places {
+        top,
+        verdict,
+        failing,
+        strip,
+        list,
+        ladder,
+        bottom,
+    }
+}
+
+/// Selects the row, sets the cursor of traces or curve, where something was clicked; else it is said so.
+pub(super) fn click(state: &mut State, at: Position, area: Rect) {
+    let places = places(state, area);
+    let body = places.body();
+    let is_taken = match state.over {
+        _ if state.help.is_some() => false,
+        _ if !body.contains(at) => false,
+        Over::Traces => state.traces.click(at.x, body),
+        Over::Curve(index, _) => {
+            let point = charts::point_at(state, index, at.x, body);
+            state.over = Over::Curve(index, point);
+            point.is_some()
+        }
+        Over::Nothing if state.only_compares() => {
+            places.list.contains(at) && state.traces.click(at.x, places.list)
+        }
+        Over::Nothing if places.strip.contains(at) => state.traces.click(at.x, places.strip),
+        Over::Nothing => {
+            let is_in = places.list.contains(at);
+            is_in && state.select_drawn(at.y - places.list.y, places.list)
+        }
+        _ => false,
     };
+    state.message = (!is_taken).then(|| "there is nothing to select there".to_owned());
+}
+
+pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
+    let area = frame.area();
+    let buffer = frame.buffer_mut();
+    if is_too_small("too small", "q = leave", theme::CAREFUL, area, buffer) {
+        return;
+    }
+    let places = places(state, area);
+    let body = places.body();
+    top_bar(state, places.top, buffer);
+    text(vec![verdict_line(state)], inset(places.verdict), buffer);
     match state.over {
-        Over::Nothing | Over::Help(_) => {
-            failing(state, where_area, buffer);
+        Over::Nothing => {
+            failing(state, places.failing, buffer);
             if state.only_compares() {
-                traces::view(&state.traces, list, buffer);
+                traces::view(&state.traces, places.list, buffer);
             } else {
-                traces::strip(&state.traces, strip, buffer);
-                candidates(state, list, buffer);
+                traces::strip(&state.traces, places.strip, buffer);
+                candidates(state, places.list, buffer);
             }
-            ladder(state, ladder_area, buffer);
+            ladder(state, places.ladder, buffer);
         }
         _ if body.height == 0 => {}
         Over::Card(line) => card(state, line, body, buffer),
@@ -108,16 +158,23 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Over::Next(line) => next(state, line, body, buffer),
         Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
-    if let Over::Help(row) = state.over {
+    if let Some(row) = state.help {
         let under_top = Rect {
             y: area.y + 1,
-            height: area.height.saturating_sub(1 + bottom_rows),
+            height: area.height.saturating_sub(1 + places.bottom.height),
             ..area
         };
-        help(On::Diagnosis, &MEANING, row, under_top, buffer);
+        let hidden = help(On::Diagnosis, &MEANING, row, under_top, buffer);
+        state.hidden.set(hidden);
     }
     let (keys, always) = keys(state);
-    hints(message, &keys, always, bottom, buffer);
+    hints(
+        state.message.as_deref(),
+        &keys,
+        always,
+        places.bottom,
+        buffer,
+    );
 }
 
 /// Rows of the traces on the page itself, where it is large.
@@ -146,17 +203,17 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         " DIAGNOSIS "
     };
     let room = usize::from(area.width - width).saturating_sub(screen.len());
-    Line::from(vec![
+    let title = Line::from(vec![
         Span::styled(screen, theme::BOLD),
         Span::styled(cut(&state.title, room), theme::DIM),
-    ])
-    .render(area, buffer);
+    ]);
+    row(&title, area, buffer);
     let right = Rect {
         x: area.right() - width,
         width,
         ..area
     };
-    Line::from(work).render(right, buffer);
+    row(&Line::from(work), right, buffer);
 }
 
 fn verdict_line(state: &State) -> Line<'static> {
@@ -210,11 +267,6 @@ fn inset(area: Rect) -> Rect {
     }
 }
 
-/// Rows that a text takes, at least one and at most `most`.
-fn rows_of(text: &str, width: usize, most: usize) -> u16 {
-    wrapped(text, width).len().clamp(1, most.max(1)) as u16
-}
-
 fn guess_first(state: &State) -> String {
     if let Some(diagnosis) = &state.diagnosis {
         let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
@@ -261,6 +313,7 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
     let followed = state.curves().len();
     let drawn = state.drawn().len();
     let (keys, always) = match state.over {
+        _ if state.help.is_some() => ("Up Down scroll", "any other key closes the help"),
         Over::Traces if state.traces.is_choosing() => ("Up Down select|Enter show", "Esc back"),
         Over::Traces => (TracesPage::KEYS, "v Esc back"),
         Over::Card(_) => ("Up Down scroll|a add|r remove", "Esc back"),
@@ -272,7 +325,9 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         }
         Over::Curve(..) if followed > 0 => ("Left Right cursor|t add curve", "c Esc back"),
         Over::Curve(..) => ("Left Right cursor|a add|r remove", "c Esc back"),
-        Over::Help(_) => ("Up Down scroll", "any other key closes the help"),
+        Over::Nothing if state.failure.is_some() && state.diagnosis.is_none() => {
+            ("v traces|e map", LEAVE)
+        }
         Over::Nothing if state.guessing == Guessing::Choosing => (
             "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
@@ -324,9 +379,7 @@ fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
         || vec![Line::styled(" comparing ...", theme::DIM)],
         |comparison| failing_lines(comparison, inner),
     );
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: false })
-        .render(inner, buffer);
+    text(lines, inner, buffer);
 }
 
 fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
@@ -397,165 +450,6 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
     ])
 }
 
-const BAR: usize = 8;
-const NARROW_BAR: usize = 4;
-/// Below this width a share is a number alone, and below the next a status is its mark alone.
-const NARROW: usize = 86;
-const SLIM: usize = 70;
-/// From this width on there is room for the name of the size, and for what would have been seen.
-const WIDE: usize = 110;
-
-/// The effects: bars while they are judged, then status, share explained, size with interval.
-fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
-    if area.height == 0 {
-        return;
-    }
-    let title = if state.guessing == Guessing::Choosing {
-        "what is missing? your guess"
-    } else if state.diagnosis.is_none() {
-        "effects being judged: share of the error explained, to first order"
-    } else {
-        "effects: status, probability, size ± 95 %"
-    };
-    let rows = state.rows();
-    let selected = state.selected(&rows);
-    let room = usize::from(area.height.saturating_sub(1)).max(1);
-    // The selected row stays in sight.
-    let first = (selected + 1).saturating_sub(room);
-    let place = if rows.len() <= room {
-        String::new()
-    } else {
-        format!("{}-{} of {}", first + 1, first + room, rows.len())
-    };
-    let inner = titled_with(title, &place, area, buffer);
-    if rows.is_empty() {
-        Line::styled(" none yet", theme::DIM).render(inner, buffer);
-        return;
-    }
-    let shown = rows.iter().enumerate().skip(first).take(room);
-    let lines = shown.map(|(index, row)| {
-        let is_selected = index == selected;
-        let mut line = Line::raw(if is_selected { "▶ " } else { "  " });
-        line.extend(spans(row, usize::from(inner.width), state.is_floor_known()));
-        line.style(if is_selected {
-            theme::BOLD
-        } else {
-            theme::PLAIN
-        })
-    });
-    Paragraph::new(lines.collect::<Vec<_>>()).render(inner, buffer);
-}
-
-fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
-    match row {
-        Row::Choice(guess) => {
-            let name = row.effect().map_or("", |effect| effect.card().name);
-            vec![
-                Span::raw(format!("{:<25} ", guess.key())),
-                Span::styled(name.to_owned(), theme::DIM),
-            ]
-        }
-        Row::Present(id) => vec![
-            Span::styled("+ in the model ", theme::GOOD),
-            Span::raw((*id).to_owned()),
-        ],
-        Row::Judged(id, judged) => {
-            let mut spans = vec![Span::raw(format!("{id:<25} "))];
-            spans.extend(share(judged.share, BAR));
-            if let Some(error) = judged.error {
-                // What a multiple is of without a floor, the ladder says.
-                let unit = if floor { " x noise" } else { "" };
-                spans.push(Span::raw(format!("  refitted: {error:.2}{unit}")));
-            }
-            spans
-        }
-        Row::Candidate(candidate) => {
-            let (word, style) = status(candidate.status);
-            let word = if width < SLIM {
-                word.chars().take(1).chain([' ']).collect()
-            } else {
-                format!("{word:<13} ")
-            };
-            let mut spans = vec![
-                Span::styled(word, style),
-                Span::raw(format!("{:<24} ", candidate.effect)),
-            ];
-            // What would not have shown has no probability but that of before.
-            let is_seen = candidate.status != Status::NotExcited;
-            let bar_length = match width {
-                WIDE.. => BAR,
-                NARROW.. => NARROW_BAR,
-                _ => 0,
-            };
-            let probability = Some(candidate.probability).filter(|_| is_seen);
-            spans.extend(share(probability, bar_length));
-            let is_named = !candidate.parameters.is_empty();
-            let text = if is_named {
-                size(candidate, width >= WIDE)
-            } else if is_seen {
-                candidate.at_most()
-            } else {
-                None
-            };
-            spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
-            if let Some(other) = candidate.as_good_as {
-                let used: usize = spans.iter().map(Span::width).sum();
-                let text = cut(
-                    &format!(" as good as {other}"),
-                    width.saturating_sub(used + 2),
-                );
-                spans.push(Span::styled(text, theme::CAREFUL));
-            }
-            if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
-                let used: usize = spans.iter().map(Span::width).sum();
-                // Half a unit would be another unit.
-                if used + text.chars().count() + 4 <= width {
-                    spans.push(Span::styled(format!("  {text}"), theme::DIM));
-                }
-            }
-            spans
-        }
-    }
-}
-
-fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
-    let Some(share) = share.filter(|share| share.is_finite()) else {
-        return vec![Span::raw(" ".repeat(length + 6))];
-    };
-    let (full, empty) = bar(share, length);
-    let percent = (100.0 * share.clamp(-9.0, 1.0)).round() + 0.0;
-    vec![
-        Span::raw(full),
-        Span::styled(empty, theme::DIM),
-        Span::raw(format!("{percent:>4.0} %")),
-    ]
-}
-
-/// The status as a word with its mark, and the colour that repeats it.
-pub(super) const fn status(status: Status) -> (&'static str, Style) {
-    match status {
-        Status::Supported => ("✓ supported", theme::GOOD),
-        Status::Possible => ("~ possible", theme::CAREFUL),
-        Status::RuledOut => ("✗ ruled out", theme::DIM),
-        Status::NotExcited => ("· not excited", theme::DIM),
-    }
-}
-
-/// The parameter that gives the effect its size.
-fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
-    let effect = effect::find(candidate.effect)?;
-    let key = effect.parameters().get(effect.size_index())?.key;
-    let mut found = candidate.parameters.iter();
-    let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
-    let parameter = found.clone().find(of_size).or_else(|| found.next())?;
-    let text = parameter.text(TWO_SIDED_95);
-    Some(if with_name {
-        format!("{} {text}", parameter_name(&parameter.key).0)
-    } else {
-        text
-    })
-}
-
 /// Longest bar.
 const LONGEST: usize = 60;
 const NAME: usize = 26;
@@ -590,7 +484,7 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
         let bar = from + state.fallen_share() * (step.error - from);
         rung(step, bar, largest, floor, width)
     }));
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 /// What the last key did, in as many rows as that takes.
@@ -661,8 +555,7 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
 
 /// The card of the selected effect, and what this run says of it.
 pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
-    let rows = state.rows();
-    let Some(effect) = rows.get(state.selected(&rows)).and_then(Row::effect) else {
+    let Some(effect) = state.row().and_then(|row| row.effect()) else {
         return;
     };
     let card = effect.card();
@@ -706,7 +599,7 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
     ] {
         lines.push(paragraph(title, text));
     }
-    page(lines, first, inner, buffer);
+    state.hidden.set(page(lines, first, inner, buffer));
 }
 
 /// What these runs do not tell, and the run that would.
@@ -751,5 +644,5 @@ pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
         let none = "none is asked for: these runs tell what they can";
         lines.push(paragraph("next run", none));
     }
-    page(lines, first, inner, buffer);
+    state.hidden.set(page(lines, first, inner, buffer));
 }

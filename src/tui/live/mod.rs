@@ -16,13 +16,14 @@ mod scope;
 mod view;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 
 use ratatui::Frame;
+use ratatui::layout::{Position, Rect};
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
@@ -40,6 +41,8 @@ pub struct LiveSources {
     pub leaning: LeaningCell,
     /// The steps of a workflow, where there is one.
     pub workflow: Option<ProgressCell>,
+    /// Where `q` leads when the run has gone to its end, and the program goes on: "back to the loop".
+    pub leads: Option<&'static str>,
     pub intents: Sender<Intent>,
     pub worker: WorkerCell,
     /// Set with every stop: nothing more is to be started, also between two runs, where nobody reads intents.
@@ -56,10 +59,9 @@ pub struct LiveScreen {
 
 impl LiveScreen {
     pub fn new(sources: LiveSources) -> Self {
-        Self {
-            model: Model::new(sources.workflow.as_ref().map(ProgressCell::latest)),
-            sources,
-        }
+        let mut model = Model::new(sources.workflow.as_ref().map(ProgressCell::latest));
+        model.leads = sources.leads;
+        Self { model, sources }
     }
 
     fn act(&mut self, event: Event) -> Option<Exit> {
@@ -108,7 +110,7 @@ impl LiveScreen {
 impl Screen for LiveScreen {
     fn look(&mut self) -> (bool, Option<Exit>) {
         let changes = self.changes();
-        let is_told = !changes.is_empty();
+        let is_told = !changes.is_empty() || self.model.forgets();
         (
             is_told,
             changes.into_iter().find_map(|event| self.act(event)),
@@ -117,6 +119,14 @@ impl Screen for LiveScreen {
 
     fn press(&mut self, press: Press) -> Option<Exit> {
         self.act(Event::Press(press))
+    }
+
+    fn click(&mut self, _: Position, _: Rect) {
+        self.say("there is nothing to select here: the wheel zooms the scope and scrolls pages");
+    }
+
+    fn say(&mut self, text: &str) {
+        self.model.say(text);
     }
 
     fn may_suspend(&mut self) -> bool {

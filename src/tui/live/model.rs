@@ -1,16 +1,21 @@
 //! Model of the live screen, and what each event does to it. Pure: an update returns what the program is to do.
 
+use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::WorkerState;
 use crate::bench::{Intent, Phase, Snapshot, Target};
-use crate::sample::DriveState;
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::workflow::{Progress, Provisional, Step};
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
+/// Looks at the cells, 25 a second, for which an answer to a key stands where no other key takes it away: then the keys are
+/// shown again.
+const ANSWER_LOOKS: u16 = 200;
 /// This many Ctrl-C leave a worker that does not come back; the drive's watchdog is behind that.
 const FORCE: u8 = 3;
 
@@ -62,13 +67,20 @@ pub(super) struct Model {
     pub(super) zoom: usize,
     /// First line shown of the steps.
     pub(super) scroll: usize,
+    /// Lines for which what scrolls had no room when it was drawn: the keys go no further.
+    pub(super) hidden: Cell<usize>,
     /// What each step needs, unlocks and is called, also of those that are not under way.
     pub(super) explains: bool,
     /// No name of an effect is shown: the person is to give one first.
     pub(super) guess_first: bool,
     pub(super) marks: u32,
-    /// Answer to the last key.
+    /// Answer to the last key, and for how many looks it still stands.
     pub(super) message: Option<String>,
+    answer_looks: u16,
+    /// Where `q` leads when the run has gone to its end, where the program goes on.
+    pub(super) leads: Option<&'static str>,
+    /// The latest value that each parameter had, with the second of the run: between two of them an estimator may have none.
+    pub(super) held: BTreeMap<String, (ParameterEstimate, f64)>,
     /// Leaves, and why, as soon as the worker has finished.
     pub(super) leaving: Option<Exit>,
     pub(super) interrupts: u8,
@@ -93,7 +105,28 @@ impl Model {
         self.worker != WorkerState::Working
     }
 
-    fn shows_report(&self) -> bool {
+    /// The parameters as they are shown: where one has no value now, the last that it had in this run, with its age.
+    pub(super) fn parameters(&self) -> Vec<ParameterEstimate> {
+        let viewed = self.viewed();
+        let shown = viewed.estimates.iter().map(|estimate| {
+            let held = self.held.get(&estimate.key);
+            let held = held.filter(|_| estimate.value.is_none());
+            let Some((last, at_s)) = held.filter(|(_, at_s)| *at_s <= viewed.elapsed_s) else {
+                return estimate.clone();
+            };
+            let age_s = viewed.elapsed_s - at_s;
+            let now = estimate.reason.as_deref().unwrap_or("none now");
+            ParameterEstimate {
+                // Whatever it was then: now it is not settled.
+                verdict: Verdict::Searching,
+                reason: Some(format!("value of {age_s:.1} s ago; {now}")),
+                ..last.clone()
+            }
+        });
+        shown.collect()
+    }
+
+    pub(super) fn shows_report(&self) -> bool {
         let workflow = self.workflow.as_ref();
         workflow.is_some_and(|workflow| workflow.report.is_some())
     }
@@ -145,6 +178,7 @@ impl Model {
             Event::Worker(state) => return self.worker_is(state),
             Event::Leaning(leaning) => self.leaning = leaning,
             Event::Snapshot(snapshot) => {
+                self.hold(&snapshot);
                 self.snapshot = snapshot;
                 self.confirm_start &= self.waits_for_start();
             }
@@ -158,6 +192,35 @@ impl Model {
             }
         }
         Vec::new()
+    }
+
+    /// Keeps the values that there are. Those of another run are not those of this one, and when it is over there are none
+    /// but the last.
+    fn hold(&mut self, snapshot: &Snapshot) {
+        let is_over = !snapshot.phase.is_some_and(Phase::is_recorded);
+        if is_over || snapshot.name != self.snapshot.name {
+            self.held.clear();
+        }
+        if is_over {
+            return;
+        }
+        let known = snapshot.estimates.iter().filter(|own| own.value.is_some());
+        for estimate in known {
+            let held = (estimate.clone(), snapshot.elapsed_s);
+            self.held.insert(estimate.key.clone(), held);
+        }
+    }
+
+    /// One look has passed; whether the answer to the last key has stood long enough.
+    pub(super) fn forgets(&mut self) -> bool {
+        self.answer_looks = self.answer_looks.saturating_sub(1);
+        self.answer_looks == 0 && self.message.take().is_some()
+    }
+
+    /// Where `q` leads now.
+    pub(super) fn quits(&self) -> &'static str {
+        let is_done = self.is_finished() && self.snapshot.outcome == Some("done");
+        self.leads.filter(|_| is_done).unwrap_or("quit")
     }
 
     fn worker_is(&mut self, state: WorkerState) -> Vec<Effect> {
@@ -180,10 +243,10 @@ impl Model {
         match press {
             Press::Stop => return self.stop(),
             Press::Interrupt => return self.interrupt(),
-            Press::Move(rows) if self.help.is_some() => {
-                self.help = self
-                    .help
-                    .map(|row| row.saturating_add_signed(rows as isize));
+            Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
+                let hidden = self.hidden.get();
+                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
+                self.help = self.help.map(scrolled);
             }
             _ if self.help.is_some() => self.help = None,
             Press::Yes if confirming && self.waits_for_start() => {
@@ -214,18 +277,48 @@ impl Model {
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
             Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
             Press::Guess => self.guess(),
-            Press::Open => self.explains = !self.explains,
+            Press::Open if self.page != Page::Steps => {
+                self.say("Enter explains the steps of a commissioning: 3 shows them");
+            }
+            Press::Open => {
+                self.explains = !self.explains;
+                if self.explains && self.shows_report() {
+                    self.say("each step is explained, below the result: Down");
+                }
+            }
             Press::Help => self.help = Some(0),
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
                 self.frozen = shown;
+                if self.page != Page::Live {
+                    self.say(match self.frozen {
+                        Some(_) => "scope and parameters are frozen: f goes on",
+                        None => "scope and parameters go on",
+                    });
+                }
+            }
+            Press::Zoom if self.page != Page::Live => {
+                self.say("the scope is zoomed: 1 shows it");
             }
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
             Press::NextScreen => self.page = self.neighbour(1),
             Press::PreviousScreen => self.page = self.neighbour(self.pages().len() - 1),
-            Press::Page(index) => self.page = *self.pages().get(index).unwrap_or(&self.page),
-            Press::Move(rows) => self.scroll = self.scroll.saturating_add_signed(rows as isize),
-            _ => {}
+            Press::Page(index) => match self.pages().get(index) {
+                Some(page) => self.page = *page,
+                None => self.say("a plain run has two pages: a commissioning has its steps"),
+            },
+            Press::Wheel(rows) if self.page == Page::Live => {
+                let zoom = self.zoom.saturating_add_signed(-rows.signum() as isize);
+                self.zoom = zoom.min(ZOOM_S.len() - 1);
+            }
+            Press::Move(_) if self.page != Page::Steps => {
+                self.say("this page does not scroll: 3 shows the steps, which do");
+            }
+            Press::Move(rows) | Press::Wheel(rows) => {
+                let drawn = self.scroll.min(self.hidden.get());
+                self.scroll = drawn.saturating_add_signed(rows as isize);
+            }
+            other => self.say(why_nothing(other)),
         }
         Vec::new()
     }
@@ -234,13 +327,14 @@ impl Model {
     /// and between two runs the next one may begin at any moment.
     pub(super) fn may_suspend(&mut self) -> bool {
         if !self.is_finished() {
-            self.say("Ctrl-Z: not while the bench is at work, it would stand still with it: Space stops it");
+            self.say("Ctrl-Z: not while the bench is at work: Space stops it first");
         }
         self.is_finished()
     }
 
-    fn say(&mut self, text: impl Into<String>) {
+    pub(super) fn say(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
+        self.answer_looks = ANSWER_LOOKS;
     }
 
     /// Leaves for a step that can follow the report; else says why it cannot.
@@ -314,5 +408,17 @@ impl Model {
         self.leaving = Some(Exit::Quit);
         self.say("quitting as soon as the work in hand is put down; q again: now");
         vec![Effect::Send(Intent::Quit), Effect::RequestStop]
+    }
+}
+
+/// Why a key that the program knows does nothing here.
+const fn why_nothing(press: Press) -> &'static str {
+    match press {
+        Press::Yes => "nothing was asked",
+        Press::Zoomed(_) | Press::Pan(_) | Press::Cursor(_) | Press::Signals | Press::Worst => {
+            "that belongs to the traces after a run: v shows them; z zooms here"
+        }
+        Press::Other => "that key does nothing here: ? lists those that do",
+        _ => "that belongs to the diagnosis, which follows the run: d",
     }
 }

@@ -6,11 +6,11 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::Widget;
 
 use crate::bench::{Snapshot, TracePoint};
 use crate::sample::Channel;
 use crate::text::number::{MISSING, significant};
+use crate::tui::frame::row;
 use crate::tui::plot::{
     self, Bounds, LABELS, Stroke, Trace, across, longest_step_s, range, round, tick, value_axis,
 };
@@ -23,6 +23,8 @@ const SMALLEST: u16 = 3;
 const WITH_INNOVATION: u16 = 16;
 /// From this width on the legend is written out.
 const WIDE: u16 = 62;
+/// From this width on the speed stands in r/min as well.
+const WITH_RPM: u16 = 46;
 /// The model may stretch the axis of the speed by this share of the measured span, no further.
 const STRETCH: f64 = 0.5;
 
@@ -150,7 +152,8 @@ fn draw(
     };
     let (low, high) = bounds(&measured, &model);
     let newest = measured.last().map_or(f64::NAN, |point| point.1);
-    title(chart, snapshot, follows, newest, area.width).render(Rect { height: 1, ..area }, buffer);
+    let title = title(chart, snapshot, follows, newest, area.width);
+    row(&title, Rect { height: 1, ..area }, buffer);
 
     let plot_area = Rect {
         x: area.x + LABELS,
@@ -188,6 +191,7 @@ fn title(
 ) -> Line<'static> {
     let (channel, style) = chart.look();
     let name = match chart {
+        Chart::Innovation if width < WIDE => "innovation of the speed,",
         Chart::Innovation => "innovation: speed less its prediction,",
         _ => channel.name(),
     };
@@ -196,11 +200,13 @@ fn title(
     line.push_span(Span::styled(reading(newest), style));
     if chart == Chart::Speed {
         let rpm = rpm_from_rad_s(newest);
-        line.push_span(if rpm.is_finite() && rpm.abs() < 1e6 {
+        let rpm = if rpm.is_finite() && rpm.abs() < 1e6 {
             format!(", {rpm:.0} r/min")
         } else {
             format!(", {MISSING} r/min")
-        });
+        };
+        // The names of the lines come first.
+        line.extend((width >= WITH_RPM).then(|| Span::raw(rpm)));
         let (measured, dashed) = match (width < WIDE, follows, snapshot.model_is_identified) {
             (true, true, _) => (" ⣀⣀meas", " ⣀ ⣀ref"),
             (true, false, _) => (" ⣀⣀meas", " ⣀ ⣀model"),

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use insta::assert_snapshot;
 use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::{Color, Modifier};
 
 mod any;
+mod pages;
 
 use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
@@ -23,7 +23,9 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Called, Progress, Provisional, Role, Step, StepState, StepView};
+use crate::workflow::{Progress, Provisional, Role, Step, StepState, StepView};
+use pages::between_two_values;
+pub(in crate::tui) use pages::pages;
 
 fn found(key: &str, unit: &'static str, value: f64, std: f64) -> ParameterEstimate {
     ParameterEstimate::found(key, unit, value, std, None)
@@ -271,56 +273,78 @@ fn leaning(snapshot: Snapshot) -> Model {
     model
 }
 
+fn pressed(mut model: Model, key: Press) -> Model {
+    press(&mut model, key);
+    model
+}
+
 fn finished(mut model: Model) -> Model {
     finish(&mut model);
     model
 }
 
 #[test]
-fn fixed_snapshots_and_the_other_screens() {
-    let (run, waiting) = (leaning(running()), model(hardware()));
-    let (trip, asked) = (
-        model(tripped()),
-        with(&waiting, |own| own.confirm_start = true),
-    );
-    let steps = with(&run, |own| report(own, false));
-    let page = |model: &Model, page| with(model, |own| own.page = page);
-    let parameters = page(&run, Page::Parameters);
-    let offers = finished(with(&model(done()), |own| {
-        let mut workflow = workflow(true);
-        workflow
-            .steps
-            .extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
-                state: StepState::Offered,
-                command: step.command(&Called::default()),
-                ..StepView::new(step)
-            }));
-        own.update(Event::Workflow(Arc::new(workflow)));
-    }));
-    for (name, model, width, height) in [
-        ("running_80x24", &run, 80, 24),
-        ("running_120x40", &run, 120, 40),
-        ("running_40x10", &run, 40, 10),
-        ("running_200x50", &run, 200, 50),
-        ("tripped_80x24", &trip, 80, 24),
-        ("tripped_40x10", &finished(trip.clone()), 40, 10),
-        ("done_80x24", &finished(model(done())), 80, 24),
-        ("hardware_80x24", &waiting, 80, 24),
-        ("hardware_confirm_120x40", &asked, 120, 40),
-        ("missing_80x24", &model(missing()), 80, 24),
-        ("parameters_80x24", &parameters, 80, 24),
-        ("parameters_40x10", &parameters, 40, 10),
-        ("steps_80x24", &page(&steps, Page::Steps), 80, 24),
-        (
-            "help_80x24",
-            &with(&steps, |own| own.help = Some(0)),
-            80,
-            24,
-        ),
-        ("offers_120x40", &offers, 120, 40),
-        ("offers_40x10", &offers, 40, 10),
-    ] {
-        assert_snapshot!(name, text(model, width, height));
+fn a_value_that_is_gone_for_a_while_stays_with_its_age_until_the_run_is_over() {
+    let mut model = between_two_values();
+    let shown = text(&model, 120, 40);
+    assert!(shown.contains("0.0046 ± 0.0019 kg.m2"), "{shown}");
+    assert!(shown.contains("value of 3.2 s ago"), "{shown}");
+    let last = Snapshot {
+        estimates: Arc::clone(&model.snapshot.estimates),
+        ..done()
+    };
+    model.update(Event::Snapshot(Arc::new(last)));
+    let shown = text(&model, 120, 40);
+    assert!(!shown.contains("0.0046 ± 0.0019"), "{shown}");
+}
+
+#[test]
+fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
+    let mut model = model(running());
+    assert!(!model.may_suspend());
+    assert!(!model.forgets() && model.message.is_some());
+    let looks = (0..1000).position(|_| model.forgets());
+    assert!(looks.is_some_and(|looks| looks > 100), "{looks:?}");
+    assert_eq!(model.message, None);
+}
+
+#[test]
+fn q_says_where_it_leads_where_the_run_went_to_its_end() {
+    let leads = |own: &mut Model| own.leads = Some("back to the loop");
+    for (snapshot, is_led) in [(done(), true), (tripped(), false), (running(), false)] {
+        let mut model = with(&model(snapshot), leads);
+        assert_eq!(model.quits(), "quit", "the work is not over");
+        finish(&mut model);
+        let expected = if is_led { "back to the loop" } else { "quit" };
+        let shown = text(&model, 120, 40);
+        assert!(shown.contains(&format!("q {expected}")), "{shown}");
+        assert!(
+            shown.contains(&format!("q = {expected}.")) || !is_led,
+            "{shown}"
+        );
+    }
+}
+
+#[test]
+fn a_key_that_does_nothing_says_why() {
+    for model in every_state().into_iter().filter(|own| own.help.is_none()) {
+        for key in [
+            Press::Yes,
+            Press::Other,
+            Press::Add,
+            Press::Map,
+            Press::Curve,
+            Press::Undo,
+            Press::Zoomed(true),
+            Press::Cursor(1),
+            Press::Move(1),
+        ] {
+            let mut model = model.clone();
+            let effects = press(&mut model, key);
+            let is_answered = model.message.is_some() || !effects.is_empty();
+            let scrolls = key == Press::Move(1) && model.page == Page::Steps;
+            assert!(is_answered || scrolls, "{key:?} {model:?}");
+        }
     }
 }
 
@@ -375,6 +399,11 @@ fn a_stop_that_was_not_confirmed_is_never_an_output_that_is_off() {
     }
 }
 
+fn shows_the_card(model: &Model) {
+    let shown = text(model, 80, 24);
+    assert!(shown.contains("EFFECT FOUND: quadratic_load"), "{shown}");
+}
+
 #[test]
 fn the_report_is_shown_when_it_comes() {
     let mut model = finished(model(done()));
@@ -382,7 +411,7 @@ fn the_report_is_shown_when_it_comes() {
     assert_eq!(model.page, Page::Live);
     report(&mut model, true);
     assert_eq!(model.page, Page::Steps);
-    assert_snapshot!("report_80x24", text(&model, 80, 24));
+    shows_the_card(&model);
     // Turning away afterwards is respected.
     model.page = Page::Live;
     report(&mut model, true);

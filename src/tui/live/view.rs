@@ -10,10 +10,10 @@ use ratatui::widgets::{Block, BorderType, Clear, Paragraph, Widget, Wrap};
 use super::model::{Model, Page};
 use super::scope::scope;
 use crate::bench::{Level, Notice, Phase, Snapshot};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::text::lines::{cut, wrapped};
 use crate::text::number::shortest;
-use crate::tui::frame::{bar_spans, help, hints, is_too_small};
+use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
 use crate::tui::keys::On;
 use crate::tui::theme;
 use crate::workflow::{Progress, Step, StepState, StepView};
@@ -51,6 +51,8 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     }
     let banner = Banner::of(model);
     let step_rows = u16::from(model.workflow.is_some() && area.height >= 12);
+    let most_said = (area.height / 8).clamp(1, 3);
+    let said_rows = hint_rows(model.message.as_deref(), area.width, most_said.into());
     let banner_rows = banner
         .as_ref()
         .map_or(0, |banner| banner.height(area.width));
@@ -60,13 +62,13 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Constraint::Length(step_rows),
         Constraint::Length(banner_rows.min(area.height - 3)),
         Constraint::Fill(1),
-        Constraint::Length(1),
+        Constraint::Length(said_rows),
     ])
     .areas(area);
     top_bar(model, top, buffer);
     progress_bar(&model.snapshot, progress, buffer);
     if let Some(workflow) = model.workflow.as_ref().filter(|_| step_rows > 0) {
-        step_line(workflow, model.guess_first).render(step, buffer);
+        row(&step_line(workflow, model.guess_first), step, buffer);
     }
     if let Some(banner) = banner {
         banner.render(box_area, buffer);
@@ -76,10 +78,14 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Page::Parameters => parameters_page(model, body, buffer),
         Page::Steps => steps_page(model, body, buffer),
     }
+    let quit = format!("? help  q {}", model.quits());
     let next = format!("Tab {}", model.neighbour(1).name());
     let next = next.as_str();
     let offers = offers(model, next);
-    let keys: &[&str] = if model.waits_for_start() {
+    let is_faulted = model.snapshot.drive_state == Some(DriveState::Fault);
+    let keys: &[&str] = if is_faulted && !model.is_finished() {
+        &["k acknowledge the fault", "Space stop", next]
+    } else if model.waits_for_start() {
         &["s start", "Space stop", next]
     } else if model.can_diagnose() {
         &offers
@@ -88,20 +94,15 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     } else {
         &["Space stop", next, "f freeze", "z zoom", "m mark"]
     };
-    hints(
-        model.message.as_deref(),
-        keys,
-        "? help  q quit",
-        bottom,
-        buffer,
-    );
+    hints(model.message.as_deref(), keys, &quit, bottom, buffer);
     if let Some(row) = model.help {
         let under_top = Rect {
             y: area.y + 1,
             height: area.height - 1,
             ..area
         };
-        help(On::Live, &MEANING, row, under_top, buffer);
+        let hidden = help(On::Live, &MEANING, row, under_top, buffer);
+        model.hidden.set(hidden);
     }
 }
 
@@ -199,7 +200,7 @@ fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     ));
     line.push_span(format!(" {elapsed_s:.1} / {total_s:.1} s  "));
     line.push_span(Span::styled(segment, theme::BOLD));
-    line.render(area, buffer);
+    row(&line, area, buffer);
 }
 
 /// The step of the workflow that is under way.
@@ -228,14 +229,18 @@ fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
 /// The newest sentences of the bench, the newest at the bottom.
 fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     let newest = &notices[notices.len().saturating_sub(usize::from(area.height))..];
-    for (notice, row) in newest.iter().zip(area.rows()) {
+    for (notice, place) in newest.iter().zip(area.rows()) {
         let word = match notice.level {
             Level::Info => "note",
             Level::Warning => "WARNING",
             Level::Error => "ERROR",
         };
         let text = format!(" {word}: {}", notice.text);
-        Line::styled(text, theme::level(notice.level)).render(row, buffer);
+        row(
+            &Line::styled(text, theme::level(notice.level)),
+            place,
+            buffer,
+        );
     }
 }
 
@@ -264,11 +269,8 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     .areas(area);
     // It would give a name before the person has.
     if model.leaning.seconds > 0.0 && !model.guess_first {
-        let text = cut(
-            &model.leaning.line(),
-            usize::from(lean.width).saturating_sub(1),
-        );
-        Line::styled(format!(" {text}"), theme::CAREFUL).render(lean, buffer);
+        let text = format!(" {}", model.leaning.line());
+        row(&Line::styled(text, theme::CAREFUL), lean, buffer);
     }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
@@ -286,7 +288,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let below = body.height.saturating_sub(wanted).clamp(4, LINK_HEIGHT);
     let [top, link] =
         Layout::vertical([Constraint::Fill(1), Constraint::Length(below)]).areas(right);
-    parameters(snapshot, top, buffer);
+    parameters(model, top, buffer);
     link_panel(&model.snapshot, link, buffer);
 }
 
@@ -303,7 +305,7 @@ fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    table(model.viewed(), top, buffer);
+    table(model, top, buffer);
     if link_rows > 0 {
         link_panel(&model.snapshot, link, buffer);
     }
@@ -317,8 +319,23 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     let lines = step_lines(model, workflow, usize::from(area.width));
     let hidden = lines.len().saturating_sub(usize::from(area.height));
-    let shown = lines.into_iter().skip(model.scroll.min(hidden));
-    Paragraph::new(shown.collect::<Vec<_>>()).render(area, buffer);
+    model.hidden.set(hidden);
+    let first = model.scroll.min(hidden);
+    let shown = lines.into_iter().skip(first);
+    rows(&shown.collect::<Vec<_>>(), area, buffer);
+    if first < hidden {
+        let more = Line::styled(" … ▼ Down: more ", theme::CAREFUL).right_aligned();
+        let last = area.rows().last().unwrap_or(area);
+        Clear.render(
+            Rect {
+                x: last.right().saturating_sub(more.width() as u16).max(last.x),
+                width: (more.width() as u16).min(last.width),
+                ..last
+            },
+            buffer,
+        );
+        row(&more, last, buffer);
+    }
 }
 
 /// What is said of a step; nothing that names an effect where the person is to name it.
@@ -366,10 +383,15 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     keys.extend(offered(Step::Experiment).then_some("x next experiment"));
     keys.extend(offered(Step::SpeedLoop).then_some("l speed loop"));
     keys.push(next);
-    keys.extend((model.page == Page::Steps).then_some("Enter explain"));
-    keys.push("Up Down scroll");
+    if model.page == Page::Steps {
+        keys.extend(["Enter explain", "Up Down scroll"]);
+    }
     keys
 }
+
+/// Below this width what is said of a step stands below its title, so far from the left.
+const IN_ONE_ROW: usize = 60;
+const INDENT: usize = 4;
 
 fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'static>> {
     let steps = workflow.steps.iter();
@@ -384,14 +406,25 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             StepState::Offered => ("+", "possible", theme::CAREFUL),
         };
         let title = step.step.title();
-        let head = Line::from(vec![
+        let mut head = vec![
             Span::styled(format!(" {mark} {name:<8} "), style),
             Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
-            Span::raw(said(step, model.guess_first).to_owned()),
-        ]);
+        ];
+        let is_narrow = width < IN_ONE_ROW;
+        let beside: usize = head.iter().map(Span::width).sum();
+        let indent = if is_narrow { INDENT } else { beside };
+        let room = width.saturating_sub(indent).max(10);
+        let said = Some(said(step, model.guess_first)).filter(|text| !text.is_empty());
+        let lines = said.map_or_else(Vec::new, |text| wrapped(text, room));
+        let mut lines = lines.into_iter();
+        if !is_narrow {
+            head.extend(lines.next().map(Span::raw));
+        }
+        let below = lines.map(move |text| Line::raw(format!("{:indent$}{text}", "")));
         let is_open = matches!(step.state, StepState::Active | StepState::Offered);
-        let more = (is_open || model.explains).then(|| explained(step, title_width + 14, width));
-        std::iter::once(head).chain(more.into_iter().flatten())
+        let more = (is_open || model.explains).then(|| explained(step, indent, width));
+        let head = std::iter::once(Line::from(head)).chain(below);
+        head.chain(more.into_iter().flatten()).collect::<Vec<_>>()
     });
     let mut lines = Vec::new();
     if let Some(card) = &workflow.report {
@@ -418,17 +451,26 @@ impl Banner {
     fn of(model: &Model) -> Option<Self> {
         let snapshot = &model.snapshot;
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
+        let quit = model.quits();
         let end = match (is_over, &snapshot.stop_error) {
-            (false, _) => "",
-            (true, None) if model.can_diagnose() => " Output off. d = diagnosis by hand, q = quit.",
-            (true, None) => " Output off, q = quit.",
-            (true, Some(_)) => " Stop NOT confirmed: see that the shaft stands still. q = quit.",
+            (false, _) => String::new(),
+            (true, None) if model.can_diagnose() && model.leads.is_none() => {
+                format!(" Output off. d = diagnosis by hand, q = {quit}.")
+            }
+            (true, None) => format!(" Output off, q = {quit}."),
+            (true, Some(_)) => {
+                format!(" Stop NOT confirmed: see that the shaft stands still. q = {quit}.")
+            }
         };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
             ("HARDWARE", text.to_owned(), theme::ALARM)
         } else if let Some(text) = &snapshot.reopening {
-            let end = if is_over { " q = quit." } else { "" };
+            let end = if is_over {
+                format!(" q = {quit}.")
+            } else {
+                String::new()
+            };
             let is_safe = snapshot.phase == Some(Phase::Safe);
             let title = if is_safe { "SAFE" } else { "LINK LOST" };
             let style = if is_safe {
@@ -451,6 +493,8 @@ impl Banner {
             ("LINK LOST", format!("{reason}.{end}"), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
+                // The page says what the whole loop came to, its top that the output is off.
+                "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
                 "done" => ("DONE", "The run went to its end.", theme::GOOD),
                 "stopped" => ("STOPPED", "The run was stopped.", theme::CAREFUL),
                 "interrupted" => ("INTERRUPTED", "The run was interrupted.", theme::CAREFUL),
@@ -508,25 +552,25 @@ const BLOCKS: [&str; 8] = ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█
 const CARRIED: f64 = 0.7;
 
 /// Panel with a frame; three rows for each parameter, two or one where there is no room.
-pub(super) fn parameters(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
-    let (estimates, excitation) = (&snapshot.estimates, &snapshot.excitation);
+fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
+    let (estimates, excitation) = (model.parameters(), &model.viewed().excitation);
     let inner_height = usize::from(area.height.saturating_sub(2));
     let three_rows = estimates.len() * 3 <= inner_height && !excitation.is_empty();
     let two_rows = estimates.len() * 2 <= inner_height;
     let block = Block::bordered().title(match (area.width >= WIDE_PANEL, three_rows) {
         (true, true) => " parameters  (bars: uncertainty, excitation) ",
-        (true, false) => " parameters  (bar: uncertainty, 100 % to 0.1 %) ",
+        (true, false) => " parameters (bar: uncertainty, 100 to 0.1 %) ",
         (false, false) if !excitation.is_empty() => " parameters (▁ to █: excited) ",
         (false, _) => " parameters ",
     });
     let inner = block.inner(area);
     block.render(area, buffer);
     if estimates.is_empty() {
-        Line::styled("no estimates yet", theme::DIM).render(inner, buffer);
+        row(&Line::styled("no estimates yet", theme::DIM), inner, buffer);
         return;
     }
     let mut lines: Vec<Line<'static>> = Vec::new();
-    for estimate in estimates.iter() {
+    for estimate in &estimates {
         let share = excitation.get(estimate.key.as_str()).copied();
         let value = value_line(estimate, inner.width);
         if three_rows {
@@ -540,14 +584,18 @@ pub(super) fn parameters(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
             lines.push(with_block(short_line(estimate), share, inner.width));
         }
     }
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 /// Every parameter with its name, its key and the whole reason.
-pub(super) fn table(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
+fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut lines = Vec::new();
-    for estimate in snapshot.estimates.iter() {
-        let share = snapshot.excitation.get(estimate.key.as_str()).copied();
+    for estimate in &model.parameters() {
+        let share = model
+            .viewed()
+            .excitation
+            .get(estimate.key.as_str())
+            .copied();
         lines.push(with_bar(
             value_line(estimate, area.width),
             share,
@@ -565,9 +613,7 @@ pub(super) fn table(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     if lines.is_empty() {
         lines.push(Line::styled("no estimates yet", theme::DIM));
     }
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: false })
-        .render(area, buffer);
+    text(lines, area, buffer);
 }
 
 fn excitation_style(share: f64) -> Style {
@@ -749,7 +795,7 @@ pub(super) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         // What was not recorded matters more than what was late.
         lines.rotate_right(1);
     }
-    Paragraph::new(lines).render(inner, buffer);
+    rows(&lines, inner, buffer);
 }
 
 /// Losses by their names, those that there are in colour.

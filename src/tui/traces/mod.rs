@@ -15,7 +15,10 @@ mod tests;
 
 use std::sync::Arc;
 
+use ratatui::layout::Rect;
+
 use super::keys::Press;
+use super::plot::LABELS;
 use crate::diagnosis::{RunTraces, SignalTrace, Traces};
 
 pub(super) use view::{strip, view};
@@ -175,6 +178,18 @@ impl TracesPage {
             chosen.sort_by_key(|own| panels.iter().position(|panel| panel == own));
         }
         self.chosen = Some(chosen);
+    }
+
+    /// Sets the cursor where the charts were clicked; whether that was within them.
+    pub(super) fn click(&mut self, column: u16, area: Rect) -> bool {
+        let (from_s, to_s) = self.window_s();
+        let left = area.x + LABELS;
+        if self.is_empty() || self.choosing.is_some() || column < left || column >= area.right() {
+            return false;
+        }
+        let share = (f64::from(column - left) + 0.5) / f64::from(area.right() - left);
+        self.cursor_s = Some(from_s + share * (to_s - from_s));
+        true
     }
 
     fn next_run(&mut self) {

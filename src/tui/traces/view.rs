@@ -11,7 +11,7 @@ use crate::diagnosis::{Quantity, RunTraces, SignalTrace};
 use crate::sample::Channel;
 use crate::text::lines::cut;
 use crate::text::number::{MISSING, significant};
-use crate::tui::frame::titled_with;
+use crate::tui::frame::{row, titled_with};
 use crate::tui::plot::{
     Bounds, LABELS, Stroke, Trace, across, longest_step_s, plot, range, round, value_axis,
 };
@@ -32,7 +32,8 @@ const WIDE: u16 = 76;
 pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     let Some(run) = page.run() else {
-        Line::styled(" no traces yet: the model is being fitted", theme::DIM).render(area, buffer);
+        let text = " no traces yet: the model is being fitted";
+        row(&Line::styled(text, theme::DIM), area, buffer);
         return;
     };
     let runs = page.traces.as_ref().map_or(1, |traces| traces.runs.len());
@@ -93,10 +94,7 @@ fn panels(page: &TracesPage, run: &RunTraces, area: Rect, buffer: &mut Buffer) {
     let areas = Layout::vertical(rows).split(area);
     for ((place, shows), area) in shown.iter().zip(areas.iter()) {
         if let Some(signal) = run.signals.get(*place) {
-            match shows {
-                Shows::Both => both(page, run, signal, *area, buffer),
-                Shows::Residual => residual(page, run, signal, *area, buffer),
-            }
+            panel(page, run, (signal, *shows), *area, buffer);
         }
     }
     if let Some(area) = areas.last() {
@@ -209,36 +207,95 @@ fn marks(page: &TracesPage, run: &RunTraces, bounds: Bounds, area: Rect, buffer:
     }
 }
 
-/// Measured and model; while a change is drawn, the new model up to a place and the old one beyond it.
-fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, buffer: &mut Buffer) {
-    let window_s = page.window_s();
+/// What a panel draws of its signal.
+struct Drawn {
+    title: Line<'static>,
+    /// Ends of the axis of values.
+    low: f64,
+    high: f64,
+    /// Later ones over earlier ones.
+    traces: Vec<Trace>,
+    /// Half the width of the band of the noise.
+    band: Option<f64>,
+}
+
+/// One panel: title with legend and readings, axis of values, marks, lines.
+fn panel(
+    page: &TracesPage,
+    run: &RunTraces,
+    (signal, shows): (&SignalTrace, Shows),
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let is_wide = area.width >= WIDE;
+    let Drawn {
+        title,
+        low,
+        high,
+        traces,
+        band,
+    } = match shows {
+        Shows::Both => both(page, signal, is_wide),
+        Shows::Residual => residual(page, signal, is_wide),
+    };
+    row(&title, Rect { height: 1, ..area }, buffer);
+    let inner = below_title(area);
+    value_axis(low, high, inner, buffer);
+    let (from, to) = page.window_s();
+    let bounds = Bounds {
+        from,
+        to,
+        low,
+        high,
+    };
+    for edge in band.into_iter().flat_map(|band| [-band, band]) {
+        let y = bounds.row(edge, inner);
+        for x in (inner.x..inner.right()).filter(|_| inner.height > 2) {
+            buffer[(x, y)].set_char('┈').set_style(theme::GOOD);
+        }
+    }
+    marks(page, run, bounds, inner, buffer);
+    plot(&traces, bounds, inner, buffer);
+}
+
+/// A line through points that may have gaps, those of a held signal apart.
+fn line(signal: &SignalTrace, points: Vec<(f64, f64)>, stroke: Stroke, style: Style) -> Trace {
     let longest_s = if signal.is_held {
         f64::INFINITY
     } else {
         longest_step_s(signal.time_s.len(), |k| signal.time_s[k])
     };
-    let line = |points, stroke, style| Trace {
+    Trace {
         points,
         longest_s,
         stroke,
         style,
         beyond: None,
-    };
-    let measured = seen(signal, &mut signal.measured.iter().copied(), window_s);
-    let mut model = seen(signal, &mut signal.model.iter().copied(), window_s);
-    let before = page.signal_before(signal).map_or_else(Vec::new, |before| {
-        seen(before, &mut before.model.iter().copied(), window_s)
+    }
+}
+
+/// While a change is drawn, the place up to which the new model is; beyond it is the old one.
+fn border_s(page: &TracesPage) -> f64 {
+    let (from_s, to_s) = page.window_s();
+    from_s + page.drawn_share() * (to_s - from_s)
+}
+
+/// Measured and model.
+fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
+    let seen = |values: &mut dyn Iterator<Item = f64>| seen(signal, values, page.window_s());
+    let measured = seen(&mut signal.measured.iter().copied());
+    let mut model = seen(&mut signal.model.iter().copied());
+    let old = page.signal_before(signal);
+    let before = old.map_or_else(Vec::new, |old| {
+        self::seen(old, &mut old.model.iter().copied(), page.window_s())
     });
-    let border_s = window_s.0 + page.drawn_share() * (window_s.1 - window_s.0);
     if page.is_moving() {
-        model.retain(|point| point.0 <= border_s);
+        model.retain(|point| point.0 <= border_s(page));
     }
     let edge = |sigmas: f64| {
         let pairs = signal.measured.iter().zip(&signal.std);
-        let mut edge = pairs.map(|(value, std)| value + sigmas * std);
-        seen(signal, &mut edge, window_s)
+        seen(&mut pairs.map(|(value, std)| value + sigmas * std))
     };
-    let edges = [edge(-BAND_SIGMAS), edge(BAND_SIGMAS)];
     let values = [&measured, &model, &before].map(|points| range(points.iter().map(|p| p.1)));
     let (low, high) = values
         .into_iter()
@@ -255,7 +312,6 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
             format!(" {}", reading(at_cursor(signal, values, at_s)))
         })
     };
-    let is_wide = area.width >= WIDE;
     let word = |long: &'static str, short: &'static str| if is_wide { long } else { short };
     let mut legend = |stroke: Stroke, name: &str, values: &[f64], style| {
         let text = format!("  {} {name}{}", stroke.sample(), cursor(values));
@@ -273,70 +329,55 @@ fn both(page: &TracesPage, run: &RunTraces, signal: &SignalTrace, area: Rect, bu
     }
     if signal.has_model() {
         legend(Stroke::Dashed, "model", &signal.model, theme::MODEL);
-        if let Some(before) = page.signal_before(signal) {
+        if let Some(old) = old {
             let name = if page.is_before {
                 word("model after the change", "after")
             } else {
                 word("model before the change", "before")
             };
-            legend(Stroke::Dotted, name, &before.model, theme::DIM);
+            legend(Stroke::Dotted, name, &old.model, theme::DIM);
         }
     }
-    title.render(Rect { height: 1, ..area }, buffer);
-
-    let inner = below_title(area);
-    value_axis(low, high, inner, buffer);
-    let bounds = Bounds {
-        from: window_s.0,
-        to: window_s.1,
+    let traces = [
+        (edge(-BAND_SIGMAS), Stroke::Dotted, theme::DIM),
+        (edge(BAND_SIGMAS), Stroke::Dotted, theme::DIM),
+        (before, Stroke::Dotted, theme::DIM),
+        (measured, Stroke::Solid, style),
+        (model, Stroke::Dashed, theme::MODEL),
+    ];
+    let traces = traces.map(|(points, stroke, style)| line(signal, points, stroke, style));
+    Drawn {
+        title,
         low,
         high,
-    };
-    marks(page, run, bounds, inner, buffer);
-    let [below, above] = edges;
-    let traces = [
-        line(below, Stroke::Dotted, theme::DIM),
-        line(above, Stroke::Dotted, theme::DIM),
-        line(before, Stroke::Dotted, theme::DIM),
-        line(measured, Stroke::Solid, style),
-        line(model, Stroke::Dashed, theme::MODEL),
-    ];
-    plot(&traces, bounds, inner, buffer);
+        traces: traces.into(),
+        band: None,
+    }
 }
 
 /// Measured less model, with the band of the noise.
-fn residual(
-    page: &TracesPage,
-    run: &RunTraces,
-    signal: &SignalTrace,
-    area: Rect,
-    buffer: &mut Buffer,
-) {
-    let window_s = page.window_s();
+fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     let before = page.signal_before(signal);
-    let border_s = window_s.0 + page.drawn_share() * (window_s.1 - window_s.0);
-    let mut points = seen(signal, &mut signal.residual(), window_s);
-    // While a change is drawn, what lies beyond the border is still that of the model before.
+    let mut points = seen(signal, &mut signal.residual(), page.window_s());
     if let (true, Some(before)) = (page.is_moving(), before) {
+        let border_s = border_s(page);
         points.retain(|point| point.0 <= border_s);
-        let old = seen(before, &mut before.residual(), window_s);
+        let old = seen(before, &mut before.residual(), page.window_s());
         points.extend(old.into_iter().filter(|point| point.0 > border_s));
     }
-    let longest_s = longest_step_s(signal.time_s.len(), |k| signal.time_s[k]);
-    let band = signal.noise.map_or(0.0, |noise| BAND_SIGMAS * noise);
+    let band = signal.noise.map(|noise| BAND_SIGMAS * noise);
     let (least, most) = range(points.iter().map(|point| point.1)).unwrap_or((-1.0, 1.0));
     // Of both models, so that the axis stands still while a change is drawn.
     let old = before.filter(|_| page.is_moving());
     let old = old.and_then(|before| range(before.residual()));
     let (least, most) = old.map_or((least, most), |old| (least.min(old.0), most.max(old.1)));
-    let largest = least.abs().max(most.abs()).max(1.5 * band);
+    let largest = least.abs().max(most.abs()).max(1.5 * band.unwrap_or(0.0));
     let (low, high) = round(-largest, largest);
 
     let known = points.iter().map(|point| point.1).filter(|r| r.is_finite());
     let (squares, count) = known.fold((0.0, 0.0), |(sum, n), r| (sum + r * r, n + 1.0));
     let rms = f64::sqrt(squares / count);
     let unit = signal.quantity.unit();
-    let is_wide = area.width >= WIDE;
     let head = if is_wide {
         format!(" {}: measured - model, {unit}", signal.quantity.name())
     } else {
@@ -361,36 +402,20 @@ fn residual(
         };
         title.push_span(Span::styled(text, theme::DIM));
     }
-    title.render(Rect { height: 1, ..area }, buffer);
-
-    let inner = below_title(area);
-    value_axis(low, high, inner, buffer);
-    let bounds = Bounds {
-        from: window_s.0,
-        to: window_s.1,
-        low,
-        high,
-    };
-    if band > 0.0 && inner.height > 2 {
-        for edge in [-band, band] {
-            let y = bounds.row(edge, inner);
-            for x in inner.x..inner.right() {
-                buffer[(x, y)].set_char('┈').set_style(theme::GOOD);
-            }
-        }
-    }
-    marks(page, run, bounds, inner, buffer);
     let marked = signal
         .noise
         .map(|noise| (MARKED_SIGMAS * noise, theme::BAD));
     let trace = Trace {
-        points,
-        longest_s,
-        stroke: Stroke::Solid,
-        style: theme::PLAIN,
         beyond: marked,
+        ..line(signal, points, Stroke::Solid, theme::PLAIN)
     };
-    plot(&[trace], bounds, inner, buffer);
+    Drawn {
+        title,
+        low,
+        high,
+        traces: vec![trace],
+        band: band.filter(|band| *band > 0.0),
+    }
 }
 
 /// The list of everything that can be shown, over the middle of the page.
@@ -423,12 +448,19 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
     let room = usize::from(height.saturating_sub(2)).max(1);
     let first = (at + 1).saturating_sub(room);
     let rows = all.iter().enumerate().skip(first).take(room);
-    let rows = rows.map(|(row, panel)| {
+    let rows = rows.map(|(index, panel)| {
         let mark = if shown.contains(panel) { "✓" } else { " " };
-        let arrow = if row == at { "▶" } else { " " };
+        let arrow = if index == at { "▶" } else { " " };
         let text = format!("{arrow} {mark} {}", name(panel));
         let text = cut(&text, usize::from(width.saturating_sub(2)));
-        Line::styled(text, if row == at { theme::BOLD } else { theme::PLAIN })
+        Line::styled(
+            text,
+            if index == at {
+                theme::BOLD
+            } else {
+                theme::PLAIN
+            },
+        )
     });
     Clear.render(place, buffer);
     let block = Block::bordered().title(" Enter shows or hides, Esc closes ");

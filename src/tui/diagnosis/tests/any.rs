@@ -1,0 +1,95 @@
+//! Any diagnosis on the screen, at any size.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::tui::testing::number;
+
+fn state() -> impl Strategy<Value = State> {
+    let over = prop_oneof![
+        Just(Over::Nothing),
+        (0..400_usize).prop_map(Over::Card),
+        Just(Over::Map(0)),
+        Just(Over::Map(1)),
+        (0..400_usize).prop_map(Over::Next),
+        (0..3_usize, prop::option::of(0..40_usize))
+            .prop_map(|(index, point)| Over::Curve(index, point)),
+        Just(Over::Traces),
+    ];
+    let verdict = prop::sample::select(vec![
+        DiagnosisVerdict::Effect,
+        DiagnosisVerdict::Ambiguous,
+        DiagnosisVerdict::None,
+        DiagnosisVerdict::Unexplained,
+    ]);
+    let numbers = prop::collection::vec(number(), 8);
+    let (kind, down) = (0..8_usize, 0..40_i32);
+    (
+        kind,
+        over,
+        verdict,
+        numbers,
+        ".{0,120}",
+        down,
+        any::<bool>(),
+    )
+        .prop_map(|(kind, over, verdict, numbers, words, down, speaks)| {
+            let mut state = match kind {
+                0 => begun(false),
+                1 => searching(false),
+                2 => searching(true),
+                3 => at_the_floor(),
+                4 => of_a_fan(),
+                5 => falling(),
+                6 => compared_alone(),
+                _ => answered(),
+            };
+            let mut answer = diagnosis();
+            answer.verdict = verdict;
+            answer.sentence.clone_from(&words);
+            answer.holdout_before = numbers[0];
+            for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
+                candidate.explained_percent = Some(*number);
+                candidate.detectable = Some(*number);
+                candidate.upper_bound = Some(*number);
+                candidate.probability = *number;
+                for parameter in &mut candidate.parameters {
+                    parameter.value = Some(*number);
+                    parameter.std = Some(numbers[7]);
+                }
+            }
+            if kind > 2 && kind != 6 {
+                hear(&mut state, News::Diagnosed(Box::new(answer)));
+            } else {
+                let found = Found::Screened {
+                    effect: "cogging",
+                    share: numbers[1],
+                };
+                hear(&mut state, News::Progress(found));
+            }
+            for (step, number) in state.ladder.iter_mut().zip(&numbers) {
+                step.error = *number;
+            }
+            for _ in 0..down {
+                press(&mut state, Press::Move(1));
+            }
+            state.over = over;
+            state.help = speaks.then_some(down as usize);
+            state.title.clone_from(&words);
+            state.message = speaks.then_some(words);
+            state
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn any_diagnosis_can_be_drawn_at_any_size(
+        state in state(),
+        width in 1..=200_u16,
+        height in 1..=60_u16,
+    ) {
+        terminal(&state, width, height);
+    }
+}
