@@ -123,23 +123,31 @@ fn machine() -> String {
     )
 }
 
-fn table(measurements: &Path) -> String {
+/// The page; a line of `before`, the page as it is, stands where nothing was measured anew on the same machine.
+fn table(measurements: &Path, before: &str) -> String {
     let mut out = format!(
         "# Benchmarks\n\n\
          `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
-         latest measurements. Single figures: `cargo bench --bench estimation -- rls`.\n\n\
+         latest measurements, and leaves what was not measured anew on this machine as it is. Single figures: `cargo bench\n\
+         --bench estimation -- rls`.\n\n\
          Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
          and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
          parameters: a hand-written C loop 19 and 9.5 ns, padasip in Python 6,900 ns, the computer of paper A 8 and 3 ms.\n\n\
          | what | asked | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
         machine()
     );
+    let is_same = before.contains(&format!("Machine: {}. ", machine()));
     for figure in figures() {
         let asked = figure
             .asked_ns
             .map_or_else(|| "-".to_owned(), |ns| format!("<= {}", text(ns)));
         let line = match measured(&measurements.join(&figure.id).join("new")) {
-            None => format!("| {} | {asked} | not measured | | | |", figure.what),
+            None => {
+                let begin = format!("| {} | {asked} |", figure.what);
+                let mut lines = before.lines().filter(|_| is_same);
+                let kept = lines.find(|line| line.starts_with(&begin));
+                kept.map_or_else(|| begin.clone() + " not measured | | | |", str::to_owned)
+            }
             Some(found) => {
                 let verdict = match figure.asked_ns {
                     None => "",
@@ -170,7 +178,8 @@ fn main() {
     let target =
         std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
     let page = root.join("docs/benchmarks.md");
-    match fs::write(&page, table(&target.join("criterion"))) {
+    let before = fs::read_to_string(&page).unwrap_or_default();
+    match fs::write(&page, table(&target.join("criterion"), &before)) {
         Ok(()) => eprintln!("written: {}", page.display()),
         Err(error) => {
             eprintln!("{}: cannot write: {error}", page.display());

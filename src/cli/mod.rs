@@ -248,11 +248,10 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
     }
     let unexpected = headline.strip_prefix("unexpected argument '");
     let is_option = unexpected.is_some_and(|word| word.starts_with('-'));
-    let judges = ["compare", "diagnose", "view"];
     let help = match (tip, usage) {
         (Some(tip), _) => tip,
         _ if is_option => page,
-        (None, Some(usage)) if unexpected.is_some() && judges.contains(&command.get_name()) => {
+        (None, Some(usage)) if unexpected.is_some() && command.get_name() == "view" => {
             format!("give the run to judge by with --holdout RUN2; usage: {usage}")
         }
         (None, Some(usage)) if error.kind() == ErrorKind::MissingRequiredArgument => {

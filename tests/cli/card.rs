@@ -275,7 +275,8 @@ fn a_mistake_is_answered_with_what_to_do() {
                 "for example `drivebench diagnose ",
             ],
         ),
-        ("diagnose a b", &["--holdout RUN2"]),
+        ("diagnose a b", &["--holdout"]),
+        ("view a b", &["--holdout RUN2"]),
         ("test suite.toml", &["'test'", "see drivebench --help"]),
     ] {
         let said = refusal(command, &[]);
