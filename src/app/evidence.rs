@@ -180,6 +180,29 @@ impl Prepared {
     }
 }
 
+impl About {
+    /// Of the run that is fitted with those behind it, and of those that are held out and confirm.
+    fn of(run: &Path, later: &[&PathBuf], holdout: Option<&Path>, confirm: Option<&Path>) -> Self {
+        let name = |path: &Path| {
+            let last = path.file_name().unwrap_or_default();
+            last.to_string_lossy().into_owned()
+        };
+        let judged_by = holdout.map_or_else(
+            || "last 40 % held out".to_owned(),
+            |holdout| format!("held out {}", name(holdout)),
+        );
+        let later = later.iter().map(|path| path.as_path());
+        let fitted = std::iter::once(run).chain(later.clone());
+        let fitted: Vec<String> = fitted.map(name).collect();
+        let used = [Some(run), holdout, confirm].into_iter().flatten();
+        Self {
+            title: format!("{}, {judged_by}", fitted.join(" and ")),
+            runs: used.chain(later).map(Path::to_owned).collect(),
+            holdout_objected: false,
+        }
+    }
+}
+
 /// Opens what the command names, the fitted run first (`load` is told whether it is another); data that it cannot judge
 /// end it.
 pub(crate) fn prepare(
@@ -270,25 +293,10 @@ pub(crate) fn prepare(
         output::warn(fitted.as_slice());
         notes.extend(fitted);
     }
-    let name = |path: &Path| {
-        let last = path.file_name().unwrap_or_default();
-        last.to_string_lossy().into_owned()
-    };
-    let judged_by = holdout.map_or_else(
-        || "last 40 % held out".to_owned(),
-        |holdout| format!("held out {}", name(holdout)),
-    );
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
-    let used = [Some(files.run), holdout, confirm].into_iter().flatten();
-    let fitted = std::iter::once(files.run).chain(later.iter().map(|path| path.as_path()));
-    let fitted: Vec<String> = fitted.map(name).collect();
     let about = About {
-        title: format!("{}, {judged_by}", fitted.join(" and ")),
-        runs: used
-            .chain(later.iter().map(|path| path.as_path()))
-            .map(Path::to_owned)
-            .collect(),
         holdout_objected: objected && is_run,
+        ..About::of(files.run, &later, holdout, confirm)
     };
     Ok(Prepared {
         run,

@@ -162,9 +162,9 @@ pub(super) struct Lines<S> {
     text: Vec<u8>,
     /// Bytes of `text` that the sink has taken.
     written: usize,
-    /// Bytes and lines before `text`, which only the sink has.
-    before_bytes: u64,
-    before_lines: usize,
+    /// Bytes before `text`, which only the sink has, and how many lines they are.
+    earlier_bytes: u64,
+    earlier_count: usize,
     room: Room,
     /// Lines that neither the sink nor the memory has.
     lost: usize,
@@ -176,8 +176,8 @@ impl<S: Durable> Lines<S> {
             sink,
             text: Vec::new(),
             written: 0,
-            before_bytes: 0,
-            before_lines: 0,
+            earlier_bytes: 0,
+            earlier_count: 0,
             room,
             lost: 0,
         }
@@ -200,8 +200,8 @@ impl<S: Durable> Lines<S> {
         let older = &self.text[..self.written.saturating_sub(self.room.taken / 2)];
         let end = older.iter().rposition(|byte| *byte == b'\n');
         let end = end.map_or(0, |at| at + 1);
-        self.before_bytes += end as u64;
-        self.before_lines += lines_in(&older[..end]);
+        self.earlier_bytes += end as u64;
+        self.earlier_count += lines_in(&older[..end]);
         self.text.drain(..end);
         self.written -= end;
         if self.text.capacity() / 4 > self.room.taken {
@@ -217,7 +217,7 @@ impl<S: Durable> Lines<S> {
         BufReader::new(ReadBack {
             sink: &self.sink,
             at: 0,
-            end: self.before_bytes,
+            end: self.earlier_bytes,
         })
     }
 
@@ -225,7 +225,7 @@ impl<S: Durable> Lines<S> {
     pub(super) fn whole(&self) -> Option<Vec<u8>> {
         let mut whole = Vec::new();
         self.before().read_to_end(&mut whole).ok()?;
-        let is_whole = whole.len() as u64 == self.before_bytes && self.lost == 0;
+        let is_whole = whole.len() as u64 == self.earlier_bytes && self.lost == 0;
         whole.extend_from_slice(&self.text);
         is_whole.then_some(whole)
     }
@@ -242,7 +242,7 @@ impl<S: Durable> Lines<S> {
             lines += 1;
             line.clear();
         }
-        let mut lost = self.before_lines - lines;
+        let mut lost = self.earlier_count - lines;
         if lines == 0 && lost > 0 && !head.is_empty() {
             fresh.write_all(head.as_bytes())?;
             bytes += head.len() as u64;
@@ -260,7 +260,7 @@ impl<S: Durable> Lines<S> {
     /// Goes on where it was moved to, first with what is in memory.
     fn go_on_in(&mut self, moved: Moved<S>) {
         self.sink = moved.sink;
-        (self.before_bytes, self.before_lines) = (moved.bytes, moved.lines);
+        (self.earlier_bytes, self.earlier_count) = (moved.bytes, moved.lines);
         self.lost += moved.lost;
         self.written = 0;
     }
@@ -627,7 +627,7 @@ mod tests {
         let layout = Layout::plain(&[Channel::Current]);
         let header = layout.header();
         let rows = |range: std::ops::Range<u32>| -> String {
-            range.map(|row| format!("{row},{row}\n")).collect()
+            range.fold(String::new(), |all, row| all + &format!("{row},{row}\n"))
         };
         let all = header.clone() + &rows(0..100);
         let unreadable = |from: &str| Some(from.len());
