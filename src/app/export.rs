@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::failure::Failure;
 use super::files::read_model;
+use super::output;
 use super::tune::KeptGains;
 use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
 use crate::plant::ModelFile;
@@ -112,7 +113,12 @@ pub(crate) fn run_as_parquet(
     folder: Option<&Path>,
 ) -> Result<Vec<u8>, Failure> {
     let table = match folder.filter(|_| loaded.run.rows_dropped == 0) {
-        None => write_run(&loaded.run).into_bytes(),
+        None => {
+            output::message(
+                "the file is not the log of a run as it was recorded: the quantities that are known are written, other columns not",
+            );
+            write_run(&loaded.run).into_bytes()
+        }
         Some(folder) => {
             let samples = RunFolder::existing(folder).samples();
             let cannot = |error| format!("{}: cannot read: {error}", samples.display());
@@ -138,7 +144,7 @@ const NO_PARQUET: &str = "this program was built without Parquet";
 
 /// Refuses Parquet where this program was built without it; to be asked before the work.
 pub(crate) fn require_parquet() -> Result<(), Failure> {
-    let help = "samples.csv is read by pandas, Polars and DuckDB as it is; or build with `cargo install --path . --features parquet`";
+    let help = "samples.csv is read by pandas, Polars and DuckDB as it is; or build without `--no-default-features`";
     let refused = Failure::usage(NO_PARQUET, help);
     cfg!(feature = "parquet").then_some(()).ok_or(refused)
 }

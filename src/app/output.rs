@@ -20,8 +20,19 @@ pub(crate) use crate::text::shell::{quoted, quoted_word};
 /// Narrower than any terminal that shows a table.
 const FEWEST_COLUMNS: usize = 40;
 
-/// Prints a result as one JSON document, or as the text that `text` makes of it.
+/// Prints a result as one JSON document, or as the text that `text` makes of it, in rows that fit.
 pub(crate) fn result<T: Serialize>(
+    value: &T,
+    json: bool,
+    text: impl FnOnce(&T) -> String,
+) -> Result<(), Failure> {
+    unfolded(value, json, |value| {
+        folded(&text(value), columns()).join("\n")
+    })
+}
+
+/// The same with the lines of the text as they are: what is read by a program, or is fitted already.
+pub(crate) fn unfolded<T: Serialize>(
     value: &T,
     json: bool,
     text: impl FnOnce(&T) -> String,
@@ -31,7 +42,7 @@ pub(crate) fn result<T: Serialize>(
             .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
         line(&document)
     } else {
-        self::text(&text(value))
+        line(text(value).trim_end())
     }
 }
 
@@ -40,7 +51,8 @@ pub(crate) fn text(text: &str) -> Result<(), Failure> {
     line(&folded(text.trim_end(), columns()).join("\n"))
 }
 
-/// Prints a result as one JSON document, or as its card, in `full` or as much of it as fits, with what stands above it.
+/// Prints a result as one JSON document, or as its card, in `full` or as much of it as fits, with what stands above it as it
+/// is: a model that is not written to a file, among others.
 pub(crate) fn card<T: Serialize>(
     value: &T,
     json: bool,
@@ -48,7 +60,7 @@ pub(crate) fn card<T: Serialize>(
     above: Vec<String>,
     card: impl FnOnce() -> Card,
 ) -> Result<(), Failure> {
-    result(value, json, |_| {
+    unfolded(value, json, |_| {
         let mut rows = above;
         if !rows.is_empty() {
             rows.push(String::new());

@@ -458,11 +458,11 @@ impl Rig {
         manifest.rows = Some(kept.status.rows);
         let mut recorded = Recorded::new(kept, manifest, summary, online.result());
         recorded.keep_capture(name);
+        // Kept at once: whoever goes on with this run may be interrupted.
+        recorded.write_result(&serde_json::json!({}));
         if self.asked.parquet {
             recorded.keep_parquet();
         }
-        // Kept at once: whoever goes on with this run may be interrupted.
-        recorded.write_result(&serde_json::json!({}));
         Ok(recorded)
     }
 

@@ -251,7 +251,7 @@ struct Part {
 #[derive(Default)]
 struct Prediction {
     step_s: f64,
-    /// Current below which a reverse one is more than ripple.
+    /// Magnitude above which a reverse current is more than ripple.
     reverse_a: f64,
     parts: Vec<Part>,
     points: usize,

@@ -163,7 +163,7 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
         remove(of_model(&model, id)?, &model, evidence.clone())?
     };
     drop(shown);
-    if adding.is_some_and(|adding| adding.force) && !result.accepted {
+    if adding.is_some_and(|adding| adding.force) && !result.accepted && result.can_be_forced() {
         result.force();
         output::warn(&[format!("{}: {}", result.effect, result.reason)]);
     }
@@ -202,16 +202,19 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
         return Ok(());
     }
     // Why is said on stdout, once.
-    let (done, help) = if adding.is_some() {
-        (
+    let (done, help) = match adding {
+        Some(_) if result.can_be_forced() => (
             "added",
             "the reason is on stdout; --force takes it all the same",
-        )
-    } else {
-        (
+        ),
+        Some(_) => (
+            "added",
+            "the reason is on stdout: these runs cannot be asked for it, so that --force has nothing to take",
+        ),
+        None => (
             "taken out",
             "the reason is on stdout: these runs ask for it",
-        )
+        ),
     };
     let headline = format!("{} was not {done}", result.effect);
     Err(Failure::with_help(REFUSED, headline, help))

@@ -177,7 +177,7 @@ impl MoreRuns {
     pub(super) fn refuse(&self) -> Result<(), Failure> {
         self.more.first().map_or(Ok(()), |second| {
             let headline = format!("one run is judged, and another is given: {}", second.display());
-            let help = "name the run to judge by with --holdout, a third with --confirm, and models with --model";
+            let help = "name the run to judge by with --holdout, one to fit with it with --with, a third with --confirm, models with --model";
             Err(Failure::usage(headline, help))
         })
     }

@@ -179,7 +179,14 @@ fn after_new_run(arguments: &Arguments) -> String {
     let run = output::quoted(&arguments.run);
     let model = model_words(arguments.model.as_deref());
     let words = arguments.evidence.words();
-    format!("drivebench diagnose {run}{model}{words} --with NEW_RUN")
+    let bench = bench_words(arguments);
+    format!("drivebench diagnose {run}{model}{words}{bench} --with NEW_RUN")
+}
+
+/// The bench whose limits the recommended run keeps, with a space before it.
+fn bench_words(arguments: &Arguments) -> String {
+    let bench = arguments.bench.as_deref().map(output::quoted);
+    bench.map_or_else(String::new, |bench| format!(" --bench {bench}"))
 }
 
 /// The commands that go on from here: add what was found, or make the run that would tell more.
@@ -207,9 +214,9 @@ fn go_on(
             card.go_on(format!("drivebench run {}", output::quoted(path)));
             card.go_on(after_new_run(arguments));
         } else if diagnosis.effect.is_none() {
-            let words = arguments.evidence.words();
+            let (words, bench) = (arguments.evidence.words(), bench_words(arguments));
             card.go_on(format!(
-                "drivebench diagnose {run}{model}{words} --next-bench next.toml"
+                "drivebench diagnose {run}{model}{words}{bench} --next-bench next.toml"
             ));
         }
     }

@@ -39,5 +39,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let load = || arguments.map.load(&arguments.run);
     let (page, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
     let done = report(&arguments.run, load, page, pictures)?;
-    output::result(&done, arguments.json, |done| done.text(arguments.markdown))
+    if arguments.markdown {
+        return output::unfolded(&done, arguments.json, |done| done.text(true));
+    }
+    output::result(&done, arguments.json, |done| done.text(false))
 }

@@ -138,7 +138,7 @@ fn finish(
     output::result(found, arguments.json, |_| report.text())
 }
 
-/// Refuses a folder that holds anything, and one that cannot be made: it is tried.
+/// Makes the folder; one that holds anything is refused, and one that cannot be made or written to.
 fn prepare(folder: &Path) -> Result<(), Failure> {
     let occupied = match fs::read_dir(folder) {
         Ok(mut entries) => entries.next().is_some(),
@@ -150,13 +150,11 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
         let help = "give another folder with --out, or move this one away";
         return Err(Failure::usage(headline, help));
     }
-    let was_there = folder.exists();
     fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))?;
-    if !was_there {
-        // Work that is interrupted leaves nothing behind.
-        let _ = fs::remove_dir(folder);
-    }
-    Ok(())
+    // A folder that is there may not be one that takes files.
+    let trial = folder.join(".drivebench");
+    let tried = fs::write(&trial, "").and_then(|()| fs::remove_file(&trial));
+    tried.map_err(|error| cannot_write(folder, &error))
 }
 
 fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {

@@ -136,7 +136,8 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// For samples on disk: minutes of what is written, and without a disk hours at 50 Hz, half an hour at 1 kHz.
+    /// For samples on disk: the last seconds at 1 kHz of what is written, and without a disk hours at 50 Hz, half an hour at
+    /// 1 kHz.
     pub(super) const SAMPLES: Self = Self {
         taken: 1 << 20,
         all: 256 << 20,
@@ -204,7 +205,7 @@ impl<S: Durable> Lines<S> {
         self.earlier_count += lines_in(&older[..end]);
         self.text.drain(..end);
         self.written -= end;
-        if self.text.capacity() / 4 > self.room.taken {
+        if self.text.capacity() / 4 > self.room.taken.max(self.text.len()) {
             self.text.shrink_to(self.room.taken);
         }
     }
@@ -242,7 +243,7 @@ impl<S: Durable> Lines<S> {
             lines += 1;
             line.clear();
         }
-        let mut lost = self.earlier_count - lines;
+        let mut lost = self.earlier_count.saturating_sub(lines);
         if lines == 0 && lost > 0 && !head.is_empty() {
             fresh.write_all(head.as_bytes())?;
             bytes += head.len() as u64;

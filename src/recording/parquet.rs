@@ -96,7 +96,7 @@ pub fn parquet(csv: &[u8]) -> Result<Vec<u8>, ParquetError> {
     let properties = Arc::new(WriterProperties::builder().build());
     let mut writer = SerializedFileWriter::new(Vec::new(), schema, properties)?;
     let mut record = csv::StringRecord::new();
-    let mut is_more = true;
+    let (mut is_more, mut has_group) = (true, false);
     while is_more {
         let mut rows = 0;
         while rows < ROWS_OF_A_GROUP && is_more {
@@ -107,6 +107,10 @@ pub fn parquet(csv: &[u8]) -> Result<Vec<u8>, ParquetError> {
                 rows += 1;
             }
         }
+        if rows == 0 && has_group {
+            break;
+        }
+        has_group = true;
         let mut group = writer.next_row_group()?;
         for column in &mut columns {
             column.write(&mut group)?;

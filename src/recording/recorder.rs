@@ -19,6 +19,9 @@ use crate::sample::Sample;
 /// Longest time between two looks at the folder while nothing comes.
 const LOOK: Duration = Duration::from_millis(500);
 
+/// Most looks between two trials to make a folder again: a minute while nothing comes.
+const MOST_LOOKS: u32 = 120;
+
 enum Message {
     Rows(Vec<Row>),
     Event(Event),
@@ -255,6 +258,9 @@ struct Writer {
     place: Option<Place>,
     /// Why the folder, which is gone, cannot be made again.
     gone: Option<String>,
+    /// Looks that pass before it is tried again, and how many passed before the last trial: each copies the whole log.
+    looks_to_pass: u32,
+    looks_passed: u32,
     unfinished: Manifest,
     /// Rows and events between two looks at the folder.
     look_every: usize,
@@ -278,6 +284,8 @@ impl Writer {
             folder,
             place: None,
             gone: None,
+            looks_to_pass: 0,
+            looks_passed: 0,
             unfinished: Manifest {
                 finished: false,
                 rows: None,
@@ -309,6 +317,7 @@ impl Writer {
             *lock(status) = self.journal.status();
         }
         self.journal.finish();
+        self.looks_to_pass = 0;
         self.look();
         *lock(status) = self.journal.status();
         self
@@ -328,6 +337,10 @@ impl Writer {
     }
 
     fn make_again(&mut self) {
+        if self.looks_to_pass > 0 {
+            self.looks_to_pass -= 1;
+            return;
+        }
         let old = self.folder.path().display().to_string();
         let lost = self.journal.status().rows_lost;
         let what = match self.place {
@@ -341,16 +354,16 @@ impl Writer {
                 let rest = if lost == 0 {
                     String::new()
                 } else {
-                    format!(
-                        ", without the first {lost} rows, which the memory did not hold any more"
-                    )
+                    format!(", without {lost} rows, which the old file did not give back")
                 };
-                self.gone = None;
+                (self.gone, self.looks_passed) = (None, 0);
                 self.journal.tell(format!(
                     "{old} {what}; the record is made again in {new}{rest}"
                 ));
             }
             Err(error) => {
+                self.looks_passed = (2 * self.looks_passed).clamp(1, MOST_LOOKS);
+                self.looks_to_pass = self.looks_passed;
                 let reason = error.to_string();
                 if self.gone.as_ref() != Some(&reason) {
                     self.journal.tell(format!(

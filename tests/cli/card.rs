@@ -369,3 +369,16 @@ fn what_was_nearly_right_is_named() {
     let text = said(&format!("identify {run} --require inertia"));
     has(&text, &["did you mean `inertia_kg_m2`?"]);
 }
+
+#[test]
+fn a_command_with_a_long_path_is_printed_to_be_copied() {
+    let desk = Desk::new();
+    let out = desk.path("long".repeat(30));
+    let shown = call("run --headless --port sim: --out {}", &[&out])
+        .expect(0)
+        .stdout;
+    let run = only_folder(&out);
+    let command = format!("drivebench diagnose {}", run.display());
+    assert!(command.chars().count() > 100);
+    has(&shown, &[&command]);
+}

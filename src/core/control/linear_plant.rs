@@ -72,8 +72,16 @@ pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, P
         actuator: actuator.name(),
     };
     let slope = effect.values.first().copied().flatten().ok_or(missing)?;
-    let brakes = slope.is_finite() && slope >= 0.0;
-    brakes.then_some(slope).ok_or(PlantError::Drives(slope))
+    if !slope.is_finite() {
+        return Err(PlantError::NotPhysical {
+            key: VISCOUS,
+            value: slope,
+        });
+    }
+    if slope < 0.0 {
+        return Err(PlantError::Drives(slope));
+    }
+    Ok(slope)
 }
 
 impl LinearPlant {

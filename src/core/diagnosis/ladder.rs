@@ -347,9 +347,14 @@ pub struct AddResult {
 }
 
 impl AddResult {
-    /// Takes what was refused, and says so.
+    /// Whether the model that was refused is one with the effect.
+    pub fn can_be_forced(&self) -> bool {
+        self.fit.model.has(self.effect)
+    }
+
+    /// Takes what was refused, and says so; what the runs cannot be asked for is not in the model, and stays refused.
     pub fn force(&mut self) {
-        if !self.accepted {
+        if !self.accepted && self.can_be_forced() {
             (self.accepted, self.forced) = (true, true);
             self.reason = format!(
                 "forced, although these runs do not ask for it: {}",

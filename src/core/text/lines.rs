@@ -46,7 +46,7 @@ fn broken(line: &str, width: usize) -> Vec<String> {
 
 /// The lines of a text as a terminal prints them, in rows of `width` columns: what goes on stands beneath the last column of
 /// a table's row, else two columns further in. What is to be copied stays whole: a command in backquotes, and any word, as a
-/// path, which may be too long for a row.
+/// path, which may be too long for a row; and a row of a table with bars.
 pub fn folded(text: &str, width: usize) -> Vec<String> {
     text.lines()
         .flat_map(|line| folded_line(line, width))
@@ -57,10 +57,10 @@ pub fn folded(text: &str, width: usize) -> Vec<String> {
 const LAST_COLUMN: usize = 2;
 
 fn folded_line(line: &str, width: usize) -> Vec<String> {
-    if line.chars().count() <= width {
+    let text = line.trim_start();
+    if line.chars().count() <= width || text.starts_with('|') {
         return vec![line.to_owned()];
     }
-    let text = line.trim_start();
     let own = &line[..line.len() - text.len()];
     let gap = text.rfind("  ").map(|at| own.len() + at + 2);
     let head = &line[..gap.unwrap_or(own.len())];
@@ -164,6 +164,10 @@ mod tests {
             (
                 "help: so and `do this now` or",
                 &["help: so and", "  `do this now` or"],
+            ),
+            (
+                "| a row of a table | with bars |",
+                &["| a row of a table | with bars |"],
             ),
             (
                 "x `a command that is longer than a row`",
