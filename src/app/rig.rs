@@ -19,7 +19,7 @@ use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
     Guard, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
-    ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary, Session,
+    ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary, Session, Snapshot,
     SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest, measure_delay,
     plan, reopen, run, stage_session,
 };
@@ -454,6 +454,11 @@ impl Rig {
         self.has_recorded = true;
         summary.rows = kept.status.rows as u64;
         summary.recorder_error.clone_from(&kept.status.error);
+        let shown = Snapshot {
+            rows: summary.rows,
+            ..(*controls.snapshots.latest()).clone()
+        };
+        controls.snapshots.publish(shown);
         manifest.finished = true;
         manifest.rows = Some(kept.status.rows);
         let mut recorded = Recorded::new(kept, manifest, summary, online.result());

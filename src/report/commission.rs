@@ -118,7 +118,7 @@ impl CommissionReport<'_> {
         };
         let parameters = tables::of_card(self.nameplate, before, after);
         card.table("motor", parameters, tables::SPARE, MOST_PARAMETERS);
-        comparison::on_card(&mut card, &self.comparisons());
+        comparison::on_card(&mut card, &self.comparisons(), self.heads());
         findings::on_card(&mut card, found);
         if self.context.target == Target::Emulator {
             card.say("truth", self.truth.iter().map(String::as_str), 1);
@@ -154,6 +154,14 @@ impl CommissionReport<'_> {
             "{sentence}. On a run that neither fitted nor selected: {errors}, in units of {}.",
             self.unit_of_error()
         )
+    }
+
+    /// The comparisons are of the run that confirms, where there is one.
+    const fn heads(&self) -> comparison::Heads {
+        match self.confirm {
+            Some(_) => comparison::CONFIRMING,
+            None => comparison::HELD_OUT,
+        }
     }
 
     /// Both comparisons with what their model is called; where nothing was added there is but one model.
@@ -227,7 +235,7 @@ impl CommissionReport<'_> {
         if let Some(run) = self.series {
             traces(page, run);
         }
-        comparison::figures(page, &self.comparisons());
+        comparison::figures(page, &self.comparisons(), self.heads());
     }
 }
 

@@ -78,7 +78,7 @@ impl ComparisonReport<'_> {
         let (tone, word, sentence) = self.verdict();
         let mut card = Card::new(tone, word, &sentence);
         card.say("model", [self.model], 1);
-        on_card(&mut card, &[("model", Some(self.comparison))]);
+        on_card(&mut card, &[("model", Some(self.comparison))], HELD_OUT);
         let (_, places) = self.comparison.where_it_fails();
         let places = places.iter().take(MOST_PLACES);
         card.say("", places.map(|place| place.sentence.as_str()), 0);
@@ -108,7 +108,7 @@ impl ComparisonReport<'_> {
         if let Some(run) = self.series {
             traces(&mut page, run);
         }
-        figures(&mut page, &models);
+        figures(&mut page, &models, HELD_OUT);
         if let Some(curve) = self.curve {
             page.section("What the equations lack");
             findings::effect_curve(&mut page, curve);
@@ -222,7 +222,7 @@ pub fn change_card(result: &AddResult) -> Card {
             2,
         );
     }
-    on_card(&mut card, &change(result));
+    on_card(&mut card, &change(result), HELD_OUT);
     if let Some(effect) = effect::find(result.effect).filter(|_| is_found) {
         card.say("cause", [effect.card().causes], 1);
         card.say("remedy", [effect.card().remedy], 1);
@@ -234,7 +234,7 @@ pub fn change_card(result: &AddResult) -> Card {
 /// Both comparisons for a terminal.
 pub fn change_in_full(result: &AddResult) -> Vec<String> {
     let mut page = Page::new("", "");
-    figures(&mut page, &change(result));
+    figures(&mut page, &change(result), HELD_OUT);
     places(&mut page, &change(result));
     page.plain(COLUMNS)
 }
@@ -246,8 +246,17 @@ fn change(result: &AddResult) -> [Named<'_>; 2] {
     ]
 }
 
+/// The run that errors are of, in heads of columns: error, fit and, on a page, root mean square.
+pub(super) type Heads = [&'static str; 3];
+pub(super) const HELD_OUT: Heads = ["held-out error", "held-out fit", "held-out rms error"];
+pub(super) const CONFIRMING: Heads = ["confirming error", "confirming fit", "confirming rms error"];
+
 /// Error of every signal under each model beside the noise, and what is left in the residual of each.
-pub(super) fn on_card(card: &mut Card, comparisons: &[Named<'_>]) {
+pub(super) fn on_card(
+    card: &mut Card,
+    comparisons: &[Named<'_>],
+    [error_head, fit_head, _]: Heads,
+) {
     let known = comparisons.iter();
     let known: Vec<_> = known
         .filter_map(|(label, own)| Some((*label, (*own)?)))
@@ -267,15 +276,11 @@ pub(super) fn on_card(card: &mut Card, comparisons: &[Named<'_>]) {
             |own: &&SignalFigures| old.iter().find(|old| old.signal == own.signal).map(error);
         table = table.column("error before", move |own| before(own).unwrap_or_default());
     }
-    let head = if known.len() > 1 {
-        "after"
-    } else {
-        "held-out error"
-    };
+    let head = if known.len() > 1 { "after" } else { error_head };
     let table = table
         .column(head, |own| error(own))
-        .column("held-out fit", |own| percent(own.holdout.fit_percent));
-    card.table("residual", table, &["held-out fit"], 3);
+        .column(fit_head, |own| percent(own.holdout.fit_percent));
+    card.table("residual", table, &[HELD_OUT[1], CONFIRMING[1]], 3);
     let left = known.iter().map(|(label, own)| {
         let sentence = own.residual.sentence();
         match label.strip_prefix("model ") {
@@ -289,7 +294,7 @@ pub(super) fn on_card(card: &mut Card, comparisons: &[Named<'_>]) {
 }
 
 /// Fit and error of every signal, what is left in the residual, and its lights.
-pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
+pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>], [_, fit_head, rms_head]: Heads) {
     let known = comparisons.iter();
     let known: Vec<_> = known
         .filter_map(|(label, own)| Some((*label, (*own)?)))
@@ -309,8 +314,8 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
         Table::of(rows)
             .column("signal", |(_, row)| row.name.clone())
             .column("model", |(label, _)| *label)
-            .column("held-out fit", |(_, row)| percent(row.holdout.fit_percent))
-            .column("held-out rms error", |(_, row)| row.cell(row.holdout.rmse))
+            .column(fit_head, |(_, row)| percent(row.holdout.fit_percent))
+            .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
             .column("noise floor", |(_, row)| {
                 or(row.noise_floor, row, "not known")
             })
