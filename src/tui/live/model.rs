@@ -415,6 +415,9 @@ impl Model {
 const fn why_nothing(press: Press) -> &'static str {
     match press {
         Press::Yes => "nothing was asked",
+        Press::Click(_) => {
+            "there is nothing to select here: the wheel zooms the scope and scrolls pages"
+        }
         Press::Zoomed(_) | Press::Pan(_) | Press::Cursor(_) | Press::Signals | Press::Worst => {
             "that belongs to the traces after a run: v shows them; z zooms here"
         }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use ratatui::layout::Position;
 use ratatui::style::{Color, Modifier};
 
 mod any;
@@ -728,10 +729,13 @@ fn a_start_on_hardware_is_confirmed_and_anything_else_withdraws_it() {
     assert_eq!(press(&mut soft, Press::Start), START);
     let mut hard = in_phase(Some(Phase::Safe), Target::Hardware);
     assert_eq!(press(&mut hard, Press::Start), []);
-    let (mut refused, mut late) = (hard.clone(), hard.clone());
+    for other in [Press::Next, Press::Click(Position::ORIGIN), Press::Wheel(1)] {
+        let mut refused = hard.clone();
+        assert_eq!(press(&mut refused, other), []);
+        assert_eq!(press(&mut refused, Press::Yes), [], "{other:?}");
+    }
+    let mut late = hard.clone();
     assert_eq!(press(&mut hard, Press::Yes), START);
-    assert_eq!(press(&mut refused, Press::Next), []);
-    assert_eq!(press(&mut refused, Press::Yes), []);
     // A question that is no longer one is withdrawn.
     late.update(Event::Snapshot(Arc::new(tripped())));
     assert!(!late.confirm_start);
