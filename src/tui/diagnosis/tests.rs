@@ -10,8 +10,8 @@ use super::guess::{Guess, Guessing, compared};
 use super::state::{Event, Over, State};
 use super::view::view;
 use crate::diagnosis::{
-    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found, Status,
-    effect_curve, error_curve,
+    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
+    NextExperiment, Status, effect_curve, error_curve,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::testing::with_a_fan;
@@ -189,7 +189,10 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         let mut found = diagnosis();
         found.confusable = vec![["viscous_friction", "quadratic_load"]];
         answer(&mut state, found);
-        hear(&mut state, News::Recommended(Box::new(next_experiment())));
+        hear(
+            &mut state,
+            News::Recommended(Some(Box::new(next_experiment()))),
+        );
         pressed(state, &[Press::Next])
     };
     let failed = || {
@@ -684,7 +687,7 @@ fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
     let mut bare = State::new(String::new(), false);
     press(&mut bare, Press::Map);
     assert_eq!(bare.over, Over::Nothing);
-    assert!(told(&bare).starts_with("there is no map"));
+    assert_eq!(told(&bare), "not yet: fitting the model");
 }
 
 #[test]
@@ -737,6 +740,49 @@ fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
 }
 
 #[test]
+fn after_a_failure_only_what_there_is_is_offered() {
+    let failed = |mut state: State| {
+        hear(&mut state, News::Failed("the run is too short".to_owned()));
+        state
+    };
+    let mut bare = failed(State::new(String::new(), false));
+    let shown = text(&bare, 80, 24);
+    assert!(
+        !shown.contains("v traces") && !shown.contains("e map"),
+        "{shown}"
+    );
+    for key in [Press::Traces, Press::Map, Press::Curve, Press::Diagnose] {
+        press(&mut bare, key);
+        assert!(
+            told(&bare).contains("has failed"),
+            "{key:?}: {}",
+            told(&bare)
+        );
+    }
+    press(&mut bare, DOWN);
+    assert_eq!(told(&bare), "no effect has been judged");
+    // The comparison was there before.
+    let shown = text(&failed(begun(false)), 80, 24);
+    assert!(
+        !shown.contains("v traces") && shown.contains("e map"),
+        "{shown}"
+    );
+}
+
+#[test]
+fn d_says_whether_it_is_searched_or_what_is_done_instead() {
+    let comparing = State::of_a_comparison(String::new(), ErrorOf::Model);
+    for (mut state, expected) in [
+        (comparing, "at work already: comparing"),
+        (searching(false), "at work already: "),
+        (answered(), "what is missing has been searched"),
+    ] {
+        assert_eq!(press(&mut state, Press::Diagnose), None);
+        assert!(told(&state).starts_with(expected), "{}", told(&state));
+    }
+}
+
+#[test]
 fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
     let mut state = of_a_fan();
     assert!(!state.is_moving());
@@ -773,6 +819,18 @@ fn a_comparison_alone_searches_only_when_it_is_asked_to() {
     assert_eq!(effect, Some(Effect::Order(Order::Diagnose)));
     assert!(!state.only_compares());
     assert_eq!(press(&mut state, Press::Diagnose), None, "not twice");
+    // Over a comparison, and before there is any row.
+    for (mut state, expected) in [
+        (
+            pressed(compared_alone(), &[Press::Map]),
+            "this page does not scroll",
+        ),
+        (compared_alone(), "there is no list of effects yet"),
+        (begun(false), "not yet: no effect has been judged"),
+    ] {
+        press(&mut state, DOWN);
+        assert!(told(&state).starts_with(expected), "{}", told(&state));
+    }
 }
 
 #[test]
@@ -783,7 +841,10 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     let mut found = diagnosis();
     found.confusable = vec![["viscous_friction", "quadratic_load"]];
     answer(&mut state, found);
-    hear(&mut state, News::Recommended(Box::new(next_experiment())));
+    hear(
+        &mut state,
+        News::Recommended(Some(Box::new(next_experiment()))),
+    );
     press(&mut state, Press::Next);
     // The dither is above the constant, below what that run needs.
     let tried = [
@@ -800,6 +861,27 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     shows(&state, &["next run: run a slow ramp"]);
     press(&mut state, Press::Next);
     assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
+fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
+    let mut state = searching(false);
+    let without_limits = Diagnosis {
+        limits: Vec::new(),
+        ..diagnosis()
+    };
+    answer(&mut state, without_limits);
+    press(&mut state, Press::Next);
+    shows(&state, &["next run: being looked for"]);
+    let reveals = NextExperiment {
+        pair: None,
+        ..next_experiment()
+    };
+    let mut shown = state.clone();
+    hear(&mut shown, News::Recommended(Some(Box::new(reveals))));
+    shows(&shown, &["foreseen precision", "✓ slow_ramp"]);
+    hear(&mut state, News::Recommended(None));
+    shows(&state, &["next run: none is asked for"]);
 }
 
 #[test]
