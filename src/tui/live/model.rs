@@ -206,8 +206,8 @@ impl Model {
         Vec::new()
     }
 
-    /// Keeps the values that there are and that physics allows. Those of another run are not those of this one, and when it is over there are none
-    /// but the last.
+    /// Keeps the values that there are and that physics allows. Those of another run are not those of this one, and when it
+    /// is over there are none but the last.
     fn hold(&mut self, snapshot: &Snapshot) {
         let is_over = !snapshot.phase.is_some_and(Phase::is_recorded);
         if is_over || snapshot.name != self.snapshot.name {
