@@ -4,6 +4,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::layout::{Position, Rect};
 
+mod answers;
 mod any;
 
 use super::guess::{Guess, Guessing, compared};
@@ -477,28 +478,6 @@ fn the_help_gives_back_the_page_that_it_explains() {
 }
 
 #[test]
-fn a_key_that_does_nothing_says_why() {
-    for state in every_state() {
-        for key in [
-            Press::Start,
-            Press::Yes,
-            Press::Freeze,
-            Press::Mark,
-            Press::ResetFault,
-            Press::Experiment,
-            Press::SpeedLoop,
-            Press::Page(1),
-            Press::Zoom,
-            Press::Other,
-        ] {
-            let mut state = state.clone();
-            assert_eq!(press(&mut state, key), None);
-            assert!(state.message.is_some(), "{key:?} {:?}", state.over);
-        }
-    }
-}
-
-#[test]
 fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
     let area = Rect::new(0, 0, 120, 40);
     let click = |state: &mut State, what: &str| {
@@ -723,63 +702,6 @@ fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
     shows(&state, &["80 % of the torque error follows the speed"]);
     let effect = press(&mut state, Press::Table);
     assert_eq!(effect, Some(Effect::Order(Order::AddCurve(0))));
-}
-
-#[test]
-fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
-    for key in [Press::Curve, Press::Traces, Press::Worst] {
-        let mut state = State::new(String::new(), false);
-        press(&mut state, key);
-        assert_eq!(state.over, Over::Nothing, "{key:?}");
-        assert!(
-            told(&state).starts_with("not yet"),
-            "{key:?}: {}",
-            told(&state)
-        );
-    }
-}
-
-#[test]
-fn after_a_failure_only_what_there_is_is_offered() {
-    let failed = |mut state: State| {
-        hear(&mut state, News::Failed("the run is too short".to_owned()));
-        state
-    };
-    let mut bare = failed(State::new(String::new(), false));
-    let shown = text(&bare, 80, 24);
-    assert!(
-        !shown.contains("v traces") && !shown.contains("e map"),
-        "{shown}"
-    );
-    for key in [Press::Traces, Press::Map, Press::Curve, Press::Diagnose] {
-        press(&mut bare, key);
-        assert!(
-            told(&bare).contains("has failed"),
-            "{key:?}: {}",
-            told(&bare)
-        );
-    }
-    press(&mut bare, DOWN);
-    assert_eq!(told(&bare), "no effect has been judged");
-    // The comparison was there before.
-    let shown = text(&failed(begun(false)), 80, 24);
-    assert!(
-        !shown.contains("v traces") && shown.contains("e map"),
-        "{shown}"
-    );
-}
-
-#[test]
-fn d_says_whether_it_is_searched_or_what_is_done_instead() {
-    let comparing = State::of_a_comparison(String::new(), ErrorOf::Model);
-    for (mut state, expected) in [
-        (comparing, "at work already: comparing"),
-        (searching(false), "at work already: "),
-        (answered(), "what is missing has been searched"),
-    ] {
-        assert_eq!(press(&mut state, Press::Diagnose), None);
-        assert!(told(&state).starts_with(expected), "{}", told(&state));
-    }
 }
 
 #[test]
