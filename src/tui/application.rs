@@ -110,6 +110,10 @@ pub trait Screen {
 /// # Errors
 /// Standard output is not a terminal, or the terminal fails. A bench must not go on under a screen that has failed or
 /// panicked: that is for the caller to see to.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the clock of a person's keys: nothing that is computed depends on it"
+)]
 pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
     let mut owned = Owned::take()?;
     let mut changed = true;
@@ -358,6 +362,7 @@ fn give_back() {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to count from")]
 mod tests {
     use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 

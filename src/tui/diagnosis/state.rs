@@ -72,6 +72,10 @@ pub(super) enum Over {
 
 /// The state of the screen.
 #[derive(Clone, Debug, Default)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent facts, each set and cleared by its own event"
+)]
 pub(super) struct State {
     pub(super) title: String,
     /// With what it opened, until something else was asked for.
