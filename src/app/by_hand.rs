@@ -70,7 +70,7 @@ impl Standing {
                 (self.diagnosis, self.next, self.since) = (None, None, 0);
                 return;
             }
-            News::Recommended(next) => return self.next = Some((**next).clone()),
+            News::Recommended(next) => return self.next = next.as_deref().cloned(),
             News::Written(text) => {
                 self.is_written = true;
                 return self.written.push(text.clone());

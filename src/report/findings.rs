@@ -281,17 +281,30 @@ pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
     if next.menu.is_empty() {
         return;
     }
-    page.paragraph(
-        "Every run that the limits allow, with the separation that is expected of it, and from which on that run tells.",
-    );
-    let tells = |told| if told { "tells" } else { "does not" };
+    // A run for a pair tells the two apart; another one shows effects that no run in hand would have shown.
+    let [what, figure, from, yes, no] = if next.pair.is_some() {
+        [
+            "the separation that is expected of it, and from which on that run tells",
+            "expected separation",
+            "tells from",
+            "tells",
+            "does not",
+        ]
+    } else {
+        [
+            "the precision that is foreseen of the effect which it shows best, and from which on that is promised",
+            "foreseen precision",
+            "promised from",
+            "shows at least one",
+            "promises none",
+        ]
+    };
+    page.paragraph(format!("Every run that the limits allow, with {what}."));
     page.table(
         Table::of(&next.menu)
             .column("run", |entry| Cell::code(entry.program))
-            .column("expected separation", |entry| {
-                significant(entry.expected_separation, 2)
-            })
-            .column("tells from", |entry| significant(entry.needed, 2))
-            .column("verdict", |entry| tells(entry.is_told())),
+            .column(figure, |entry| significant(entry.expected_separation, 2))
+            .column(from, |entry| significant(entry.needed, 2))
+            .column("verdict", |entry| if entry.is_told() { yes } else { no }),
     );
 }

@@ -4,8 +4,8 @@ use super::page::Page;
 use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
 use super::*;
 use crate::diagnosis::{
-    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, ResidualLights, Status, compare,
-    diagnose,
+    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, NextExperiment, ResidualLights,
+    Status, compare, diagnose,
 };
 use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
@@ -279,18 +279,30 @@ fn the_page_of_a_run_is_whole() {
 fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
     let mut found = diagnosis();
     found.verdict = DiagnosisVerdict::Ambiguous;
-    found.next_experiment = Some(next_experiment());
-    let mut page = Page::new("title", "subtitle");
-    findings::next_run(&mut page, &found);
-    let html = page.html();
-    assert_balanced(&html);
-    let row = |program: &str| {
-        let from = &html[html.find(program).unwrap()..];
-        from[..from.find("</tr>").unwrap()].to_owned()
-    };
-    for (program, verdict) in [("slow_<wbr>ramp", ">tells"), ("dither", ">does not")] {
-        let row = row(program);
-        assert!(row.contains("612") && row.contains(verdict), "{row}");
+    for (pair, figure, verdicts) in [
+        (
+            next_experiment().pair,
+            "expected separation",
+            [">tells", ">does not"],
+        ),
+        (
+            None,
+            "foreseen precision",
+            [">shows at least one", ">promises none"],
+        ),
+    ] {
+        let next = next_experiment();
+        found.next_experiment = Some(NextExperiment { pair, ..next });
+        let mut page = Page::new("title", "subtitle");
+        findings::next_run(&mut page, &found);
+        let html = page.html();
+        assert_balanced(&html);
+        assert!(html.contains(figure), "{html}");
+        for (program, verdict) in ["slow_<wbr>ramp", "dither"].into_iter().zip(verdicts) {
+            let from = &html[html.find(program).unwrap()..];
+            let row = &from[..from.find("</tr>").unwrap()];
+            assert!(row.contains("612") && row.contains(verdict), "{row}");
+        }
     }
 }
 

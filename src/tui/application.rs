@@ -8,14 +8,14 @@ use std::panic::PanicHookInfo;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossterm::cursor::{Hide, Show};
 use crossterm::event::{
-    self, DisableMouseCapture, EnableMouseCapture, Event as TerminalEvent, MouseButton,
-    MouseEventKind,
+    self, DisableMouseCapture, Event as TerminalEvent, MouseButton, MouseEvent, MouseEventKind,
 };
 use crossterm::execute;
+use crossterm::style::Print;
 use crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
 };
@@ -41,6 +41,9 @@ const FRAME: Duration = Duration::from_millis(40);
 const HALT_LOOKS: u32 = 50;
 const HALT_LOOK: Duration = Duration::from_millis(10);
 const NO_SHELL: &str = "Ctrl-Z: no shell stands behind this program that could bring it back";
+
+/// Asks for buttons and wheel, with places beyond column 223; what crossterm would ask for tells every motion of the mouse too.
+const BUTTONS_AND_WHEEL: &str = "\x1b[?1000h\x1b[?1006h";
 
 /// Whether screens take the mouse. Then the terminal's own selection of text needs the Shift key, so that it is asked for.
 static MOUSE: AtomicBool = AtomicBool::new(false);
@@ -107,10 +110,14 @@ pub trait Screen {
 /// # Errors
 /// Standard output is not a terminal, or the terminal fails. A bench must not go on under a screen that has failed or
 /// panicked: that is for the caller to see to.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the clock of a person's keys: nothing that is computed depends on it"
+)]
 pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
     let mut owned = Owned::take()?;
     let mut changed = true;
-    let mut held = Held::default();
+    let mut input = Input::new(Instant::now());
     loop {
         let (is_told, exit) = screen.look();
         if let Some(exit) = exit {
@@ -129,36 +136,21 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
         if is_gone(FRAME)? {
             return Err(io::Error::other("the terminal is gone"));
         }
-        let mut presses = Vec::new();
-        let mut is_idle = true;
+        let mut events = Vec::new();
         while event::poll(Duration::ZERO)? {
-            (changed, is_idle) = (true, false);
-            match event::read()? {
-                TerminalEvent::Key(key) => {
-                    presses.extend(press(key).and_then(|press| held.key(press)));
-                }
-                TerminalEvent::Mouse(mouse) => match mouse.kind {
-                    MouseEventKind::ScrollUp => presses.push(Press::Wheel(-1)),
-                    MouseEventKind::ScrollDown => presses.push(Press::Wheel(1)),
-                    MouseEventKind::Down(MouseButton::Left) => {
-                        let area = Rect::from((Position::ORIGIN, owned.terminal.size()?));
-                        let at = Position::new(mouse.column, mouse.row);
-                        if area.contains(at) {
-                            screen.click(at, area);
-                        }
-                    }
-                    _ => {}
-                },
-                // A change of size, for instance, only needs a new frame.
-                _ => {}
-            }
+            events.push(event::read()?);
         }
-        if is_idle {
-            presses.extend(held.frame());
-        }
+        // A change of size only needs a new frame.
+        changed |= events.iter().any(TerminalEvent::is_resize);
+        let presses = input.heard(events, Instant::now());
         changed |= !presses.is_empty();
         for press in presses {
-            if press == Press::Suspend {
+            if let Press::Click(at) = press {
+                let area = Rect::from((Position::ORIGIN, owned.terminal.size()?));
+                if area.contains(at) {
+                    screen.click(at, area);
+                }
+            } else if press == Press::Suspend {
                 if screen.may_suspend() && !owned.suspend()? {
                     screen.say(NO_SHELL);
                 }
@@ -166,6 +158,58 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
                 return Ok(exit);
             }
         }
+    }
+}
+
+/// Keys and mouse, from one look at the terminal to the next.
+struct Input {
+    held: Held,
+    /// When the latest key or frame without one was counted.
+    counted: Instant,
+}
+
+impl Input {
+    fn new(now: Instant) -> Self {
+        let held = Held::default();
+        Self { held, counted: now }
+    }
+
+    /// What is asked for, in the order in which it came. Whatever else wakes the loop, a frame without a key is as long as
+    /// ever: a stop key that was held back comes after it.
+    fn heard(&mut self, events: Vec<TerminalEvent>, now: Instant) -> Vec<Press> {
+        let mut presses = Vec::new();
+        let mut has_key = false;
+        for event in events {
+            match event {
+                TerminalEvent::Key(key) => {
+                    let press = press(key);
+                    has_key |= press.is_some();
+                    presses.extend(press.and_then(|press| self.held.key(press)));
+                }
+                TerminalEvent::Mouse(mouse) => presses.extend(pointed(mouse)),
+                _ => {}
+            }
+        }
+        let is_frame = !has_key && now.duration_since(self.counted) >= FRAME;
+        if is_frame {
+            presses.extend(self.held.frame());
+        }
+        if has_key || is_frame {
+            self.counted = now;
+        }
+        presses
+    }
+}
+
+/// What the mouse asks for; nothing where it only moves.
+const fn pointed(mouse: MouseEvent) -> Option<Press> {
+    match mouse.kind {
+        MouseEventKind::ScrollUp => Some(Press::Wheel(-1)),
+        MouseEventKind::ScrollDown => Some(Press::Wheel(1)),
+        MouseEventKind::Down(MouseButton::Left) => {
+            Some(Press::Click(Position::new(mouse.column, mouse.row)))
+        }
+        _ => None,
     }
 }
 
@@ -303,7 +347,7 @@ fn enter() -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
     enable_raw_mode()?;
     execute!(io::stdout(), EnterAlternateScreen, Hide)?;
     if MOUSE.load(Ordering::Relaxed) {
-        execute!(io::stdout(), EnableMouseCapture)?;
+        execute!(io::stdout(), Print(BUTTONS_AND_WHEEL))?;
     }
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
@@ -315,4 +359,73 @@ fn give_back() {
         let _ = execute!(io::stdout(), DisableMouseCapture);
     }
     let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to count from")]
+mod tests {
+    use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+
+    use super::*;
+
+    fn key(code: KeyCode) -> TerminalEvent {
+        TerminalEvent::Key(KeyEvent::new(code, KeyModifiers::NONE))
+    }
+
+    fn mouse(kind: MouseEventKind) -> TerminalEvent {
+        TerminalEvent::Mouse(MouseEvent {
+            kind,
+            column: 7,
+            row: 3,
+            modifiers: KeyModifiers::NONE,
+        })
+    }
+
+    #[test]
+    fn a_second_stop_counts_whatever_the_mouse_does() {
+        for (name, kind) in [
+            ("rests", None),
+            ("moves", Some(MouseEventKind::Moved)),
+            ("drags", Some(MouseEventKind::Drag(MouseButton::Left))),
+            ("scrolls", Some(MouseEventKind::ScrollDown)),
+        ] {
+            for is_held in [false, true] {
+                let start = Instant::now();
+                let mut input = Input::new(start);
+                let mut stops = 0;
+                for at_ms in (0..2000).step_by(5) {
+                    // Five every 40 ms are a held key; one after 400 ms is not.
+                    let is_key = at_ms == 0
+                        || if is_held {
+                            (500..1500).contains(&at_ms) && at_ms % 40 == 0
+                        } else {
+                            at_ms == 400
+                        };
+                    let mut events: Vec<_> = kind.map(mouse).into_iter().collect();
+                    events.extend(is_key.then(|| key(KeyCode::Char(' '))));
+                    // Without an event the loop wakes after a frame.
+                    if events.is_empty() && at_ms % 40 != 5 {
+                        continue;
+                    }
+                    let now = start + Duration::from_millis(at_ms);
+                    let presses = input.heard(events, now).into_iter();
+                    stops += presses.filter(|press| *press == Press::Stop).count();
+                }
+                let expected = if is_held { 1 } else { 2 };
+                assert_eq!(stops, expected, "the mouse {name}, held: {is_held}");
+            }
+        }
+    }
+
+    #[test]
+    fn clicks_and_keys_are_answered_in_the_order_in_which_they_came() {
+        let start = Instant::now();
+        let mut input = Input::new(start);
+        let click = mouse(MouseEventKind::Down(MouseButton::Left));
+        let released = mouse(MouseEventKind::Up(MouseButton::Left));
+        let events = vec![key(KeyCode::Down), click, released, key(KeyCode::Enter)];
+        let clicked = Press::Click(Position::new(7, 3));
+        let expected = [Press::Move(1), clicked, Press::Open];
+        assert_eq!(input.heard(events, start), expected);
+    }
 }

@@ -240,6 +240,11 @@ pub(super) fn paragraph(title: &str, text: impl Into<String>) -> Line<'static> {
     Line::from(vec![title, Span::raw(text.into())])
 }
 
+/// The first row that is shown after a move by so many, from where the last page had room.
+pub(super) fn scrolled(first: usize, by: i32, hidden: usize) -> usize {
+    first.min(hidden).saturating_add_signed(by as isize)
+}
+
 /// Paragraphs from row `first` on; the last page stays full. Returns the rows for which there is no room.
 pub(super) fn page(
     lines: Vec<Line<'static>>,

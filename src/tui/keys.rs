@@ -1,6 +1,7 @@
 //! The key table: one meaning for each key on every screen, for the program, its help and its tests.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::layout::Position;
 
 /// What a key asks for, whatever the screen and its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +31,8 @@ pub enum Press {
     Move(i32),
     /// The same from the wheel of a mouse, which zooms a time axis.
     Wheel(i32),
+    /// The left button of the mouse, at this place.
+    Click(Position),
     Open,
     Add,
     Remove,

@@ -46,8 +46,8 @@ pub enum News {
     /// alone.
     Curves(Vec<EffectCurve>),
     Diagnosed(Box<Diagnosis>),
-    /// The run that would tell more.
-    Recommended(Box<NextExperiment>),
+    /// The run that would tell more; none where none is asked for.
+    Recommended(Option<Box<NextExperiment>>),
     Added(Box<AddResult>),
     Removed(Box<AddResult>),
     /// The last change was taken back: what was changed, and the effects that the model has now.
@@ -245,12 +245,10 @@ impl Discovery {
             Some(limits) => recommend(&diagnosis, &self.evidence, limits)?,
             None => None,
         };
-        if let Some(next) = next {
-            if let Some(latest) = &mut self.latest {
-                latest.next_experiment = Some(next.clone());
-            }
-            tell(News::Recommended(Box::new(next)));
+        if let Some(latest) = &mut self.latest {
+            latest.next_experiment.clone_from(&next);
         }
+        tell(News::Recommended(next.map(Box::new)));
         Ok(())
     }
 
@@ -522,7 +520,12 @@ mod tests {
     #[track_caller]
     fn answer(news: &[News]) -> &Diagnosis {
         match news {
-            [.., News::Diagnosed(diagnosis), News::Curves(_)] => diagnosis,
+            [
+                ..,
+                News::Diagnosed(diagnosis),
+                News::Curves(_),
+                News::Recommended(None),
+            ] => diagnosis,
             other => panic!("no answer: {other:?}"),
         }
     }
@@ -718,7 +721,7 @@ mod tests {
             News::Curves(before),
             News::Diagnosed(diagnosis),
             News::Curves(curves),
-            News::Recommended(next),
+            News::Recommended(Some(next)),
         ] = &news[..]
         else {
             panic!("{news:?}");

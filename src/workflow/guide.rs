@@ -118,7 +118,7 @@ impl Step {
             Self::Ladder => "a named effect",
             Self::Tune => "a model with inertia and back-EMF",
             Self::Report => "the runs and what was found",
-            Self::Experiment => "effects that these runs do not tell apart; the motor turns",
+            Self::Experiment => "effects not told apart or not shown so far; the motor turns",
             Self::SpeedLoop => "tuned gains and a [speed] in the bench file; the motor turns",
         }
     }
@@ -139,7 +139,7 @@ impl Step {
             Self::Ladder => "a model at its floor, or how far it stays above it",
             Self::Tune => "the speed loop",
             Self::Report => "one file for a colleague",
-            Self::Experiment => "a diagnosis that tells them apart",
+            Self::Experiment => "a diagnosis that tells or shows them",
             Self::SpeedLoop => "a loop that adapts to what changes",
         }
     }

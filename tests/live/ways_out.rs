@@ -144,10 +144,10 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
     session.expect_terminal_as_it_was();
     lab.expect_stopped("a slow terminal");
     let times = column(&lab.desk.read("samples.csv"), "time_s");
-    let longest_s = times.windows(2).map(|pair| pair[1] - pair[0]);
-    let longest_s = longest_s.fold(0.0, f64::max);
-    // Three seconds were not drawn; what a loaded machine takes away is much less than the silence that ends a run.
-    assert!(longest_s < 0.95, "{longest_s} s between two rows");
+    // Those of the time in which nothing was drawn are among them, in their order.
+    assert!(times.len() >= before + BLOCKED_ROWS, "{} rows", times.len());
+    let is_ordered = times.windows(2).all(|pair| pair[0] < pair[1]);
+    assert!(is_ordered, "{times:?}");
 }
 
 fn commands(lab: &Lab) -> Vec<f64> {

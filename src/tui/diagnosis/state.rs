@@ -15,6 +15,7 @@ use crate::diagnosis::{
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect::Axis;
 use crate::tui::application::{Effect, Exit};
+use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
 use crate::tui::traces::{FRAMES, TracesPage};
 use crate::workflow::{News, Order};
@@ -71,6 +72,10 @@ pub(super) enum Over {
 
 /// The state of the screen.
 #[derive(Clone, Debug, Default)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent facts, each set and cleared by its own event"
+)]
 pub(super) struct State {
     pub(super) title: String,
     /// With what it opened, until something else was asked for.
@@ -85,6 +90,8 @@ pub(super) struct State {
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
     /// The run that would tell more.
     pub(super) next: Option<Arc<NextExperiment>>,
+    /// It is still being looked for.
+    pub(super) looks: bool,
     pub(super) traces: TracesPage,
     /// The error alone, and the effects that can be drawn through it.
     pub(super) curves: Vec<Arc<EffectCurve>>,
@@ -243,7 +250,7 @@ impl State {
                     self.working = None;
                 }
             }
-            News::Recommended(next) => self.next = Some(Arc::from(next)),
+            News::Recommended(next) => (self.next, self.looks) = (next.map(Arc::from), false),
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
             News::Undone { effect, present } => {
@@ -262,7 +269,7 @@ impl State {
                 self.message = Some(format!("NOT WRITTEN: {reason}"));
             }
             News::Failed(reason) => {
-                self.working = None;
+                (self.working, self.looks) = (None, false);
                 self.failure = Some(reason);
             }
         }
@@ -289,7 +296,7 @@ impl State {
     }
 
     fn diagnosed(&mut self, diagnosis: Diagnosis) {
-        self.working = None;
+        (self.working, self.looks) = (None, true);
         self.present = diagnosis.baseline.model.effect_ids();
         if self.ladder.is_empty() {
             let name = match self.present.as_slice() {
@@ -333,7 +340,7 @@ impl State {
     /// Anew, the cursor on the effect that was changed.
     fn search_begins(&mut self, changed: &'static str) {
         self.diagnosis = None;
-        self.next = None;
+        (self.next, self.looks) = (None, false);
         self.curves.clear();
         self.judged.clear();
         self.taken.clear();
@@ -353,8 +360,7 @@ impl State {
             _ if self.leaving => self.say(LEAVING),
             Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
                 let hidden = self.hidden.get();
-                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
-                self.help = self.help.map(scrolled);
+                self.help = self.help.map(|row| scrolled(row, rows, hidden));
             }
             // It gives back the page that it explains.
             _ if self.help.is_some() => self.help = None,
@@ -383,6 +389,7 @@ impl State {
                 self.order("fitting the model".to_owned());
                 return Some(Effect::Order(Order::Diagnose));
             }
+            Press::Diagnose => self.say(self.why_no_search()),
             Press::Open => self.open(),
             Press::Add => return self.add(),
             Press::Remove => return self.remove(),
@@ -417,14 +424,16 @@ impl State {
 
     fn go(&mut self, by: i32) {
         if let Over::Card(line) | Over::Next(line) = &mut self.over {
-            let drawn = (*line).min(self.hidden.get());
-            *line = drawn.saturating_add_signed(by as isize);
-        } else if self.only_compares() {
-            self.say(self.why_none());
+            *line = scrolled(*line, by, self.hidden.get());
         } else if let Over::Traces | Over::Map(_) = self.over {
             self.say("this page does not scroll");
+        } else if self.only_compares() {
+            self.say(self.why_none());
         } else {
             self.select_by(by);
+            if self.row().is_none() {
+                self.say(self.why_none());
+            }
         }
     }
 
@@ -451,7 +460,28 @@ impl State {
         match (self.guessing, self.only_compares()) {
             (Guessing::Choosing, _) => "choose first: Up and Down go through the list",
             (_, true) => "there is no list of effects yet: d searches what is missing",
+            _ if self.working.is_none() => "no effect has been judged",
             _ => "not yet: no effect has been judged",
+        }
+    }
+
+    /// Why nothing is searched at this key.
+    fn why_no_search(&self) -> String {
+        match &self.working {
+            Some(work) => format!("at work already: {work}"),
+            None if self.diagnosis.is_some() => {
+                "what is missing has been searched: the list is what was found".to_owned()
+            }
+            None => "the analysis has failed: nothing was searched to its end".to_owned(),
+        }
+    }
+
+    /// Why a page has nothing to show.
+    fn why_empty(&self, none: &str) -> String {
+        match (&self.working, &self.failure) {
+            (Some(work), _) => format!("not yet: {work}"),
+            (None, Some(_)) => format!("{none}: the analysis has failed"),
+            (None, None) => format!("{none} of these runs"),
         }
     }
 
@@ -564,11 +594,17 @@ impl State {
         self.working = Some(work);
     }
 
+    pub(super) fn has_map(&self) -> bool {
+        self.compared().is_some_and(|found| found.map.is_some())
+    }
+
     fn map(&mut self) {
-        let found = self.compared();
-        let has_map = found.is_some_and(|found| found.map.is_some());
         self.over = match self.over {
-            _ if !has_map => {
+            over if self.compared().is_none() => {
+                self.say(self.why_empty("there is no map"));
+                over
+            }
+            _ if !self.has_map() => {
                 self.say("there is no map: speed or current did not vary, or was not measured");
                 Over::Nothing
             }
@@ -597,7 +633,7 @@ impl State {
         self.over = match self.over {
             Over::Traces => Over::Nothing,
             over if self.traces.is_empty() => {
-                self.say("not yet: the model is being fitted");
+                self.say(self.why_empty("there are no traces"));
                 over
             }
             _ => Over::Traces,
@@ -626,8 +662,8 @@ impl State {
                 self.say(GUESS_FIRST);
                 Over::Nothing
             }
-            over if curves == 0 && self.working.is_some() => {
-                self.say("not yet: the curve is drawn when the model has been compared");
+            over if curves == 0 && (self.working.is_some() || self.comparison.is_none()) => {
+                self.say(self.why_empty("there is no curve"));
                 over
             }
             _ if curves == 0 => {
@@ -754,7 +790,6 @@ fn why_nothing(press: Press) -> &'static str {
         Press::NextScreen | Press::PreviousScreen | Press::Page(_) => {
             "there is one page here: ? lists the keys that show others over it"
         }
-        Press::Diagnose => "what is missing is searched already",
         Press::Yes => "nothing was asked",
         _ => "that key does nothing here: ? lists those that do",
     }

@@ -4,14 +4,15 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::layout::{Position, Rect};
 
+mod answers;
 mod any;
 
 use super::guess::{Guess, Guessing, compared};
 use super::state::{Event, Over, State};
 use super::view::view;
 use crate::diagnosis::{
-    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found, Status,
-    effect_curve, error_curve,
+    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
+    NextExperiment, Status, effect_curve, error_curve,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::testing::with_a_fan;
@@ -189,7 +190,10 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         let mut found = diagnosis();
         found.confusable = vec![["viscous_friction", "quadratic_load"]];
         answer(&mut state, found);
-        hear(&mut state, News::Recommended(Box::new(next_experiment())));
+        hear(
+            &mut state,
+            News::Recommended(Some(Box::new(next_experiment()))),
+        );
         pressed(state, &[Press::Next])
     };
     let failed = || {
@@ -474,28 +478,6 @@ fn the_help_gives_back_the_page_that_it_explains() {
 }
 
 #[test]
-fn a_key_that_does_nothing_says_why() {
-    for state in every_state() {
-        for key in [
-            Press::Start,
-            Press::Yes,
-            Press::Freeze,
-            Press::Mark,
-            Press::ResetFault,
-            Press::Experiment,
-            Press::SpeedLoop,
-            Press::Page(1),
-            Press::Zoom,
-            Press::Other,
-        ] {
-            let mut state = state.clone();
-            assert_eq!(press(&mut state, key), None);
-            assert!(state.message.is_some(), "{key:?} {:?}", state.over);
-        }
-    }
-}
-
-#[test]
 fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
     let area = Rect::new(0, 0, 120, 40);
     let click = |state: &mut State, what: &str| {
@@ -684,7 +666,7 @@ fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
     let mut bare = State::new(String::new(), false);
     press(&mut bare, Press::Map);
     assert_eq!(bare.over, Over::Nothing);
-    assert!(told(&bare).starts_with("there is no map"));
+    assert_eq!(told(&bare), "not yet: fitting the model");
 }
 
 #[test]
@@ -720,20 +702,6 @@ fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
     shows(&state, &["80 % of the torque error follows the speed"]);
     let effect = press(&mut state, Press::Table);
     assert_eq!(effect, Some(Effect::Order(Order::AddCurve(0))));
-}
-
-#[test]
-fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
-    for key in [Press::Curve, Press::Traces, Press::Worst] {
-        let mut state = State::new(String::new(), false);
-        press(&mut state, key);
-        assert_eq!(state.over, Over::Nothing, "{key:?}");
-        assert!(
-            told(&state).starts_with("not yet"),
-            "{key:?}: {}",
-            told(&state)
-        );
-    }
 }
 
 #[test]
@@ -773,6 +741,18 @@ fn a_comparison_alone_searches_only_when_it_is_asked_to() {
     assert_eq!(effect, Some(Effect::Order(Order::Diagnose)));
     assert!(!state.only_compares());
     assert_eq!(press(&mut state, Press::Diagnose), None, "not twice");
+    // Over a comparison, and before there is any row.
+    for (mut state, expected) in [
+        (
+            pressed(compared_alone(), &[Press::Map]),
+            "this page does not scroll",
+        ),
+        (compared_alone(), "there is no list of effects yet"),
+        (begun(false), "not yet: no effect has been judged"),
+    ] {
+        press(&mut state, DOWN);
+        assert!(told(&state).starts_with(expected), "{}", told(&state));
+    }
 }
 
 #[test]
@@ -783,7 +763,10 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     let mut found = diagnosis();
     found.confusable = vec![["viscous_friction", "quadratic_load"]];
     answer(&mut state, found);
-    hear(&mut state, News::Recommended(Box::new(next_experiment())));
+    hear(
+        &mut state,
+        News::Recommended(Some(Box::new(next_experiment()))),
+    );
     press(&mut state, Press::Next);
     // The dither is above the constant, below what that run needs.
     let tried = [
@@ -800,6 +783,27 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     shows(&state, &["next run: run a slow ramp"]);
     press(&mut state, Press::Next);
     assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
+fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
+    let mut state = searching(false);
+    let without_limits = Diagnosis {
+        limits: Vec::new(),
+        ..diagnosis()
+    };
+    answer(&mut state, without_limits);
+    press(&mut state, Press::Next);
+    shows(&state, &["next run: being looked for"]);
+    let reveals = NextExperiment {
+        pair: None,
+        ..next_experiment()
+    };
+    let mut shown = state.clone();
+    hear(&mut shown, News::Recommended(Some(Box::new(reveals))));
+    shows(&shown, &["foreseen precision", "✓ slow_ramp"]);
+    hear(&mut state, News::Recommended(None));
+    shows(&state, &["next run: none is asked for"]);
 }
 
 #[test]

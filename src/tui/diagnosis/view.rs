@@ -326,7 +326,13 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         Over::Curve(..) if followed > 0 => ("Left Right cursor|t add curve", "c Esc back"),
         Over::Curve(..) => ("Left Right cursor|a add|r remove", "c Esc back"),
         Over::Nothing if state.failure.is_some() && state.diagnosis.is_none() => {
-            ("v traces|e map", LEAVE)
+            let keys = match (state.traces.is_empty(), state.has_map()) {
+                (false, true) => "v traces|e map",
+                (false, false) => "v traces",
+                (true, true) => "e map",
+                (true, false) => "",
+            };
+            (keys, LEAVE)
         }
         Over::Nothing if state.guessing == Guessing::Choosing => (
             "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
@@ -624,7 +630,12 @@ pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
     if let Some(next) = &state.next {
         lines.push(paragraph("next run", next.sentence.clone()));
         if !next.menu.is_empty() {
-            let text = "expected separation of each run, and from which on that run tells";
+            let text = match next.pair {
+                Some(_) => "expected separation of each run, and from which on that run tells",
+                None => {
+                    "foreseen precision of the effect that each run shows best, and from which on that is promised"
+                }
+            };
             lines.push(paragraph("compared", text));
         }
         for entry in &next.menu {
@@ -640,9 +651,13 @@ pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
             lines.push(Line::styled(text, style));
         }
     }
-    if lines.is_empty() {
-        let none = "none is asked for: these runs tell what they can";
-        lines.push(paragraph("next run", none));
-    }
+    let none = match (state.looks, &state.failure) {
+        (true, _) => Some("being looked for"),
+        (false, Some(_)) if state.next.is_none() => Some("none is known"),
+        _ => lines
+            .is_empty()
+            .then_some("none is asked for: these runs tell what they can"),
+    };
+    lines.extend(none.map(|none| paragraph("next run", none)));
     state.hidden.set(page(lines, first, inner, buffer));
 }

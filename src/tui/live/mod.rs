@@ -121,8 +121,9 @@ impl Screen for LiveScreen {
         self.act(Event::Press(press))
     }
 
-    fn click(&mut self, _: Position, _: Rect) {
-        self.say("there is nothing to select here: the wheel zooms the scope and scrolls pages");
+    fn click(&mut self, at: Position, _: Rect) {
+        // It leaves for nothing.
+        let _ = self.act(Event::Press(Press::Click(at)));
     }
 
     fn say(&mut self, text: &str) {

@@ -8,6 +8,7 @@ use super::WorkerState;
 use crate::bench::{Intent, Phase, Snapshot, Target};
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
+use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
 use crate::workflow::{Progress, Provisional, Step};
 
@@ -48,12 +49,19 @@ pub(super) enum Event {
     Leaning(Arc<Provisional>),
 }
 
+/// What scope and parameters show while the view is frozen.
+#[derive(Clone, Debug)]
+pub(super) struct Frozen {
+    snapshot: Arc<Snapshot>,
+    parameters: Vec<ParameterEstimate>,
+}
+
 /// The state of the screen.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Model {
     pub(super) snapshot: Arc<Snapshot>,
-    /// What scope and parameters show while the view is frozen; bars, notices and trips stay live.
-    pub(super) frozen: Option<Arc<Snapshot>>,
+    /// Bars, notices and trips stay live.
+    pub(super) frozen: Option<Frozen>,
     pub(super) workflow: Option<Arc<Progress>>,
     pub(super) worker: WorkerState,
     /// What the residual leans on so far.
@@ -98,7 +106,8 @@ impl Model {
 
     /// The snapshot of the scope and the parameters.
     pub(super) fn viewed(&self) -> &Snapshot {
-        self.frozen.as_ref().unwrap_or(&self.snapshot)
+        let frozen = self.frozen.as_ref();
+        frozen.map_or(&self.snapshot, |frozen| &frozen.snapshot)
     }
 
     pub(super) fn is_finished(&self) -> bool {
@@ -107,7 +116,10 @@ impl Model {
 
     /// The parameters as they are shown: where one has no value now, the last that it had in this run, with its age.
     pub(super) fn parameters(&self) -> Vec<ParameterEstimate> {
-        let viewed = self.viewed();
+        if let Some(frozen) = &self.frozen {
+            return frozen.parameters.clone();
+        }
+        let viewed = &self.snapshot;
         let shown = viewed.estimates.iter().map(|estimate| {
             let held = self.held.get(&estimate.key);
             let held = held.filter(|_| estimate.value.is_none());
@@ -194,8 +206,8 @@ impl Model {
         Vec::new()
     }
 
-    /// Keeps the values that there are. Those of another run are not those of this one, and when it is over there are none
-    /// but the last.
+    /// Keeps the values that there are and that physics allows. Those of another run are not those of this one, and when it
+    /// is over there are none but the last.
     fn hold(&mut self, snapshot: &Snapshot) {
         let is_over = !snapshot.phase.is_some_and(Phase::is_recorded);
         if is_over || snapshot.name != self.snapshot.name {
@@ -204,10 +216,13 @@ impl Model {
         if is_over {
             return;
         }
-        let known = snapshot.estimates.iter().filter(|own| own.value.is_some());
-        for estimate in known {
-            let held = (estimate.clone(), snapshot.elapsed_s);
-            self.held.insert(estimate.key.clone(), held);
+        for estimate in snapshot.estimates.iter() {
+            if estimate.verdict == Verdict::Invalid {
+                self.held.remove(&estimate.key);
+            } else if estimate.value.is_some() {
+                let held = (estimate.clone(), snapshot.elapsed_s);
+                self.held.insert(estimate.key.clone(), held);
+            }
         }
     }
 
@@ -219,7 +234,9 @@ impl Model {
 
     /// Where `q` leads now.
     pub(super) fn quits(&self) -> &'static str {
-        let is_done = self.is_finished() && self.snapshot.outcome == Some("done");
+        // Without a confirmed stop the program goes on to nothing.
+        let is_sure = self.snapshot.stop_error.is_none();
+        let is_done = self.is_finished() && is_sure && self.snapshot.outcome == Some("done");
         self.leads.filter(|_| is_done).unwrap_or("quit")
     }
 
@@ -245,8 +262,7 @@ impl Model {
             Press::Interrupt => return self.interrupt(),
             Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
                 let hidden = self.hidden.get();
-                let scrolled = |row: usize| row.min(hidden).saturating_add_signed(rows as isize);
-                self.help = self.help.map(scrolled);
+                self.help = self.help.map(|row| scrolled(row, rows, hidden));
             }
             _ if self.help.is_some() => self.help = None,
             Press::Yes if confirming && self.waits_for_start() => {
@@ -288,7 +304,10 @@ impl Model {
             }
             Press::Help => self.help = Some(0),
             Press::Freeze => {
-                let shown = self.frozen.is_none().then(|| Arc::clone(&self.snapshot));
+                let shown = self.frozen.is_none().then(|| Frozen {
+                    snapshot: Arc::clone(&self.snapshot),
+                    parameters: self.parameters(),
+                });
                 self.frozen = shown;
                 if self.page != Page::Live {
                     self.say(match self.frozen {
@@ -298,7 +317,7 @@ impl Model {
                 }
             }
             Press::Zoom if self.page != Page::Live => {
-                self.say("the scope is zoomed: 1 shows it");
+                self.say("z zooms the scope, which 1 shows");
             }
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
             Press::NextScreen => self.page = self.neighbour(1),
@@ -311,12 +330,14 @@ impl Model {
                 let zoom = self.zoom.saturating_add_signed(-rows.signum() as isize);
                 self.zoom = zoom.min(ZOOM_S.len() - 1);
             }
-            Press::Move(_) if self.page != Page::Steps => {
-                self.say("this page does not scroll: 3 shows the steps, which do");
+            Press::Move(_) | Press::Wheel(_) if self.page != Page::Steps => {
+                self.say(match self.workflow {
+                    Some(_) => "this page does not scroll: 3 shows the steps, which do",
+                    None => "this page does not scroll",
+                });
             }
             Press::Move(rows) | Press::Wheel(rows) => {
-                let drawn = self.scroll.min(self.hidden.get());
-                self.scroll = drawn.saturating_add_signed(rows as isize);
+                self.scroll = scrolled(self.scroll, rows, self.hidden.get());
             }
             other => self.say(why_nothing(other)),
         }
@@ -415,6 +436,9 @@ impl Model {
 const fn why_nothing(press: Press) -> &'static str {
     match press {
         Press::Yes => "nothing was asked",
+        Press::Click(_) => {
+            "there is nothing to select here: the wheel zooms the scope and scrolls pages"
+        }
         Press::Zoomed(_) | Press::Pan(_) | Press::Cursor(_) | Press::Signals | Press::Worst => {
             "that belongs to the traces after a run: v shows them; z zooms here"
         }

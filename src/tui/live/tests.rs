@@ -5,6 +5,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use ratatui::layout::Position;
 use ratatui::style::{Color, Modifier};
 
 mod any;
@@ -299,6 +300,39 @@ fn a_value_that_is_gone_for_a_while_stays_with_its_age_until_the_run_is_over() {
 }
 
 #[test]
+fn a_frozen_page_keeps_the_values_of_its_moment() {
+    let mut model = pressed(between_two_values(), Press::Freeze);
+    model.page = Page::Parameters;
+    let before = text(&model, 120, 40);
+    assert!(before.contains("value of 3.2 s ago"), "{before}");
+    let mut later = running();
+    later.elapsed_s = 14.0;
+    model.update(Event::Snapshot(Arc::new(later)));
+    let parameters = model.parameters();
+    model.update(Event::Snapshot(Arc::new(done())));
+    assert_eq!(model.parameters(), parameters);
+    let reason = parameters[3].reason.as_deref().unwrap_or_default();
+    assert!(reason.starts_with("value of 3.2 s ago"), "{reason}");
+}
+
+#[test]
+fn a_value_that_physics_forbids_does_not_come_back() {
+    let mut model = between_two_values();
+    let gone = Arc::clone(&model.snapshot.estimates);
+    let mut estimates = running().estimates.to_vec();
+    estimates[3].verdict = Verdict::Invalid;
+    for estimates in [Arc::new(estimates), gone] {
+        let snapshot = Snapshot {
+            elapsed_s: 12.0,
+            estimates,
+            ..running()
+        };
+        model.update(Event::Snapshot(Arc::new(snapshot)));
+    }
+    assert_eq!(model.parameters()[3].value, None);
+}
+
+#[test]
 fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
     let mut model = model(running());
     assert!(!model.may_suspend());
@@ -311,7 +345,16 @@ fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
 #[test]
 fn q_says_where_it_leads_where_the_run_went_to_its_end() {
     let leads = |own: &mut Model| own.leads = Some("back to the loop");
-    for (snapshot, is_led) in [(done(), true), (tripped(), false), (running(), false)] {
+    let unsure = Snapshot {
+        stop_error: Some("no reply within 200 ms".to_owned()),
+        ..done()
+    };
+    for (snapshot, is_led) in [
+        (done(), true),
+        (unsure, false),
+        (tripped(), false),
+        (running(), false),
+    ] {
         let mut model = with(&model(snapshot), leads);
         assert_eq!(model.quits(), "quit", "the work is not over");
         finish(&mut model);
@@ -442,7 +485,7 @@ fn hardware_is_reversed_and_a_trip_is_white_on_red() {
 #[test]
 fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
     let mut model = model(running());
-    model.frozen = Some(Arc::clone(&model.snapshot));
+    press(&mut model, Press::Freeze);
     let mut later = tripped();
     later.trace = Arc::default();
     model.update(Event::Snapshot(Arc::new(later)));
@@ -728,10 +771,13 @@ fn a_start_on_hardware_is_confirmed_and_anything_else_withdraws_it() {
     assert_eq!(press(&mut soft, Press::Start), START);
     let mut hard = in_phase(Some(Phase::Safe), Target::Hardware);
     assert_eq!(press(&mut hard, Press::Start), []);
-    let (mut refused, mut late) = (hard.clone(), hard.clone());
+    for other in [Press::Next, Press::Click(Position::ORIGIN), Press::Wheel(1)] {
+        let mut refused = hard.clone();
+        assert_eq!(press(&mut refused, other), []);
+        assert_eq!(press(&mut refused, Press::Yes), [], "{other:?}");
+    }
+    let mut late = hard.clone();
     assert_eq!(press(&mut hard, Press::Yes), START);
-    assert_eq!(press(&mut refused, Press::Next), []);
-    assert_eq!(press(&mut refused, Press::Yes), []);
     // A question that is no longer one is withdrawn.
     late.update(Event::Snapshot(Arc::new(tripped())));
     assert!(!late.confirm_start);

@@ -88,14 +88,14 @@ proptest! {
         height in 1..=60_u16,
     ) {
         let mut model: Model = model(snapshot);
+        if frozen {
+            press(&mut model, Press::Freeze);
+        }
         if let Some(over) = steps {
             report(&mut model, over);
         }
         model.page = Page::ALL[screen];
         (model.help, model.zoom, model.scroll) = (help.then_some(0), zoom, scroll);
-        if frozen {
-            model.frozen = Some(Arc::clone(&model.snapshot));
-        }
         if finished {
             finish(&mut model);
         }
