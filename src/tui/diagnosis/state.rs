@@ -781,7 +781,7 @@ fn why_nothing(press: Press) -> &'static str {
             "nothing runs here: that key is for the screen of a run"
         }
         Press::Experiment | Press::SpeedLoop => {
-            "that follows a commissioning: q, then the key on the page of its steps"
+            "only a commissioning goes on with that, on the page of its steps"
         }
         Press::Zoom | Press::Zoomed(_) | Press::Pan(_) | Press::Signals => {
             "zoom, pan and signals belong to the traces: v shows them"
