@@ -148,7 +148,12 @@ impl Prepared {
         let refitted = is_baseline || !is_given && is_electrical;
         if refitted {
             progress::stage("fits the model", 0);
-            let evidence = self.evidence.clone();
+            let effects = self.model.file.model.effect_ids();
+            let (evidence, aside) = self.evidence.fitted_with(&effects);
+            let evidence = evidence.into_owned();
+            if let Some(aside) = aside {
+                note(&mut self.run.run.notes, aside);
+            }
             let (with_scale, fit) = evidence.with_baseline(&self.model.file.model)?;
             (self.evidence, self.model.file.model) = (with_scale, fit.model);
         }
@@ -268,12 +273,8 @@ pub(crate) fn prepare(
         refuses_others: false,
         ..judge
     };
-    let mut behind = Vec::new();
-    for (path, later) in files.later.iter().zip(later) {
-        let role = format!("later run {}", path.display());
-        let (later, _) = judge.admit(&role, later, "the others are judged without it", notes);
-        behind.extend(later.map(|later| (path, later)));
-    }
+    let judging_runs = [("hold-out", &holdout), ("confirming run", &confirm)];
+    let behind = judge.admit_behind(files.later, later, judging_runs, notes);
     let by_voltage = fit_run.input == Input::Voltage;
     if let Some((path, _)) = behind.first().filter(|_| !by_voltage) {
         let headline = format!(
@@ -348,7 +349,7 @@ pub(crate) fn admit_later(
         fingerprint: OnceCell::new(),
         refuses_others: false,
     };
-    match judge.objection(&loaded.run, &scenario) {
+    match judge.objection_to_later(&loaded.run, &scenario, std::iter::empty()) {
         Some((reason, true)) => {
             let headline = format!("the run that was made is not judged: {reason}");
             return Err(Failure::usage(
@@ -402,6 +403,71 @@ impl Judge<'_> {
         ((!sets_aside).then_some(scenario), true)
     }
 
+    /// Those of the runs of these files that can be fitted behind the first; `judging_runs` judge the fit.
+    fn admit_behind<'p>(
+        &self,
+        files: &'p [PathBuf],
+        later: Vec<Option<(LoadedRun, Scenario)>>,
+        judging_runs: [(&'static str, &Option<Scenario>); 2],
+        notes: &mut Vec<String>,
+    ) -> Vec<(&'p PathBuf, Scenario)> {
+        let mut behind: Vec<(&PathBuf, Scenario)> = Vec::new();
+        for (path, later) in files.iter().zip(later) {
+            let Some((loaded, later)) = later else {
+                continue;
+            };
+            let others = judging_runs.into_iter();
+            let others = others.filter_map(|(role, run)| Some((role, run.as_ref()?)));
+            let earlier = behind.iter().map(|(_, run)| ("later run before it", run));
+            let objection = self.objection_to_later(&loaded.run, &later, others.chain(earlier));
+            let forbids = objection.as_ref().is_some_and(|(_, forbids)| *forbids);
+            if let Some((reason, _)) = objection {
+                let instead = if forbids {
+                    "; it is not used, the others are judged without it"
+                } else {
+                    ""
+                };
+                note(
+                    notes,
+                    format!("later run {}: {reason}{instead}", path.display()),
+                );
+            }
+            if !forbids {
+                behind.push((path, later));
+            }
+        }
+        behind
+    }
+
+    /// What speaks against a run that is to be fitted behind the first, beside `others`; and whether that forbids it.
+    fn objection_to_later<'s>(
+        &self,
+        run: &Run,
+        scenario: &Scenario,
+        others: impl Iterator<Item = (&'static str, &'s Scenario)>,
+    ) -> Option<(String, bool)> {
+        let [own, fitted] = [scenario.input, self.fitted.input].map(driven_by);
+        if scenario.input != self.fitted.input {
+            let other = format!(
+                "it is driven by a {own} and the run that is fitted by a {fitted}, so that the two are no one record"
+            );
+            return Some((other, true));
+        }
+        let is_same = |other: &Scenario| {
+            let shared = shared_samples(scenario, other).max(shared_samples(other, scenario));
+            shared > MOST_SHARED
+        };
+        for (role, other) in others {
+            if is_same(other) {
+                let same = format!(
+                    "its samples are those of the {role}: what is fitted twice counts twice, and what is fitted judges nothing"
+                );
+                return Some((same, true));
+            }
+        }
+        self.objection(run, scenario)
+    }
+
     /// What speaks against it, and whether nothing can be judged by it.
     fn objection(&self, run: &Run, scenario: &Scenario) -> Option<(String, bool)> {
         if shared_samples(self.fitted, scenario) > MOST_SHARED {
@@ -430,6 +496,14 @@ impl Judge<'_> {
         let found = matches(here?, fingerprint(model, scenario)?);
         let is_other = found.kinship == Kinship::Other && self.refuses_others;
         (found.kinship != Kinship::Same).then_some((found.sentence, is_other))
+    }
+}
+
+const fn driven_by(input: Input) -> &'static str {
+    match input {
+        Input::Voltage => "voltage",
+        Input::Current => "current",
+        Input::Torque => "torque",
     }
 }
 
@@ -767,98 +841,5 @@ fn rate_hz(run: &Scenario) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plant::{MotorKey, testing};
-
-    #[test]
-    fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let events = || vec![(0.0, 0.0), (0.5, 60.0), (2.0, -60.0), (4.0, 30.0)];
-        let record = |model: &Model, seed| testing::record(model, events(), 0.01, 6.0, seed);
-        let fitted = record(&model, 1);
-        let loaded = |run: Run| LoadedRun {
-            run,
-            manifest: None,
-            folder: None,
-            warnings: Vec::new(),
-            dialect: None,
-        };
-        let later = |scenario: &Scenario, lost: &dyn Fn(usize) -> bool| {
-            let run = loaded(testing::with_rows_lost(scenario, lost));
-            admit_later(&run, &model, &fitted)
-        };
-        let whole = |_: usize| false;
-        let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
-        assert!(
-            kept.samples() == fitted.samples() && notes.is_empty(),
-            "{notes:?}"
-        );
-        let refused = |came: Result<(Scenario, Vec<String>), Failure>| {
-            let failure = came.err().unwrap();
-            failure.headline().to_owned()
-        };
-        // The very samples of the run before it; and the beginning of a run that broke off.
-        let said = refused(later(&fitted, &whole));
-        assert!(said.contains("tests nothing"), "{said}");
-        let said = refused(later(&record(&model, 3), &|row| row > 80));
-        assert!(said.contains("at least"), "{said}");
-        // A sensor that was turned round meanwhile.
-        let mut reversed = record(&model, 4);
-        for speed in &mut reversed.speed_rad_s {
-            *speed = -*speed;
-        }
-        let said = refused(later(&reversed, &whole));
-        assert!(
-            said.starts_with("the run that was made is not judged"),
-            "{said}"
-        );
-        // Another motor behind the same drive, and rows that were lost: judged, and said.
-        let motor = |key, times| model.motor.get(key).unwrap() * times;
-        let mut other = model.clone();
-        other
-            .motor
-            .set(MotorKey::BackEmf, motor(MotorKey::BackEmf, 0.8));
-        let (_, notes) = later(&record(&other, 5), &whole).unwrap();
-        assert!(
-            notes
-                .iter()
-                .any(|note| note.contains("not of the same motor")),
-            "{notes:?}"
-        );
-        let (_, notes) = later(&record(&model, 6), &|row| (300..330).contains(&row)).unwrap();
-        assert!(!notes.is_empty());
-    }
-
-    #[test]
-    fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = |name: &str| {
-            let path = folder.path().join(name);
-            std::fs::create_dir(&path).unwrap();
-            path
-        };
-        let (fit, select) = (run("20260101T000000Z-fit"), run("20260101T000000Z-select"));
-        let history = [fit.display().to_string()];
-        // The record moved since.
-        let moved = ["/gone/20260101T000000Z-fit".to_owned()];
-        let samples = fit.join("samples.csv");
-        let of_a_fit = Some("held-out figures are those of a fit");
-        for (case, history, run, holdout, expected) in [
-            ("hold-out", &history, &select, Some(&fit), of_a_fit),
-            ("its samples", &history, &select, Some(&samples), of_a_fit),
-            ("moved", &moved, &select, Some(&fit), of_a_fit),
-            ("same run", &history, &fit, None, Some("its last 40 %")),
-            // The run that a model was fitted on may stand beside one that it was not.
-            ("beside", &history, &fit, Some(&select), None),
-            ("another", &history, &select, None, None),
-        ] {
-            let warning = was_fitted_on(history, run, holdout.map(PathBuf::as_path));
-            let is_told = match (&warning, expected) {
-                (Some(warning), Some(part)) => warning.contains(part),
-                (warning, expected) => warning.is_none() && expected.is_none(),
-            };
-            assert!(is_told, "{case}: {warning:?}");
-        }
-    }
-}
+#[path = "evidence_tests.rs"]
+mod tests;

@@ -100,7 +100,7 @@ impl Failure {
     }
 
     /// The next step; where none was given, what the status means for the reader.
-    fn help(&self) -> &str {
+    pub(crate) fn help(&self) -> &str {
         self.help.as_deref().unwrap_or(match self.status {
             REFUSED => "the figures are on stdout; `drivebench diagnose` names what the model misses",
             LINK => "check cable, power and address of the drive",

@@ -24,7 +24,7 @@ use super::run::{CommissionDone, RunDone, escalation_failure, run};
 use super::signals;
 use super::speed::{SpeedRequest, speed};
 use crate::bench::{BenchFile, next_bench};
-use crate::diagnosis::recommend;
+use crate::diagnosis::{Diagnosis, recommend};
 use crate::plant::FileHistory;
 use crate::recording::RunFile;
 use crate::text::number::significant;
@@ -93,8 +93,9 @@ pub(crate) fn follow(
             }
             // What asks for too much, or leaves a run that cannot be judged, is said; everything else ends the program.
             Err(failure) if failure.status == USAGE && step.is_on_request() && !is_hung_up => {
-                let reason = failure.headline().to_owned();
-                done.progress.done_on_request(step, Err(reason));
+                let parts = [failure.headline(), failure.help()].into_iter();
+                let said: Vec<&str> = parts.filter(|part| !part.is_empty()).collect();
+                done.progress.done_on_request(step, Err(said.join("; ")));
             }
             Err(failure) => break Err(failure),
         }
@@ -216,7 +217,7 @@ fn experiment(
     let ended = conduct(Audience::Leads("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
-    let recorded = match ended.work {
+    let mut recorded = match ended.work {
         RunDone::Named(result) => {
             let failure = escalation_failure(&result);
             return Err(failure.unwrap_or_else(|| Failure::internal("no motor, and no reason")));
@@ -244,26 +245,36 @@ fn experiment(
     came = format!("{came}; {}", folder.display());
     let is_changed = !seen.standing.heading().is_empty();
     let mut found = seen.standing.diagnosis;
+    // The run is made, whatever comes of the next one.
+    let with_answer = |found: Option<&Diagnosis>| match found.filter(|_| !is_changed) {
+        Some(found) => discovery.clone().with_answer(found.clone()),
+        None => discovery.clone(),
+    };
+    done.discovery = Some(with_answer(found.as_ref()));
+    *next_file = None;
     // It may have been left before the run was recommended.
     let next = match (seen.standing.next, &found, discovery.limits()) {
         (Some(next), _, _) => Some(next),
-        (None, Some(found), Some(limits)) => recommend(found, discovery.evidence(), limits)?,
+        (None, Some(found), Some(limits)) => {
+            let next = recommend(found, discovery.evidence(), limits);
+            next.unwrap_or_else(|error| {
+                came = format!("{came}; which run would tell more is not known: {error}");
+                None
+            })
+        }
         _ => None,
     };
-    *next_file = None;
     if let (Some(mut next), Some(found)) = (next, &mut found) {
         came = format!("{came}; {}", next.sentence);
         if let Some(recipe) = &next.recipe {
             let text = next_bench(&base, recipe, &found.model.model, &next.sentence);
-            *next_file = Some(recorded.folder.write(RunFile::NextBench, &text)?);
+            // A disk that does not take it is told of.
+            *next_file = recorded.write(RunFile::NextBench, &text);
             next.bench = Some(text);
         }
         found.next_experiment = Some(next);
     }
-    done.discovery = Some(match found.filter(|_| !is_changed) {
-        Some(found) => discovery.with_answer(found),
-        None => discovery,
-    });
+    done.discovery = Some(with_answer(found.as_ref()));
     Ok(came)
 }
 

@@ -279,12 +279,13 @@ fn go_on(card: &mut Card, result: &CommissionResult, rig: &Rig, records: &[Recor
     let next = result.diagnosis.next_experiment.as_ref();
     if next.is_some_and(|next| next.bench.is_some()) {
         card.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
-        let [select, confirm] = [1, 2].map(|role| {
-            let record = records.get(role).unwrap_or(first);
-            quoted(record.folder.path())
-        });
+        // A run that was not made judges nothing.
+        let judging = ["--holdout", "--confirm"].iter().zip(&records[1..]);
+        let judging =
+            judging.map(|(option, run)| format!(" {option} {}", quoted(run.folder.path())));
+        let judging: String = judging.collect();
         card.go_on(format!(
-            "drivebench diagnose {} --model baseline --holdout {select} --confirm {confirm} --with NEW_RUN",
+            "drivebench diagnose {} --model baseline{judging} --with NEW_RUN",
             quoted(folder)
         ));
     }

@@ -463,9 +463,10 @@ impl Progress {
     pub fn is_offered(&self, step: Step) -> Result<(), &str> {
         match self.steps.iter().find(|own| own.step == step) {
             Some(own) if own.state == StepState::Offered => Ok(()),
-            // Once more: a loop is often run again. Where no run is left to make, there is no command that makes it.
+            // Once more: a loop is often run again, and a run that could not be judged is made again. Where no run is left
+            // to make, there is no command that makes it.
             Some(own)
-                if own.state == StepState::Done
+                if matches!(own.state, StepState::Done | StepState::Failed)
                     && step.is_on_request()
                     && own.command.is_some() =>
             {

@@ -200,7 +200,8 @@ impl Discovery {
         let is_electrical = self.evidence.training.input == Input::Voltage;
         if is_electrical {
             // Where the model fails is known long before its cause is.
-            let (evidence, fit) = self.evidence.clone().with_baseline(&self.model)?;
+            let (evidence, _) = self.evidence.fitted_with(&self.model.effect_ids());
+            let (evidence, fit) = evidence.into_owned().with_baseline(&self.model)?;
             let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
             self.trace(&fit.model, &evidence, tell);
@@ -279,7 +280,8 @@ impl Discovery {
     /// Tells the traces of a model, unless they have been told. They are a help: an answer stands without them.
     fn trace(&mut self, model: &Model, evidence: &Evidence, tell: Tell<'_>) {
         let is_told = std::mem::take(&mut self.is_traced);
-        if let (false, Ok(traces)) = (is_told, Traces::of(model, evidence, &self.recorded)) {
+        let (evidence, _) = evidence.fitted_with(&model.effect_ids());
+        if let (false, Ok(traces)) = (is_told, Traces::of(model, &evidence, &self.recorded)) {
             tell(News::Traced(Box::new(traces)));
         }
     }
@@ -300,6 +302,9 @@ impl Discovery {
         let samples = self.evidence.holdout.samples().max(1);
         let room = (MOST_SAMPLES_OF_CURVES / samples).clamp(1, MOST_CURVES);
         let ids = ids.into_iter().take(room).map(Some);
+        // Of what happens once, the run behind which nothing was put.
+        let effects = diagnosis.model.model.effect_ids();
+        let (evidence, _) = self.evidence.fitted_with(&effects);
         let mut curves = Vec::new();
         for id in std::iter::once(None).chain(ids) {
             // What happened once, happened in the fit run.
@@ -309,9 +314,9 @@ impl Discovery {
                 specs.any(|spec| spec.role == ParameterRole::EventTime)
             });
             let run = if happens_once {
-                &self.evidence.training
+                &evidence.training
             } else {
-                &self.evidence.holdout
+                &evidence.holdout
             };
             let curve = diagnosis.curve_of(id, run, &diagnosis.baseline.noise);
             curves.extend(curve.ok().flatten());

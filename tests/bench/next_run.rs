@@ -50,7 +50,7 @@ fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
         diagnosis = diagnose(&model, evidence.clone()).unwrap();
     }
     let mut kept = Kept::default();
-    let mut before = None;
+    let (mut made, mut showed): (Vec<&str>, Vec<&str>) = (Vec::new(), Vec::new());
     loop {
         let next = recommend(&diagnosis, &evidence, &limits).unwrap();
         let Some(next) = next else { return kept };
@@ -60,18 +60,23 @@ fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
             assert!(reasons.into_iter().all(|reason| !reason.is_empty()));
             return kept;
         };
-        assert_ne!(before, Some(recipe.id), "{hidden}: {}", next.sentence);
+        let is_new = !made.contains(&recipe.id);
+        assert!(is_new, "{hidden}: {made:?} {}", next.sentence);
+        let is_open = next.reveals.iter().all(|id| !showed.contains(id));
+        assert!(is_open, "{hidden}: {showed:?} {}", next.sentence);
         assert!(kept.runs < MOST_RUNS, "{hidden}: {}", next.sentence);
-        before = Some(recipe.id);
+        made.push(recipe.id);
         let text = next_bench(file, recipe, &diagnosis.model.model, &next.sentence);
         let bench = BenchFile::parse("next", &text).unwrap();
         kept.runs += 1;
         evidence = evidence.with_run(specimen.run(&bench, 9 + kept.runs));
         diagnosis = diagnose(&model, evidence.clone()).unwrap();
         let left = unseen(&diagnosis);
-        let shown = next.reveals.iter().filter(|id| !left.contains(id));
+        let shown = next.reveals.iter().copied();
+        let shown: Vec<&str> = shown.filter(|id| !left.contains(id)).collect();
         kept.promised += next.reveals.len();
-        kept.shown += shown.count();
+        kept.shown += shown.len();
+        showed.extend(shown);
     }
 }
 

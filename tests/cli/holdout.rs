@@ -220,3 +220,33 @@ fn a_second_run_is_told_which_option_it_belongs_to() {
         has(&told, &["another is given", "--holdout", "--model"]);
     }
 }
+
+/// What is fitted judges nothing: a later run that is the hold-out, the confirming run or another later run is set aside.
+#[test]
+fn a_later_run_that_judges_or_is_there_already_is_not_fitted() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let put = |name: &str, seed| {
+        let rows = record(again(seed), 0.9);
+        desk.put(name, &text_of(&rows, |_| {}))
+    };
+    let (judges, later) = (put("judges.csv", 23), put("later.csv", 24));
+    for (options, second, of) in [
+        ("--holdout {} --with {}", &judges, "the hold-out"),
+        ("--confirm {} --with {}", &judges, "the confirming run"),
+        ("--with {} --with {}", &later, "the later run before it"),
+    ] {
+        let command = format!("compare {{}} --json --model {{}} {options}");
+        let done = call(&command, &[&run, &nameplate, second, second]).expect(0);
+        let notes = done.json()["notes"].to_string();
+        let expected = format!("its samples are those of {of}");
+        has(&notes, &[&expected, "it is not used"]);
+    }
+    let done = call(
+        "compare {} --json --model {} --holdout {} --with {}",
+        &[&run, &nameplate, &judges, &later],
+    );
+    let notes = done.expect(0).json()["notes"].to_string();
+    lacks(&notes, &["is not used"]);
+}

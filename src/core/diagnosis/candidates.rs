@@ -267,12 +267,27 @@ pub(super) fn happening(
         unit => format!("{change} {:+.3} {unit}", onset.size),
     };
     let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
+    let place = |onset: &Onset| match (onset.run, onset.number) {
+        (RunOf::Fit, _) => "in the fit run".to_owned(),
+        (RunOf::Whole, _) => "in the first run".to_owned(),
+        (RunOf::Holdout, _) => "in the hold-out".to_owned(),
+        (RunOf::Later, number) => format!("in later run {}", number.unwrap_or(1)),
+    };
+    let is_first = |onset: &Onset| matches!(onset.run, RunOf::Fit | RunOf::Whole);
     match onsets {
         [] => None,
-        [one] if from == HoldoutFrom::Split => Some(when(one)),
-        [one] if one.run == RunOf::Holdout => Some(format!("in the hold-out only, {}", when(one))),
-        [one] => Some(format!("in the fit run only, {}", when(one))),
-        [one, other, ..] => Some(format!("{}; in the hold-out {}", when(one), when(other))),
+        [one] if from == HoldoutFrom::Split && is_first(one) => Some(when(one)),
+        [one] => Some(format!("{} only, {}", place(one), when(one))),
+        several => {
+            let each = several.iter().map(|own| {
+                if is_first(own) {
+                    when(own)
+                } else {
+                    format!("{} {}", place(own), when(own))
+                }
+            });
+            Some(each.collect::<Vec<_>>().join("; "))
+        }
     }
 }
 

@@ -163,6 +163,8 @@ pub fn compare(
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
+    let (evidence, aside) = evidence.fitted_with(&model.effect_ids());
+    let evidence = &*evidence;
     if evidence.training.input != Input::Voltage {
         let (balance, _) = Balance::new(model, evidence)?;
         return Ok(balance.compare(model, evidence, error_of, false));
@@ -202,7 +204,7 @@ pub fn compare(
         noise: *noise,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
-        limits: limits(evidence, located.notes),
+        limits: limits(evidence, aside.into_iter().chain(located.notes).collect()),
         locations: located.locations,
         balances: located.balances,
         map: located.map,

@@ -19,7 +19,7 @@ use super::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, Scenario, effect};
+use crate::plant::{Model, Scenario, State, effect};
 use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -269,13 +269,21 @@ pub fn diagnose_with(
         stage: Stage::Baseline,
         of: 0,
     });
-    let (bench, baseline) = Bench::new(model, evidence)?;
+    let several = (evidence.parts.len() > 1).then(|| evidence.clone());
+    let (mut bench, mut baseline) = Bench::new(model, evidence)?;
     progress(Event::Begun {
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
     let mut inference = bench.ask(&baseline, &asked, progress)?;
+    // What a fit of runs behind each other cannot hold is known only now.
+    let found = inference.to_be_fitted();
+    let several = several.filter(|_| bench.has_several_runs());
+    if let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) {
+        (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
+        inference = bench.ask(&baseline, &asked, progress)?;
+    }
     progress(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -393,7 +401,11 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         next_experiment: None,
         baseline: bench.with_deviations(base.fit.clone(), inference),
         model: best.fit.clone(),
-        grounds: Some(Grounds::new(inference.noise, inference.excess())),
+        grounds: Some(Grounds::new(
+            inference.noise,
+            inference.excess(),
+            State::at(base.fit.start.current_a, base.fit.start.speed_rad_s),
+        )),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
     diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);

@@ -185,3 +185,40 @@ fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
         assert!(added.accepted, "{}", added.reason);
     }
 }
+
+#[test]
+fn runs_that_cannot_be_fitted_behind_each_other_are_set_aside_with_a_sentence() {
+    let first = |model: &Model| lively(model, 0, 31);
+    for (id, values) in [
+        ("load_step", &[0.1, 3.02][..]),
+        ("winding_heating", &[3e-3, 60.0]),
+    ] {
+        let machine = truth(id, values);
+        let evidence = Evidence::new(first(&machine), Some(lively(&machine, 1, 32)), None);
+        let alone = diagnose(&nameplate(), evidence.clone()).unwrap();
+        assert!(alone.effects.contains(&id), "{}", alone.sentence);
+        let several = evidence.with_run(lively(&machine, 2, 33));
+        let found = diagnose(&nameplate(), several.clone()).unwrap();
+        let said = found.limits.join("; ");
+        assert!(said.contains("set aside") && said.contains(id), "{said}");
+        // The answer is that of the first run alone, to the last digit.
+        assert_eq!(found.sentence, alone.sentence);
+        assert!((found.holdout_after - alone.holdout_after).abs() < 1e-9);
+        let effect = effect::find(id).unwrap();
+        let added = add(effect, &nameplate(), several.clone()).unwrap();
+        assert!(added.reason.contains("set aside"), "{}", added.reason);
+        let compared = compare(&found.model.model, &several, ErrorOf::Structure).unwrap();
+        assert!(compared.limits.iter().any(|own| own.contains("set aside")));
+    }
+    // What holds in every run alike is fitted on both.
+    let machine = truth("quadratic_load", &[2e-6]);
+    let evidence = Evidence::new(first(&machine), Some(lively(&machine, 1, 32)), None);
+    let found = diagnose(&nameplate(), evidence.with_run(lively(&machine, 2, 33))).unwrap();
+    let said = found.limits.join("; ");
+    assert!(!said.contains("set aside"), "{said}");
+    assert!(
+        found.effects.contains(&"quadratic_load"),
+        "{}",
+        found.sentence
+    );
+}

@@ -1,11 +1,14 @@
 //! The runs that a diagnosis rests on, and the floor below which nothing can be seen.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
 use super::score::{Score, SignalScore, varies};
 use crate::identification::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Input, Model, Scenario};
+use crate::numerics::count::whole;
+use crate::plant::{Effect, Input, Model, Scenario, effect};
 
 /// Share of a run that trains when there is no second run; the rest is held out as one block.
 const TRAINING_SHARE: f64 = 0.6;
@@ -29,6 +32,8 @@ pub struct Evidence {
     pub repeat: Option<Scenario>,
     /// The runs that `training` puts behind each other, where it is more than one.
     pub parts: Vec<Scenario>,
+    /// When each of them begins there, s after its first input.
+    pub begins_s: Vec<f64>,
 }
 
 impl Evidence {
@@ -56,6 +61,21 @@ impl Evidence {
             noise,
             repeat: None,
             parts: Vec::new(),
+            begins_s: vec![0.0],
+        }
+    }
+
+    /// Of one run that is fitted and held out as a whole, with this noise.
+    pub(super) fn of_one(run: &Scenario, noise: NoiseFloor) -> Self {
+        Self {
+            training: run.clone(),
+            holdout: run.clone(),
+            confirm: None,
+            holdout_from: HoldoutFrom::Split,
+            noise,
+            repeat: None,
+            parts: Vec::new(),
+            begins_s: vec![0.0],
         }
     }
 
@@ -65,9 +85,43 @@ impl Evidence {
         if self.parts.is_empty() {
             self.parts.push(self.training.clone());
         }
+        self.begins_s.push(self.training.whole_s());
         self.training = self.training.followed_by(&run);
         self.parts.push(run);
         self
+    }
+
+    /// The same without the runs behind the first one that is fitted.
+    #[must_use]
+    pub(super) fn of_the_first(mut self) -> Self {
+        if !self.parts.is_empty() {
+            self.training = self.parts.swap_remove(0);
+            self.parts = Vec::new();
+            self.begins_s = vec![0.0];
+        }
+        self
+    }
+
+    /// The same for a fit of these effects: where one of them happens once, counts from the first command of a run or keeps a
+    /// state, runs behind each other cannot be fitted as one, and the first is left alone. In words what was set aside, and
+    /// why.
+    #[must_use]
+    pub fn fitted_with(&self, effects: &[&'static str]) -> (Cow<'_, Self>, Option<String>) {
+        let goes_on = |id: &&&str| effect::find(id).is_none_or(Effect::goes_on_over_runs);
+        let ids: Vec<&str> = effects.iter().filter(goes_on).copied().collect();
+        if ids.is_empty() || self.parts.len() < 2 {
+            return (Cow::Borrowed(self), None);
+        }
+        let later = self.parts.iter().skip(1).map(|part| part.name.as_str());
+        let words = format!(
+            "{} {} set aside: {} happens once in a run or counts from its first command, and runs that are fitted behind each \
+             other cannot hold it; the answer is of {} without what was made after it, which has to be judged by itself",
+            later.collect::<Vec<_>>().join(" and "),
+            if self.parts.len() > 2 { "are" } else { "is" },
+            ids.join(" and "),
+            self.first_run().name,
+        );
+        (Cow::Owned(self.clone().of_the_first()), Some(words))
     }
 
     /// The run that is fitted, the first of several.
@@ -92,13 +146,8 @@ impl Evidence {
     }
 
     /// When each of the runs in `training` begins there, s after its first input.
-    pub(super) fn begins_s(&self) -> Vec<f64> {
-        let mut begins = vec![0.0];
-        let before_last = self.parts.len().saturating_sub(1);
-        for part in &self.parts[..before_last] {
-            begins.push(begins[begins.len() - 1] + part.whole_s());
-        }
-        begins
+    pub(super) fn begins_s(&self) -> &[f64] {
+        &self.begins_s
     }
 
     /// The same with the beginning of runs that are longer than a search can hold, and in words what of them it is. What
@@ -110,16 +159,37 @@ impl Evidence {
         if self.parts.len() > 1 && self.training.samples() > MOST_SAMPLES {
             let most = MOST_SAMPLES / self.parts.len();
             let mut words = Vec::new();
-            for part in &mut self.parts {
-                let name = part.name.clone();
-                words.extend(shorten(part, most, &name).map(|cut| cut.searched));
+            let mut later = std::mem::take(&mut self.parts).into_iter();
+            let first = later.next();
+            self.begins_s = vec![0.0];
+            let most_of_first = match self.holdout_from {
+                HoldoutFrom::Run => most,
+                // So that what is fitted of it is its part.
+                HoldoutFrom::Split => whole(most as f64 / TRAINING_SHARE),
+            };
+            self.training = first.unwrap_or(self.training);
+            match self.holdout_from {
+                HoldoutFrom::Run => {
+                    let name = self.training.name.clone();
+                    let cut = shorten(&mut self.training, most_of_first, &name);
+                    words.extend(cut.map(|cut| cut.searched));
+                    let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
+                    words.extend(holdout.map(|cut| cut.searched));
+                }
+                HoldoutFrom::Split => {
+                    let cut = self.shorten_split(most_of_first);
+                    words.extend(cut.map(|cut| cut.searched));
+                }
             }
-            let parts = self.parts.iter().skip(1);
-            let first = self.parts[0].clone();
-            self.training = parts.fold(first, |before, part| before.followed_by(part));
-            let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
-            words.extend(holdout.map(|cut| cut.searched));
-            return (self, (!words.is_empty()).then(|| words.join("; ")));
+            if let Some(repeat) = &mut self.repeat {
+                shorten(repeat, most_of_first, "the repeated run");
+            }
+            let several = later.fold(self, |evidence, mut run| {
+                let name = run.name.clone();
+                words.extend(shorten(&mut run, most, &name).map(|cut| cut.searched));
+                evidence.with_run(run)
+            });
+            return (several, (!words.is_empty()).then(|| words.join("; ")));
         }
         let last = match self.holdout_from {
             HoldoutFrom::Run => {
@@ -133,24 +203,18 @@ impl Evidence {
                     (holdout, fit_run) => holdout.or(fit_run),
                 }
             }
-            HoldoutFrom::Split => {
-                let mut whole = self.holdout.clone();
-                whole.scored = 0..whole.samples();
-                if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
-                    name.clone_into(&mut whole.name);
-                }
-                let cut = shorten(&mut whole, MOST_SAMPLES_OF_ONE, "the run");
-                if cut.is_some() {
-                    (self.training, self.holdout) = whole.split(TRAINING_SHARE);
-                }
-                cut
-            }
+            HoldoutFrom::Split => self.shorten_split(MOST_SAMPLES_OF_ONE),
         };
         let Some(Cut { behind, searched }) = last else {
             return (self, None);
         };
         if let Some(repeat) = &mut self.repeat {
-            shorten(repeat, MOST_SAMPLES, "the repeated run");
+            // As the run that it repeats, so that both begin at the same moment.
+            let most = match self.holdout_from {
+                HoldoutFrom::Run => MOST_SAMPLES,
+                HoldoutFrom::Split => MOST_SAMPLES_OF_ONE,
+            };
+            shorten(repeat, most, "the repeated run");
         }
         if let (None, Some(behind)) = (&self.confirm, behind) {
             self.confirm = Some(behind);
@@ -158,6 +222,20 @@ impl Evidence {
             return (self, Some(words));
         }
         (self, Some(searched))
+    }
+
+    /// Shortens one run of which a part is held out to so many samples, and splits it anew.
+    fn shorten_split(&mut self, most: usize) -> Option<Cut> {
+        let mut whole = self.holdout.clone();
+        whole.scored = 0..whole.samples();
+        if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
+            name.clone_into(&mut whole.name);
+        }
+        let cut = shorten(&mut whole, most, "the run");
+        if cut.is_some() {
+            (self.training, self.holdout) = whole.split(TRAINING_SHARE);
+        }
+        cut
     }
 
     /// Measured signals that the judgement does without, each with the reason. Only of runs that a voltage drives: the
@@ -444,6 +522,58 @@ mod tests {
             let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
             assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
         }
+    }
+
+    #[test]
+    fn of_several_long_runs_nothing_that_is_fitted_is_held_out() {
+        let (model, long) = run(30.0, 100.0);
+        let (_, later) = run(0.5, 40.0);
+        let mut evidence = Evidence::new(long.clone(), None, None);
+        evidence.repeat = Some(long.clone());
+        let evidence = evidence.with_run(later);
+        assert!(evidence.training.samples() > MOST_SAMPLES);
+        let (evidence, words) = evidence.shortened();
+        let words = words.unwrap();
+        assert!(
+            words.contains("50000 of 100000") && words.contains("30000 of 40000"),
+            "{words}"
+        );
+        assert_eq!(evidence.first_run().samples(), 30_000);
+        assert_eq!(evidence.holdout.scored, 30_000..50_000);
+        assert_eq!(evidence.training.samples(), 60_000);
+        let begin_s = evidence.training.begin_s() + evidence.begins_s[1];
+        assert!((evidence.training.sample_time_s[30_000] - begin_s).abs() < 1e-9);
+        // What repeats the first run begins where that does.
+        let repeat = evidence.repeat.as_ref().unwrap();
+        let first = evidence.first_run();
+        assert_eq!(repeat.sample_time_s[..30_000], first.sample_time_s[..]);
+        for part in [&evidence.training, &evidence.holdout] {
+            let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
+            assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
+        }
+    }
+
+    #[test]
+    fn a_third_run_begins_where_it_was_put() {
+        let (_, first) = run(0.5, 4.0);
+        let slow = crate::plant::testing::record(&nameplate(), vec![(0.0, 30.0)], 0.05, 5.0, 3);
+        let evidence = Evidence::new(first.clone(), Some(slow.clone()), None);
+        let evidence = evidence.with_run(slow.clone()).with_run(first.clone());
+        let training = &evidence.training;
+        let places = [0, first.samples(), first.samples() + slow.samples()];
+        for (place, begin_s) in places.into_iter().zip(evidence.begins_s()) {
+            let there_s = training.sample_time_s[place] - training.begin_s();
+            let behind_s = if place == first.samples() {
+                &slow
+            } else {
+                &first
+            };
+            let behind_s = behind_s.sample_time_s[0] - behind_s.begin_s();
+            assert!((there_s - begin_s - behind_s).abs() < 1e-9, "{place}");
+        }
+        let alone = evidence.of_the_first();
+        assert_eq!(alone.training.samples(), first.samples());
+        assert_eq!(alone.begins_s(), [0.0]);
     }
 
     #[test]

@@ -4,12 +4,14 @@
 //! A run observes a model in one of two ways: by the free run of what a voltage drives, or by the balance of torques of
 //! what a torque or a current drives. [`Bench`] hides which it is from whoever fits and judges models.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::compare::{Comparison, ProcessingError, compare};
-use super::evidence::{Evidence, HoldoutFrom};
-use super::joint::answer::{Inference, asked, infer, refined, with_deviations};
+use super::evidence::Evidence;
+use super::joint::answer::{Inference, Led, asked, infer, led, refined, with_deviations};
 use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
@@ -43,6 +45,8 @@ pub(super) struct Bench {
     balance: Option<Balance>,
     /// The model as it was given, before it was refitted.
     given: Model,
+    /// Which runs are set aside, and why.
+    aside: Option<String>,
     /// Which part of long runs is searched.
     searched: Option<String>,
 }
@@ -50,6 +54,21 @@ pub(super) struct Bench {
 impl Bench {
     /// With the refitted baseline.
     pub(super) fn new(model: &Model, evidence: Evidence) -> Result<(Self, Fitted), FitError> {
+        Self::for_fits_of(&[], model, evidence)
+    }
+
+    /// The same for fits of these effects beside those of the model.
+    pub(super) fn for_fits_of(
+        beside: &[&'static str],
+        model: &Model,
+        evidence: Evidence,
+    ) -> Result<(Self, Fitted), FitError> {
+        let effects = [&model.effect_ids()[..], beside].concat();
+        let alone = match evidence.fitted_with(&effects) {
+            (Cow::Owned(alone), aside) => Some((alone, aside)),
+            (Cow::Borrowed(_), _) => None,
+        };
+        let (evidence, aside) = alone.unwrap_or((evidence, None));
         let (mut evidence, searched) = evidence.shortened();
         let (balance, fit) = if evidence.training.input == Input::Voltage {
             let (with_floor, fit) = evidence.with_baseline(model)?;
@@ -66,9 +85,15 @@ impl Bench {
             evidence,
             balance,
             given: model.clone(),
+            aside,
             searched,
         };
         Ok((bench, fit))
+    }
+
+    /// Whether more than one run is fitted.
+    pub(super) const fn has_several_runs(&self) -> bool {
+        self.evidence.parts.len() > 1
     }
 
     /// What the runs say together of these effects beside the baseline.
@@ -186,7 +211,8 @@ impl Bench {
 
     /// What these runs cannot answer, and what errors are of.
     pub(super) fn limits(&self) -> Vec<String> {
-        let mut limits = self.evidence.unjudged();
+        let mut limits: Vec<String> = self.aside.iter().cloned().collect();
+        limits.extend(self.evidence.unjudged());
         limits.extend(self.searched.clone());
         limits.extend(self.balance.as_ref().map(|balance| {
             let processing = &balance.sides.training.sentence;
@@ -370,10 +396,10 @@ pub fn add(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
-    let (bench, before) = Bench::new(model, evidence)?;
+    let id = effect.card().id;
+    let (bench, before) = Bench::for_fits_of(&[id], model, evidence)?;
     let asked = asked(&before.model, Some(effect));
     let inference = bench.ask(&before, &asked, &silent)?;
-    let id = effect.card().id;
     // Where the runs cannot be asked for it the answer is the model as it was.
     let after = if inference.can_be_asked(id) {
         bench.fit(&beside(&before.model, &inference, &[id])?)?
@@ -431,7 +457,10 @@ fn change(
     let sides = [bench.compared(&before.fit)?, bench.compared(&after.fit)?];
     let times = bench.evidence.noise.source.times();
     let fall = fall([&before.score, &after.score], times) + &both_processings(&sides);
-    let reason = reason(effect, inference, &fall, adding);
+    let mut reason = reason(effect, inference, &fall, adding);
+    if let Some(words) = &bench.aside {
+        reason = format!("{reason}; {words}");
+    }
     let [compared_before, compared_after] = sides;
     let owner = if adding { &after } else { &before };
     Ok(AddResult {
@@ -458,7 +487,8 @@ pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
         return found;
     }
     match along(run, &found.model) {
-        Ok(led) => {
+        Ok((_, Led::Neither)) => found.with_note(not_followed("")),
+        Ok((led, of)) => {
             // What was chosen from a grid was not fitted here.
             let fitted = led.parameters.into_iter();
             for own in fitted.filter(|own| own.verdict != Verdict::Fixed) {
@@ -468,36 +498,41 @@ pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
                 }
             }
             found.model = led.model;
-            found.with_note(
-                "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and count \
-                 what the forms of the effects and the stamps may be wrong by",
-            )
+            found.with_note(match of {
+                Led::Values => {
+                    "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and \
+                     count what the forms of the effects and the stamps may be wrong by"
+                }
+                _ => {
+                    "the model has effects: the values are of its free run, which those of its prediction errors do not \
+                     foretell; ± counts how far the two lie apart, and what the forms of the effects and the stamps may be \
+                     wrong by"
+                }
+            })
         }
-        Err(error) => found.with_note(format!(
-            "the model cannot be followed along the run ({error}): ± counts noise alone, and nothing of what the forms of its \
-             effects may be wrong by"
-        )),
+        Err(error) => found.with_note(not_followed(&format!(" ({error})"))),
     }
 }
 
-fn along(run: &Scenario, model: &Model) -> Result<Fitted, FitError> {
+fn not_followed(why: &str) -> String {
+    format!(
+        "the model cannot be followed along the run{why}: ± counts noise alone, and nothing of what the forms of its effects \
+         may be wrong by"
+    )
+}
+
+/// The fit with what its prediction errors say, and of what they do.
+fn along(run: &Scenario, model: &Model) -> Result<(Fitted, Led), FitError> {
     let noise = NoiseFloor::from_standstill(run);
-    let evidence = Evidence {
-        training: run.clone(),
-        holdout: run.clone(),
-        confirm: None,
-        holdout_from: HoldoutFrom::Split,
-        noise: noise.unwrap_or_else(|| NoiseFloor::from_spread(run)),
-        repeat: None,
-        parts: Vec::new(),
-    };
+    let noise = noise.unwrap_or_else(|| NoiseFloor::from_spread(run));
+    let evidence = Evidence::of_one(run, noise);
     let (evidence, fit) = evidence.with_baseline(model)?;
     let fit = Fitted::from(fit);
     let own = model.effects.iter().map(|active| active.effect);
     let own: Vec<&'static dyn Effect> = own.collect();
     let (searched, _) = evidence.shortened();
     let noise = infer(&fit, model, &own, &searched, &silent)?.noise;
-    Ok(refined(fit, run, noise))
+    Ok(led(fit, run, noise, true))
 }
 
 /// What each processing of a balance of torques says of the change, in words; nothing of a free run.

@@ -98,8 +98,11 @@ const EXCHANGE: f64 = 2.0;
 const WRITING: f64 = 0.1;
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
-/// Time at rest between runs that are put behind each other, s.
+/// Time between runs that are put behind each other, s. What a run does is over by then, but for what a simulation begins
+/// again with.
 const AT_REST_S: f64 = 3.0;
+/// Standard deviations of the mean of the first samples within which a run begins at rest.
+const REST_SIGMAS: f64 = 4.0;
 /// Rows below which nothing can be said about a motor.
 const FEWEST_ROWS: usize = 20;
 
@@ -404,8 +407,9 @@ impl Scenario {
         first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
     }
 
-    /// This run and behind it a later one of the same machine as one record; between them the input is zero until the motor
-    /// has come to rest.
+    /// This run and behind it a later one of the same machine as one record. Between them the input is zero; a simulation
+    /// does not go through that time but begins again with what the later run begins with. What comes behind this run's last
+    /// sample, which is held out, is no part of it.
     #[must_use]
     pub fn followed_by(&self, later: &Self) -> Self {
         let shift_s = self.whole_s() + self.begin_s() - later.begin_s();
@@ -417,23 +421,38 @@ impl Scenario {
                 .collect()
         };
         let joined = |a: &[f64], b: &[f64]| [a, b].concat();
-        let ended_s = self.whole_s() + self.begin_s() - AT_REST_S;
-        let events = self.events.iter().filter(|event| event.0 < ended_s);
-        let mut events: Vec<(f64, f64)> = events.copied().collect();
+        let begins_s = there(later.begin_s());
+        let ended_s = begins_s - AT_REST_S;
+        let own = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
+            let own = points.iter().filter(|point| point.0 < ended_s);
+            own.copied().collect()
+        };
+        let mut events = own(&self.events);
         events.push((ended_s, 0.0));
         events.extend(points(&later.events));
         // Without the angle of one of them nobody knows where the shaft was.
         let angle = if self.angle.is_empty() || later.angle.is_empty() {
             Vec::new()
         } else {
-            [self.angle.clone(), points(&later.angle)].concat()
+            [own(&self.angle), points(&later.angle)].concat()
         };
         let is_sharp = self.time_half_width_s.is_empty() && later.time_half_width_s.is_empty();
         let widths = |run: &Self| -> Vec<f64> {
             let samples = 0..run.samples();
             samples.map(|sample| run.half_width_s(sample)).collect()
         };
-        let mut unknown_input = self.unknown_input.clone();
+        // Of a hole that reaches beyond the end only what lies before it.
+        let holes = self.unknown_input.iter();
+        let holes = holes.filter(|hole| hole.from_s < ended_s);
+        let mut unknown_input: Vec<UnknownInput> = holes
+            .map(|hole| UnknownInput {
+                to_s: hole.to_s.min(ended_s),
+                restart: hole.restart.filter(|_| hole.to_s < ended_s),
+                ..*hole
+            })
+            .collect();
+        let begins_with = later.begins_with();
+        unknown_input.push(UnknownInput::between_runs(ended_s, begins_s, begins_with));
         unknown_input.extend(later.unknown_input.iter().map(|hole| UnknownInput {
             from_s: there(hole.from_s),
             to_s: there(hole.to_s),
@@ -458,6 +477,29 @@ impl Scenario {
                 joined(&self.sample_time_s, &times),
             )
         }
+    }
+
+    /// Current and speed that a run begins with: zero where its first samples do not differ from it by more than their
+    /// noise, else the first ones measured; not a number where missing.
+    pub fn begins_with(&self) -> [f64; 2] {
+        let at_rest = self.leading_standstill();
+        let begin = |values: &[f64]| {
+            let first = values.iter().copied().find(|value| value.is_finite());
+            let rest = values.get(at_rest.clone()).unwrap_or_default().iter();
+            let rest = rest.copied().filter(|value| value.is_finite());
+            let rest: Vec<f64> = rest.take(FEWEST_ROWS).collect();
+            let count = rest.len() as f64;
+            let mean = rest.iter().sum::<f64>() / count;
+            let squares: f64 = rest.iter().map(|value| (value - mean).powi(2)).sum();
+            let rests = rest.len() == FEWEST_ROWS
+                && mean.abs() <= REST_SIGMAS * (squares / (count - 1.0) / count).sqrt();
+            if rests {
+                0.0
+            } else {
+                first.unwrap_or(f64::NAN)
+            }
+        };
+        [begin(&self.current_a), begin(&self.speed_rad_s)]
     }
 
     /// From the run's first input to that of a run that is put behind it, s.
@@ -681,6 +723,59 @@ mod tests {
         }
         let from_s = both.sample_time_s[first.samples()] - first.begin_s();
         assert!((from_s - first.whole_s() - second.sample_time_s[0]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_held_out_of_a_run_is_no_part_of_it_where_another_comes_behind() {
+        let mut first = with_holes();
+        let times = first.sample_time_s.iter();
+        first.angle = times.map(|time_s| (*time_s, 3.0 * time_s)).collect();
+        let (training, _) = first.split(0.5);
+        let end_s = training.sample_time_s[training.samples() - 1];
+        assert!(first.unknown_input[1].restart.is_some() && first.unknown_input[1].to_s > end_s);
+        let both = training.followed_by(&first);
+        for times in [
+            both.events.iter().map(|own| own.0).collect::<Vec<f64>>(),
+            both.angle.iter().map(|own| own.0).collect(),
+            both.sample_time_s.clone(),
+            both.unknown_input.iter().map(|own| own.from_s).collect(),
+        ] {
+            assert!(times.windows(2).all(|pair| pair[1] > pair[0]), "{times:?}");
+        }
+        // The hole before the end, the time between the runs, and the holes of the run behind it.
+        assert_eq!(both.unknown_input.len(), 4);
+        let between = &both.unknown_input[1];
+        assert!(between.variance.abs() < 1e-12 && between.restart.is_some());
+        let begins_s = both.sample_time_s[training.samples()];
+        assert!((between.to_s - begins_s).abs() < 1e-9 && between.from_s >= end_s);
+        let inside = |time_s: f64| (between.from_s..begins_s).contains(&time_s);
+        assert!(!both.angle.iter().any(|point| inside(point.0)));
+    }
+
+    #[test]
+    fn a_run_that_begins_in_motion_is_simulated_from_what_it_begins_with() {
+        let values = [1.1, 0.0099, 0.3538, 0.3, 0.455];
+        let model = crate::plant::Model::baseline(crate::plant::testing::motor("m", &values));
+        let run = |seed| {
+            let events = vec![(0.0, 0.0), (0.3, 60.0), (0.9, 40.0)];
+            crate::plant::testing::record(&model, events, 0.01, 3.0, seed)
+        };
+        // So heavy that it turns on for long after its end; the other is the end of a run.
+        let (first, whole) = (run(1), run(2));
+        let second = whole.stretch(120..whole.samples());
+        assert_eq!(first.begins_with().map(f64::to_bits), [0, 0]);
+        assert!(second.begins_with()[1] > 1.0);
+        for (later, from) in [(&second, 120), (&whole, 0)] {
+            let both = first.followed_by(later);
+            let mut plant = crate::plant::Plant::new(&model, Input::Voltage).unwrap();
+            let start = crate::plant::State::default();
+            let simulated = plant.simulate(&both, start).speed_rad_s;
+            let alone = plant.simulate(&whole, start).speed_rad_s;
+            let pairs = simulated[first.samples()..].iter().zip(&alone[from..]);
+            for (a, b) in pairs {
+                assert!((a - b).abs() < 0.5, "{a} {b}");
+            }
+        }
     }
 
     #[test]

@@ -70,6 +70,19 @@ const FEWEST_ROWS: usize = 100;
 const NEXT: f64 = 1.5;
 
 impl UnknownInput {
+    /// The time between two runs of one record: nothing is applied, and a simulation begins again behind it.
+    pub(super) const fn between_runs(from_s: f64, to_s: f64, begins_with: [f64; 2]) -> Self {
+        Self {
+            from_s,
+            to_s,
+            lost_rows: 0,
+            mean: 0.0,
+            beside: [0.0; FEW],
+            variance: 0.0,
+            restart: Some(begins_with),
+        }
+    }
+
     /// The estimate as a held input: `(time, value)`.
     pub(super) fn steps(&self) -> impl Iterator<Item = (f64, f64)> {
         let is_even = self.beside.iter().all(|beside| beside.abs() <= 0.0);

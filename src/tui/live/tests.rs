@@ -696,6 +696,8 @@ fn what_follows_the_report_is_left_for_only_where_it_is_offered() {
             (StepState::Offered, None, true),
             (StepState::Done, again(), true),
             (StepState::Done, None, false),
+            // What came of it could not be judged: made again.
+            (StepState::Failed, again(), true),
             (StepState::Failed, None, false),
         ] {
             let mut workflow = workflow(true);

@@ -1,7 +1,7 @@
 //! Posterior of each effect of the catalogue, and of what none of them explains.
 
 use super::acting::constants;
-use super::asked::{prepared, why_not};
+use super::asked::{prepared, starts, why_not};
 use super::columns::{Around, Candidate};
 use super::events::Event;
 use super::follow::Noise;
@@ -16,7 +16,6 @@ use super::shown::{
 use super::solution::{self, Happened};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
-use crate::diagnosis::mechanical::start_of;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::identification::noise::{FloorSource, NoiseFloor};
@@ -54,6 +53,9 @@ pub enum RunOf {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Onset {
     pub run: RunOf,
+    /// Of a later run which of them it is, the first being one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub number: Option<usize>,
     /// Since the run's first command.
     pub time_s: f64,
     pub interval_95_s: [f64; 2],
@@ -97,6 +99,20 @@ impl Inferred {
     }
 }
 
+/// What a run is, and where it is in what is fitted.
+#[derive(Clone, Copy)]
+struct Place {
+    of: RunOf,
+    /// Of a later run.
+    number: Option<usize>,
+    /// When it begins there, s after the first command.
+    begins_s: f64,
+    /// When what is fitted of it ends, s after its own first command; zero where it has no part in it.
+    fitted_s: f64,
+    /// When the last run ends there, s after the first command.
+    ends_s: f64,
+}
+
 /// Everything that the runs say together.
 pub(in crate::diagnosis) struct Inference {
     /// Every effect that was asked for.
@@ -114,8 +130,7 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) unseen: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
-    /// What each run is, and when it begins in what is fitted, s; behind the end where it has no part in it.
-    runs: Vec<(RunOf, f64)>,
+    runs: Vec<Place>,
     found: SearchResult,
 }
 
@@ -165,13 +180,20 @@ impl Inference {
         let mut own: Vec<_> = own.filter(|own| own.event.id() == id).collect();
         own.sort_by_key(|own| own.event.run);
         let onset = |own: &Happened| Onset {
-            run: self.runs[own.event.run].0,
+            run: self.runs[own.event.run].of,
+            number: self.runs[own.event.run].number,
             time_s: own.moment.time_s,
             interval_95_s: own.moment.interval_s,
             size: own.event.values[own.event.effect.size_index()],
             size_std: own.deviation,
         };
         own.into_iter().map(onset).collect()
+    }
+
+    /// What a fit has to hold: what is named, and what may be in its place.
+    pub(in crate::diagnosis) fn to_be_fitted(&self) -> Vec<&'static str> {
+        let rivals = self.confusable.iter().map(|pair| pair[1]);
+        self.named.iter().copied().chain(rivals).collect()
     }
 
     /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
@@ -234,13 +256,18 @@ impl Inference {
 /// Time behind the end of a run at which what begins there does nothing in it, s.
 const BEHIND_S: f64 = 1.0;
 
-/// An event as the runs that are fitted have it: what happened only in the one that is held out comes after their end.
-fn in_fitted(event: &Event, (run, begins_s): (RunOf, f64)) -> ActiveEffect {
+/// An event as the runs that are fitted have it: what happened only in what is held out comes after their end.
+fn in_fitted(event: &Event, run: Place) -> ActiveEffect {
     let mut event = event.clone();
-    match run {
+    let is_behind = run.begins_s + run.fitted_s < run.ends_s;
+    match run.of {
+        // Where no other run is behind it, what is held out of it is its own end.
+        RunOf::Whole if is_behind && event.time_s() > run.fitted_s => {
+            event.put_at(run.ends_s + BEHIND_S);
+        }
         RunOf::Fit | RunOf::Whole => {}
-        RunOf::Later => event.put_at(begins_s + event.time_s()),
-        RunOf::Holdout => event.put_at(begins_s + BEHIND_S),
+        RunOf::Later => event.put_at(run.begins_s + event.time_s()),
+        RunOf::Holdout => event.put_at(run.ends_s + BEHIND_S),
     }
     event.active()
 }
@@ -274,12 +301,8 @@ pub(in crate::diagnosis) fn infer(
     let (speaking, held_out) = evidence.speaking();
     let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
     let scenarios: Vec<&Scenario> = runs.iter().collect();
-    let start = |(number, run): (usize, &&Scenario)| match (run.input, number) {
-        (Input::Voltage, 0) => State::at(baseline.start.current_a, baseline.start.speed_rad_s),
-        (Input::Voltage, _) => State::default(),
-        _ => start_of(run),
-    };
-    let starts: Vec<State> = scenarios.iter().enumerate().map(start).collect();
+    let first = State::at(baseline.start.current_a, baseline.start.speed_rad_s);
+    let starts = starts(&runs, held_out, first);
     let noise = beginning(&evidence.noise, &baseline.model, &runs[0]);
     let mut model = baseline.model.clone();
     // A balance may ask for an inertia that no shaft has.
@@ -349,16 +372,29 @@ pub(in crate::diagnosis) fn infer(
     })
 }
 
-/// What each of so many runs is, and when it begins in what is fitted, s.
-fn runs_of(evidence: &Evidence, count: usize) -> Vec<(RunOf, f64)> {
-    let fitted = &evidence.training;
-    let ends_s = fitted.sample_time_s[fitted.samples() - 1] - fitted.begin_s();
+/// What each of so many runs is.
+fn runs_of(evidence: &Evidence, count: usize) -> Vec<Place> {
+    let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.begin_s();
     let begins_s = evidence.begins_s();
-    let of = |place: usize| match (evidence.holdout_from, begins_s.get(place)) {
-        (HoldoutFrom::Split, _) if place == 0 => (RunOf::Whole, 0.0),
-        (HoldoutFrom::Run, _) if place == 0 => (RunOf::Fit, 0.0),
-        (_, Some(begin_s)) => (RunOf::Later, *begin_s),
-        (_, None) => (RunOf::Holdout, ends_s),
+    let of = |place: usize| {
+        let of = match (evidence.holdout_from, begins_s.get(place)) {
+            (HoldoutFrom::Split, _) if place == 0 => RunOf::Whole,
+            (HoldoutFrom::Run, _) if place == 0 => RunOf::Fit,
+            (_, Some(_)) => RunOf::Later,
+            (_, None) => RunOf::Holdout,
+        };
+        let own = match of {
+            RunOf::Fit | RunOf::Whole => Some(evidence.first_run()),
+            RunOf::Later => evidence.parts.get(place),
+            RunOf::Holdout => None,
+        };
+        Place {
+            of,
+            number: (of == RunOf::Later).then_some(place),
+            begins_s: begins_s.get(place).copied().unwrap_or(0.0),
+            fitted_s: own.map_or(0.0, length_s),
+            ends_s: length_s(&evidence.training),
+        }
     };
     (0..count).map(of).collect()
 }
@@ -399,21 +435,36 @@ const LED_ONLY_RATIO: f64 = 1.1;
 /// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
 /// be followed on the run; times of events stay.
 pub(in crate::diagnosis) fn refined(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
-    led(fit, run, noise, true)
+    led(fit, run, noise, true).0
 }
 
 /// The same of a fit whose values stay in any case: each is uncertain by how far it is from that of its prediction errors
 /// beside.
 pub(in crate::diagnosis) fn with_deviations(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
-    led(fit, run, noise, false)
+    led(fit, run, noise, false).0
 }
 
-fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> Fitted {
+/// What of a fit is from its prediction errors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::diagnosis) enum Led {
+    Values,
+    /// The deviations of values that stayed.
+    Deviations,
+    Neither,
+}
+
+/// [`refined`] where it `may_move`, else [`with_deviations`]; and which of it it came to.
+pub(in crate::diagnosis) fn led(
+    mut fit: Fitted,
+    run: &Scenario,
+    noise: Noise,
+    may_move: bool,
+) -> (Fitted, Led) {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
     let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
     let Some(estimated) = estimated else {
-        return fit;
+        return (fit, Led::Neither);
     };
     let led = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
     let led = led
@@ -421,6 +472,12 @@ fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> Fitted 
         .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
     let kept = led.as_ref().map_or(&model, |_| &estimated.model);
     let period_s = run.mean_period_s();
+    let mut of = match (&led, estimated.deviations.is_empty()) {
+        (_, true) => Led::Neither,
+        (Some(_), false) => Led::Values,
+        (None, false) => Led::Deviations,
+    };
+    let mut is_known = false;
     for (slot, deviation) in &estimated.deviations {
         let key = slot.key();
         let value = kept.get(slot).unwrap_or(f64::NAN);
@@ -433,15 +490,21 @@ fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> Fitted 
         }
         let mut parameters = fit.parameters.iter_mut();
         if let Some(parameter) = parameters.find(|own| own.key == key) {
+            is_known |= judged.std.is_some();
             *parameter = judged;
         }
     }
-    Fitted {
+    // Deviations that no slope tells are none.
+    if !is_known {
+        of = Led::Neither;
+    }
+    let led = Fitted {
         model: kept.clone(),
         interval_factor: estimated.factor,
         nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
-    }
+    };
+    (led, of)
 }
 
 /// By how much sensors may differ from what they show at rest, and where that is not known.
@@ -701,6 +764,38 @@ mod tests {
     }
 
     #[test]
+    fn an_event_of_what_is_held_out_comes_behind_everything_that_is_fitted() {
+        let run = |seed| {
+            let events = vec![(0.0, 0.0), (0.4, 40.0)];
+            testing::record(&nameplate(), events, 0.01, 5.0, seed)
+        };
+        let time_s = |evidence: &Evidence, run: usize, at_s: f64| {
+            let step = effect::find("load_step").unwrap();
+            let event = Event {
+                run,
+                effect: step,
+                values: vec![0.1, at_s],
+            };
+            let count = evidence.speaking().0.len();
+            in_fitted(&event, runs_of(evidence, count)[run]).values_or_guess()[1]
+        };
+        let split = Evidence::new(run(1), None, None);
+        assert!((time_s(&split, 0, 4.0) - 4.0).abs() < 1e-9);
+        let several = split.with_run(run(2));
+        let length_s = several.training.sample_time_s[several.training.samples() - 1];
+        assert!((time_s(&several, 0, 2.0) - 2.0).abs() < 1e-9);
+        assert!(time_s(&several, 0, 4.0) > length_s);
+        let begins_s = several.begins_s()[1];
+        assert!((time_s(&several, 1, 4.0) - begins_s - 4.0).abs() < 1e-9);
+        let held_out = Evidence::new(run(1), Some(run(3)), None).with_run(run(2));
+        let places = runs_of(&held_out.clone().with_run(run(4)), 4);
+        let numbers: Vec<Option<usize>> = places.iter().map(|place| place.number).collect();
+        assert_eq!(numbers, [None, Some(1), Some(2), None]);
+        assert!((time_s(&held_out, 0, 4.0) - 4.0).abs() < 1e-9);
+        assert!(time_s(&held_out, 2, 2.0) > length_s);
+    }
+
+    #[test]
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {
         let candidate = |id| Candidate {
             id,
@@ -731,7 +826,17 @@ mod tests {
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let start = truth("discontinuous_conduction", &[1.4, 2.0]);
         let free = Fitted::from(output_error::fit(&[start], &run, &noise).unwrap());
-        let led = refined(free.clone(), &run, beginning(&noise, &free.model, &run));
+        let along = beginning(&noise, &free.model, &run);
+        let (led, of) = super::led(free.clone(), &run, along, true);
+        // The values stay, since the form is another; and what cannot be followed vouches for nothing.
+        assert_eq!(of, Led::Deviations);
+        let mut empty = free.clone();
+        empty.model.motor = crate::plant::Motor::new("none");
+        assert_eq!(super::led(empty, &run, along, true).1, Led::Neither);
+        let own = testing::record(&nameplate(), run.events.clone(), 0.01, 7.0, 8);
+        let right = output_error::fit(&[nameplate()], &own, &noise).unwrap();
+        let of = super::led(Fitted::from(right), &own, along, true).1;
+        assert_eq!(of, Led::Values);
         let key = MotorKey::Resistance;
         let off = |fit: &Fitted| {
             let own = fit.parameters.iter().find(|p| p.key == key.key()).unwrap();

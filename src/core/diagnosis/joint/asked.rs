@@ -2,8 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use crate::diagnosis::mechanical::start_of;
 use crate::identification::speed_from_angle;
-use crate::plant::{Effect, Enters, Input, Instant, ParameterSpec, Scenario, starts_from_rest};
+use crate::plant::{
+    Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, starts_from_rest,
+};
 
 /// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
 /// what the frame and the drive's own loops do would decide.
@@ -96,6 +99,25 @@ fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
         .iter()
         .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED_PERIODS * TAU);
     close.count() as f64 >= LEAST_RESOLVED_SHARE * moving as f64
+}
+
+/// What each of the runs that speak begins with: the first as it was fitted, one that is held out at rest, the others as they
+/// were measured.
+pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<State> {
+    let start = |(number, run): (usize, &Scenario)| {
+        if run.input != Input::Voltage {
+            start_of(run)
+        } else if number == 0 {
+            first
+        } else if number == held_out {
+            State::default()
+        } else {
+            let known = |value: f64| if value.is_finite() { value } else { 0.0 };
+            let [current_a, speed_rad_s] = run.begins_with();
+            State::at(known(current_a), known(speed_rad_s))
+        }
+    };
+    runs.iter().enumerate().map(start).collect()
 }
 
 /// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its

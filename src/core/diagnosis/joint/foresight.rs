@@ -1,7 +1,7 @@
 //! What the weighing of the runs in hand, and of one that is still to be made, would show: the same linear problem as that of
 //! the answer, with a record as the model expects it.
 
-use super::asked::prepared;
+use super::asked::{prepared, starts};
 use super::columns::{Around, Linear, linearise};
 use super::events::Hypothesis;
 use super::follow::Noise;
@@ -17,11 +17,17 @@ use crate::plant::{Effect, Model, Scenario, State};
 pub struct Grounds {
     noise: Noise,
     excess: f64,
+    /// What the run that is fitted first begins with.
+    start: State,
 }
 
 impl Grounds {
-    pub(in crate::diagnosis) const fn new(noise: Noise, excess: f64) -> Self {
-        Self { noise, excess }
+    pub(in crate::diagnosis) const fn new(noise: Noise, excess: f64, start: State) -> Self {
+        Self {
+            noise,
+            excess,
+            start,
+        }
     }
 }
 
@@ -33,6 +39,7 @@ pub(in crate::diagnosis) struct Foresight {
     hypothesis: Hypothesis,
     asked: Vec<&'static dyn Effect>,
     runs: Vec<Scenario>,
+    starts: Vec<State>,
     grounds: Grounds,
 }
 
@@ -45,14 +52,16 @@ impl Foresight {
         grounds: Grounds,
     ) -> Self {
         let known = evidence.noise.source != FloorSource::None;
-        let (speaking, _) = evidence.speaking();
+        let (speaking, held_out) = evidence.speaking();
+        let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
         let own = model.effects.iter().map(|active| active.effect);
         let missing = asked.iter().copied();
         let missing = missing.filter(|effect| !model.has(effect.card().id));
         Self {
             hypothesis: Hypothesis::of(model),
             asked: own.chain(missing).collect(),
-            runs: speaking.iter().map(|run| prepared(run, known)).collect(),
+            starts: starts(&runs, held_out, grounds.start),
+            runs,
             grounds,
         }
     }
@@ -65,9 +74,8 @@ impl Foresight {
         stands_for: f64,
     ) -> Option<Vec<(&'static str, f64)>> {
         let scenarios: Vec<&Scenario> = self.runs.iter().collect();
-        let starts = vec![State::default(); scenarios.len()];
         let noise = self.grounds.noise;
-        let mut runs = around(&self.hypothesis, &scenarios, &starts, noise)?;
+        let mut runs = around(&self.hypothesis, &scenarios, &self.starts, noise)?;
         let finer = Noise {
             current_a: noise.current_a / stands_for.sqrt(),
             speed_rad_s: noise.speed_rad_s / stands_for.sqrt(),

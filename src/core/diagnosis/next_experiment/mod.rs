@@ -57,9 +57,11 @@ pub struct NextExperiment {
     pub reveals: Vec<&'static str>,
     /// What stays hidden after it.
     pub hidden: Vec<Hidden>,
-    /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
+    /// Of a pair: expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
     /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
-    /// data to the noise.
+    /// data to the noise. Where there is no pair: the precision with which the weakest of what the run reveals would be
+    /// known, the squared size of its slab in standard deviations of its size (see [`MenuEntry::needed`]); where no run is
+    /// recommended the largest of any.
     pub expected_separation: f64,
     /// Every recipe that the limits allow with the same figure, from linear fits, best first.
     pub menu: Vec<MenuEntry>,
@@ -97,7 +99,9 @@ pub struct MenuEntry {
     /// The smallest over the pairs; where there is no pair, the largest over what it would reveal. Of a run that tells no
     /// pair apart it is what it could be at most.
     pub expected_separation: f64,
-    /// What a diagnosis of that run asks for, as in [`PairEntry::needed`].
+    /// What a diagnosis of that run asks for: of a pair as in [`PairEntry::needed`], a squared distance; where there is no
+    /// pair the precision from which on an effect is promised, in the unit of [`NextExperiment::expected_separation`] there.
+    /// The two are no figures of one scale.
     pub needed: f64,
 }
 

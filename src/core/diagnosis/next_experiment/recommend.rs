@@ -214,6 +214,10 @@ pub fn recommend(
     if diagnosis.confusable.is_empty() {
         return Ok(reveal(diagnosis, evidence, limits));
     }
+    let rivals = diagnosis.confusable.iter().map(|pair| pair[1]);
+    let effects = diagnosis.model.model.effect_ids().into_iter().chain(rivals);
+    let (evidence, _) = evidence.fitted_with(&effects.collect::<Vec<_>>());
+    let evidence = &*evidence;
     let pairs = diagnosis
         .confusable
         .iter()

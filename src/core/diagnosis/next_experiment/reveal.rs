@@ -56,12 +56,22 @@ struct Question<'a> {
 impl Question<'_> {
     /// The menu within some limits, best first.
     fn tried(&self, limits: &ExperimentLimits) -> Vec<Tried> {
+        self.menu(limits).0
+    }
+
+    /// The same, and whether it is known what the menu shows: a run of it was weighed, or all that the limits allow were made
+    /// already.
+    fn menu(&self, limits: &ExperimentLimits) -> (Vec<Tried>, bool) {
         let models: Vec<&Model> = std::iter::once(self.model).chain(&self.with).collect();
-        let tried = (0..COUNT).into_par_iter().filter_map(|index| {
-            let plan = planned(index, &models, limits)?;
-            if self.made.iter().any(|run| plan.was_made_in(run)) {
-                return None;
-            }
+        let plans = (0..COUNT).into_par_iter();
+        let plans: Vec<Planned> = plans
+            .filter_map(|index| planned(index, &models, limits))
+            .collect();
+        let allowed = plans.len();
+        let is_open = |plan: &Planned| !self.made.iter().any(|run| plan.was_made_in(run));
+        let open: Vec<Planned> = plans.into_iter().filter(is_open).collect();
+        let all_made = allowed > 0 && open.is_empty();
+        let tried = open.into_par_iter().filter_map(|plan| {
             let run = plan.measured(self.model)?;
             let all = self.foresight.shown_with(&run, plan.stands_for())?;
             let of = |id: &&'static str| {
@@ -76,7 +86,8 @@ impl Question<'_> {
             let fewer = b.count().cmp(&a.count());
             fewer.then(b.total().total_cmp(&a.total()))
         });
-        tried
+        let is_known = all_made || !tried.is_empty();
+        (tried, is_known)
     }
 
     /// Why each of what the best run of a menu does not show stays hidden.
@@ -156,7 +167,8 @@ fn lifted(limits: &ExperimentLimits) -> Vec<(String, ExperimentLimits)> {
 }
 
 /// The run in which most of what these runs would not have shown shows, beside the model that was found. `None` where
-/// everything has been shown, or much is not explained: there no model tells what a run would show.
+/// everything has been shown, or where nobody knows what a run would show: much is not explained, no run of the menu could be
+/// weighed, or the model has what a fit of runs behind each other cannot hold.
 pub(super) fn reveal(
     diagnosis: &Diagnosis,
     evidence: &Evidence,
@@ -167,6 +179,10 @@ pub(super) fn reveal(
         return None;
     }
     let model = &diagnosis.model.model;
+    let has_of_one_run = (model.effects.iter()).any(|active| active.effect.goes_on_over_runs());
+    if has_of_one_run {
+        return None;
+    }
     let candidates = diagnosis.candidates.iter();
     let unseen = candidates.filter(|one| one.status == Status::NotExcited);
     let unseen: Vec<&'static str> = unseen.map(|one| one.effect).collect();
@@ -187,7 +203,10 @@ pub(super) fn reveal(
         foresight: Foresight::new(model, &missing, evidence, grounds),
         made: evidence.parts.get(1..).unwrap_or_default(),
     };
-    let tried = question.tried(limits);
+    let (tried, is_known) = question.menu(limits);
+    if !is_known {
+        return None;
+    }
     let hidden = question.hidden(&tried, limits);
     let menu = tried.iter().map(|tried| MenuEntry {
         program: tried.plan.recipe.id,

@@ -307,3 +307,25 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
     );
     assert!(peaks.rms_current_a <= seen.rms_current_a, "{peaks:?}");
 }
+
+#[test]
+fn what_no_run_of_a_menu_was_weighed_for_is_not_said_to_show_nothing() {
+    let run = |seed| testing::record(&nameplate(), held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let found = diagnose(&nameplate(), evidence.clone()).unwrap();
+    let next = |limits: &ExperimentLimits| recommend(&found, &evidence, limits).unwrap();
+    let open = next(&LIMITS).unwrap();
+    assert!(
+        open.pair.is_none() && !open.menu.is_empty(),
+        "{}",
+        open.sentence
+    );
+    // No run is planned without a limit of the current.
+    let unknown = ExperimentLimits {
+        current_a: f64::INFINITY,
+        rms_current_a: f64::INFINITY,
+        ..LIMITS
+    };
+    let none = next(&unknown).map(|next| next.sentence);
+    assert_eq!(none, None);
+}

@@ -231,6 +231,16 @@ pub trait Effect: Sync {
         (self.card().terms)(values)
     }
 
+    /// Whether it happens once in a run, counts from its first command or keeps a state of its own, so that no run of its
+    /// machine can be put behind another: see [`Terms`].
+    fn goes_on_over_runs(&self) -> bool {
+        let specs = self.parameters().iter();
+        // Of a size of zero nothing would be seen.
+        let present = |value: f64| if value == 0.0 { 1.0 } else { value };
+        let values: Vec<f64> = specs.map(|spec| present(spec.guess())).collect();
+        self.terms(&values).goes_on_over_runs()
+    }
+
     /// Its law written down; `None` where it is more than terms of the equations, as a delay or a second inertia is.
     fn formula(&self) -> Option<Vec<Formula>> {
         let keys: Vec<&str> = self.parameters().iter().map(|spec| spec.key).collect();

@@ -119,6 +119,43 @@ impl dyn Terms + '_ {
         }
     }
 
+    /// Whether it counts the time since a run's first command, or keeps a state of its own: in a run that is put behind
+    /// another it would go on from that one.
+    pub fn goes_on_over_runs(&self) -> bool {
+        let at = |time_s: f64| {
+            let here = Instant {
+                time_s,
+                voltage_v: 1.0,
+                supply_v: 1.0,
+                current_a: 1.0,
+                speed_rad_s: 1.0,
+                resistance_ohm: 1.0,
+                back_emf_v_s_per_rad: 1.0,
+                torque_n_m_per_a: 1.0,
+                ..Instant::default()
+            };
+            let sums = self.sums(&here, &[]);
+            [
+                sums.voltage_v,
+                sums.torque_n_m,
+                sums.friction_n_m,
+                sums.current_rate_gain,
+                sums.inertia_gain,
+            ]
+        };
+        let changes = || {
+            let first = at(0.0);
+            TIMES_S.iter().any(|time_s| {
+                let pairs = at(*time_s).into_iter().zip(first);
+                // What is not a number is not known to stay.
+                !pairs
+                    .into_iter()
+                    .all(|(one, other)| (one - other).abs() <= 1e-12 * other.abs())
+            })
+        };
+        self.states() > 0 || self.path().start_delay_s > 0.0 || changes()
+    }
+
     /// Whether it is a term that voltage, current, speed and angle of an instant decide: what runs along with a machine
     /// knows neither the time since a run's first command nor its supply, and takes inductance and inertia as constant.
     pub fn is_of_the_instant(&self) -> bool {
@@ -149,6 +186,9 @@ impl dyn Terms + '_ {
             && same(here.friction_n_m, there.friction_n_m)
     }
 }
+
+/// Times since a run's first command, s, at which one that counts them differs.
+const TIMES_S: [f64; 6] = [0.37, 1.9, 7.3, 31.0, 611.0, 1e9];
 
 /// The way of the command to the motor and of the measurement back; all zero is the direct way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -154,6 +154,23 @@ fn distance(one: &Trajectory, other: &Trajectory) -> (f64, f64) {
 }
 
 #[test]
+fn what_counts_from_the_first_command_goes_on_over_runs_and_nothing_else_does() {
+    let found = CATALOGUE.iter().filter(|own| own.goes_on_over_runs());
+    let mut found: Vec<&str> = found.map(|own| own.card().id).collect();
+    found.sort_unstable();
+    let expected = [
+        "field_change",
+        "friction_onset",
+        "inertia_change",
+        "load_step",
+        "one_sided_load",
+        "start_delay",
+        "winding_heating",
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
 fn ids_and_keys_are_those_that_files_use_and_are_unique() {
     let rows = KEYS.trim().lines().map(str::split_whitespace);
     let known = rows.map(|mut words| (words.next().unwrap(), words.collect::<BTreeSet<_>>()));
