@@ -11,6 +11,7 @@
 //!   lines that are only looked at.
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
 //!   order of work of each command; a test of a live run gives a rig of its own.
+//! * `suite`: bench tests, each step a process of this program.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
@@ -43,6 +44,7 @@ pub(crate) mod screen;
 pub(crate) mod signals;
 mod speed;
 pub(crate) mod study;
+pub(crate) mod suite;
 pub(crate) mod survey;
 pub(crate) mod tune;
 pub(crate) mod versus;

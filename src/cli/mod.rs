@@ -24,6 +24,7 @@ mod reveal;
 mod run;
 mod shell;
 mod simulate;
+mod test;
 mod tune;
 mod view;
 
@@ -88,6 +89,7 @@ enum Command {
     Identify(identify::Arguments),
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
+    Test(test::Arguments),
     Compare(compare::Arguments),
     View(view::Arguments),
     Diagnose(diagnose::Arguments),
@@ -143,6 +145,7 @@ pub fn main() -> ExitCode {
         Command::Identify(arguments) => identify::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
+        Command::Test(arguments) => test::execute(arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::View(arguments) => view::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),

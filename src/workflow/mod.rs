@@ -9,6 +9,7 @@
 //! guide.rs says of each step what it needs, what it unlocks and which command does the same.
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
 //! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
+//! suite/ reads a suite of bench tests and judges what came of its cases.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
 //!
 //! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
@@ -21,6 +22,7 @@ mod keyed;
 mod leaning;
 pub mod reproduce;
 mod reveal;
+pub mod suite;
 
 pub use burst::BurstResult;
 pub use commission::{

@@ -27,5 +27,6 @@ mod replay;
 mod report;
 mod reproduce;
 mod screen;
+mod suite;
 mod tutorial;
 mod unknown;

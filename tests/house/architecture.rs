@@ -24,6 +24,7 @@ const FIRMWARE_ROOMS: &[&str] = &["drive", "emulator"];
 const CLOCK_FILES: &[&str] = &[
     "src/app/opening.rs",
     "src/app/progress.rs",
+    "src/app/suite/process.rs",
     "src/bench/clock.rs",
     "src/drive/reply_filter.rs",
     "src/emulator/server.rs",

@@ -1,0 +1,419 @@
+//! One case of a suite, with one seed: its steps one after the other in a folder of its own.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+
+use serde_json::Value;
+
+use super::process::{self, Done, End, Watch};
+use crate::app::failure::{INTERRUPTED, REFUSED};
+use crate::app::{opening, output};
+use crate::recording::open_run;
+use crate::sample::Channel;
+use crate::workflow::suite::{
+    Action, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb, Verdict, find,
+    reference,
+};
+
+/// What all cases of a suite have in common.
+pub(super) struct Bench<'a> {
+    pub(super) program: &'a Path,
+    /// Folder of the suite file; paths in it count from there.
+    pub(super) home: &'a Path,
+    pub(super) port: String,
+    pub(super) hardware: bool,
+    /// Threads that one command may use.
+    pub(super) threads: usize,
+    pub(super) stop: &'a AtomicBool,
+}
+
+/// What an earlier step left.
+struct Left {
+    result: Value,
+    /// The run that it recorded, or was about.
+    run: Option<PathBuf>,
+}
+
+/// Why a case does not go on.
+struct Ended {
+    verdict: Verdict,
+    status: Option<u8>,
+}
+
+impl Ended {
+    fn failed(reason: String) -> Self {
+        Self {
+            verdict: Verdict::Failed(reason),
+            status: None,
+        }
+    }
+
+    fn error(reason: String) -> Self {
+        Self {
+            verdict: Verdict::Error(reason),
+            status: None,
+        }
+    }
+}
+
+struct Progress<'a> {
+    bench: &'a Bench<'a>,
+    case: &'a Case,
+    seed: u64,
+    folder: &'a Path,
+    left: BTreeMap<String, Left>,
+    /// Name of the last command.
+    last: Option<String>,
+    /// Keys of the emulator's file that faults have changed.
+    changed: toml::Table,
+    outcomes: Vec<StepOutcome>,
+}
+
+/// Carries a case out. `folder` is made for it.
+pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path) -> CaseOutcome {
+    let watch = Watch::start();
+    let mut progress = Progress {
+        bench,
+        case,
+        seed,
+        folder,
+        left: BTreeMap::new(),
+        last: None,
+        changed: toml::Table::new(),
+        outcomes: Vec::new(),
+    };
+    let made = fs::create_dir_all(folder)
+        .map_err(|error| Ended::error(format!("cannot create {}: {error}", folder.display())));
+    let ended = made.and_then(|()| case.steps.iter().try_for_each(|step| progress.step(step)));
+    let (verdict, status) = match ended {
+        Ok(()) => (Verdict::Passed, None),
+        Err(ended) => (ended.verdict, ended.status),
+    };
+    CaseOutcome {
+        name: case.name.clone(),
+        seed,
+        tags: case.tags.clone(),
+        verdict,
+        took_s: watch.took_s(),
+        status,
+        evidence: Some(folder.display().to_string()),
+        steps: progress.outcomes,
+    }
+}
+
+impl Progress<'_> {
+    fn step(&mut self, step: &Step) -> Result<(), Ended> {
+        match &step.action {
+            Action::Fault(keys) => {
+                merge(&mut self.changed, keys);
+                Ok(())
+            }
+            Action::Command {
+                verb,
+                options,
+                statuses,
+            } => self.command(step, *verb, options, statuses),
+            Action::Assert {
+                of,
+                limits,
+                signals,
+            } => self.assert(step, of.as_deref(), limits, signals),
+        }
+    }
+
+    fn command(
+        &mut self,
+        step: &Step,
+        verb: Verb,
+        options: &[(String, toml::Value)],
+        statuses: &[u8],
+    ) -> Result<(), Ended> {
+        let words = self.words(verb, options)?;
+        let number = self.outcomes.len() + 1;
+        let file = |ending: &str| {
+            self.folder
+                .join(format!("{number:02}-{}.{ending}", step.name))
+        };
+        let (stdout, stderr) = (file("json"), file("txt"));
+        let mut command = Command::new(self.bench.program);
+        command
+            .args(&words)
+            .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
+        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
+            .map_err(|error| Ended::error(format!("{}: {error}", step.name)))?;
+        let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
+        let status = match done.end {
+            End::Status(status) => Some(status),
+            End::Asked | End::Killed => None,
+        };
+        self.outcomes.push(StepOutcome {
+            name: step.name.clone(),
+            command: format!("drivebench {}", shown.join(" ")),
+            status,
+            took_s: done.took_s,
+            checks: Vec::new(),
+        });
+        let error = error_said(&stderr);
+        self.judge_end(step, &done, statuses, timeout_s, error.as_deref())?;
+        self.keep(step, verb, &stdout, &done, error);
+        Ok(())
+    }
+
+    /// Whether a command ended as it should.
+    fn judge_end(
+        &self,
+        step: &Step,
+        done: &Done,
+        statuses: &[u8],
+        timeout_s: f64,
+        error: Option<&str>,
+    ) -> Result<(), Ended> {
+        let name = &step.name;
+        let status = match done.end {
+            End::Status(status) if statuses.contains(&status) => return Ok(()),
+            End::Status(status) => status,
+            _ if self.bench.stop.load(std::sync::atomic::Ordering::Acquire) => {
+                return Err(Ended {
+                    verdict: Verdict::Error(format!("{name}: interrupted")),
+                    status: Some(INTERRUPTED),
+                });
+            }
+            End::Asked => {
+                let reason = format!(
+                    "{name}: not done in {timeout_s} s; it was ended, the motor stopped by its guard"
+                );
+                return Err(Ended::error(reason));
+            }
+            End::Killed => {
+                let reason = format!(
+                    "{name}: ended by a signal, or killed as it did not end in {timeout_s} s; only the drive's watchdog stops the motor then"
+                );
+                return Err(Ended::error(reason));
+            }
+        };
+        let wanted: Vec<String> = statuses.iter().map(u8::to_string).collect();
+        let said = error.map_or_else(String::new, |error| format!(": {error}"));
+        let reason = format!(
+            "{name}: exit status {status}, has to be {}{said}",
+            wanted.join(" or ")
+        );
+        // A drive that trips, or does not, where the suite says otherwise is a finding; what stands in the way of a judgement
+        // is an error.
+        let is_finding = status == REFUSED || status == 0 || statuses != [0];
+        Err(Ended {
+            verdict: if is_finding {
+                Verdict::Failed(reason)
+            } else {
+                Verdict::Error(reason)
+            },
+            status: Some(status),
+        })
+    }
+
+    /// Keeps the result of a command for the steps that follow.
+    fn keep(&mut self, step: &Step, verb: Verb, stdout: &Path, done: &Done, error: Option<String>) {
+        let text = fs::read_to_string(stdout).unwrap_or_default();
+        let mut result: Value = serde_json::from_str(&text).unwrap_or_default();
+        if result.is_null() {
+            result = Value::Object(serde_json::Map::new());
+        }
+        if let (Value::Object(figures), End::Status(status)) = (&mut result, done.end) {
+            figures.insert("exit_status".to_owned(), status.into());
+            figures.insert("took_s".to_owned(), done.took_s.into());
+            figures.insert("error".to_owned(), error.into());
+        }
+        let recorded = match verb {
+            Verb::Commission => result.pointer("/runs/0/folder"),
+            _ => result.get("folder"),
+        };
+        let run = recorded.and_then(Value::as_str).map(PathBuf::from);
+        let run = run.or_else(|| self.last_run().map(Path::to_owned));
+        self.left.insert(step.name.clone(), Left { result, run });
+        self.last = Some(step.name.clone());
+    }
+
+    fn last_run(&self) -> Option<&Path> {
+        self.left.get(self.last.as_ref()?)?.run.as_deref()
+    }
+
+    /// The words of a command.
+    fn words(&self, verb: Verb, options: &[(String, toml::Value)]) -> Result<Vec<String>, Ended> {
+        let mut words = vec![verb.command().to_owned()];
+        let option = |key: &str| {
+            options
+                .iter()
+                .find(|(name, _)| name == key)
+                .map(|(_, value)| value)
+        };
+        let given = |key: &str| option(key).and_then(toml::Value::as_str);
+        if verb.is_live() || verb == Verb::Plan {
+            if let Some(bench) = &self.case.bench {
+                words.push(self.bench.home.join(bench).display().to_string());
+            }
+        } else if let Some(effect) = given("effect") {
+            words.push(effect.to_owned());
+        }
+        if !verb.is_live() && verb != Verb::Plan {
+            let run = match given("run") {
+                Some(run) => Some(self.resolved(run)?),
+                None => self.last_run().map(|run| run.display().to_string()),
+            };
+            let run = run.ok_or_else(|| {
+                Ended::error(format!(
+                    "{}: no earlier step has recorded a run",
+                    verb.command()
+                ))
+            })?;
+            if verb == Verb::Add {
+                words.push("--run".to_owned());
+            }
+            words.push(run);
+        }
+        if verb.is_live() {
+            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+            words.extend([
+                "--out".to_owned(),
+                self.folder.join("runs").display().to_string(),
+            ]);
+            if self.bench.hardware {
+                words.push("--hardware".to_owned());
+            } else {
+                if let Some(emulator) = self.emulator()? {
+                    words.extend(["--emulator".to_owned(), emulator]);
+                }
+                words.extend(["--seed".to_owned(), self.seed.to_string()]);
+            }
+        }
+        for (key, value) in options {
+            if matches!(key.as_str(), "run" | "effect") {
+                continue;
+            }
+            let name = format!("--{}", key.replace('_', "-"));
+            match value {
+                toml::Value::Boolean(true) => words.push(name),
+                toml::Value::Boolean(false) => {}
+                toml::Value::String(text) => words.extend([name, self.resolved(text)?]),
+                other => words.extend([name, other.to_string()]),
+            }
+        }
+        words.push("--json".to_owned());
+        Ok(words)
+    }
+
+    /// A word with the folder of the step that it refers to.
+    fn resolved(&self, text: &str) -> Result<String, Ended> {
+        let Some((name, rest)) = reference(text) else {
+            return Ok(text.to_owned());
+        };
+        let run = self.left.get(name).and_then(|left| left.run.as_ref());
+        let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
+        Ok(format!("{}{rest}", run.display()))
+    }
+
+    /// The emulator's name or file, with what the faults changed in it.
+    fn emulator(&self) -> Result<Option<String>, Ended> {
+        let named = self.case.emulator.as_ref();
+        let near = named.map(|name| self.bench.home.join(name));
+        let named = match (near, named) {
+            (Some(path), _) if path.is_file() => Some(path.display().to_string()),
+            (_, named) => named.cloned(),
+        };
+        if self.changed.is_empty() {
+            return Ok(named);
+        }
+        let wrong = |error: &dyn std::fmt::Display| Ended::error(format!("fault: {error}"));
+        let base = match &named {
+            Some(name) => {
+                opening::emulator_config(name).map_err(|failure| wrong(&failure.headline()))?
+            }
+            None => crate::emulator::EmulatorConfig::embedded_default(),
+        };
+        let mut table = toml::Table::try_from(&base).map_err(|error| wrong(&error))?;
+        merge(&mut table, &self.changed);
+        let text = toml::to_string(&table).map_err(|error| wrong(&error))?;
+        let path = self
+            .folder
+            .join(format!("emulator-{}.toml", self.outcomes.len() + 1));
+        fs::write(&path, text).map_err(|error| wrong(&error))?;
+        Ok(Some(path.display().to_string()))
+    }
+
+    fn assert(
+        &mut self,
+        step: &Step,
+        of: Option<&str>,
+        limits: &[(String, Limit)],
+        signals: &[SignalLimit],
+    ) -> Result<(), Ended> {
+        let name = of.or(self.last.as_deref());
+        let left = name.and_then(|name| self.left.get(name));
+        let left =
+            left.ok_or_else(|| Ended::error("assert: no earlier step has a result".to_owned()))?;
+        let mut checks: Vec<Check> = limits
+            .iter()
+            .map(|(key, limit)| {
+                let found = find(&left.result, key);
+                Check {
+                    key: key.clone(),
+                    value: found.as_ref().and_then(Value::as_f64),
+                    failure: limit.fails(found.as_ref()),
+                }
+            })
+            .collect();
+        for signal in signals {
+            checks.push(signal_check(signal, left.run.as_deref()).map_err(Ended::error)?);
+        }
+        let failures: Vec<String> = checks
+            .iter()
+            .filter_map(|check| Some(format!("{}: {}", check.key, check.failure.as_ref()?)))
+            .collect();
+        self.outcomes.push(StepOutcome {
+            name: step.name.clone(),
+            command: String::new(),
+            status: None,
+            took_s: 0.0,
+            checks,
+        });
+        if failures.is_empty() {
+            Ok(())
+        } else {
+            Err(Ended::failed(failures.join("; ")))
+        }
+    }
+}
+
+fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
+    let run = run.ok_or("signal: no run was recorded")?;
+    let loaded = open_run(run, None).map_err(|error| error.to_string())?;
+    let channel = Channel::from_key(&signal.channel)
+        .ok_or_else(|| format!("signal: there is no channel {:?}", signal.channel))?;
+    let begin_s = loaded.run.time_s().first().copied().unwrap_or(0.0);
+    let points = loaded.run.points(channel);
+    Ok(Check {
+        key: format!("{} at {} s", signal.channel, signal.at_s),
+        value: None,
+        failure: signal.fails(points.map(|(time_s, value)| (time_s - begin_s, value))),
+    })
+}
+
+/// Puts the keys of `changes` over those of `table`, table by table.
+fn merge(table: &mut toml::Table, changes: &toml::Table) {
+    for (key, change) in changes {
+        match (table.get_mut(key), change) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(change)) => merge(inner, change),
+            _ => drop(table.insert(key.clone(), change.clone())),
+        }
+    }
+}
+
+/// The error that a command ended with, as it says it to programs.
+fn error_said(stderr: &Path) -> Option<String> {
+    let text = fs::read_to_string(stderr).ok()?;
+    let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
+    let said: Value = serde_json::from_str(lines.next_back()?).ok()?;
+    said.pointer("/error/message")?.as_str().map(str::to_owned)
+}

@@ -1,0 +1,299 @@
+//! Suites of bench tests, carried out: which cases, on which bench, how many at once, and what is left of them.
+//!
+//! ```text
+//! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
+//! ```
+//!
+//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
+
+mod case;
+mod process;
+
+use std::collections::VecDeque;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
+
+use super::failure::{Failure, INTERRUPTED};
+use super::files::read_text;
+use super::{opening, output, signals};
+use crate::bench::Port;
+use crate::recording::utc_stamp;
+use crate::workflow::suite::{
+    Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
+};
+use case::Bench;
+use process::Watch;
+
+/// What is asked of a suite.
+pub(crate) struct SuiteRequest {
+    pub(crate) file: PathBuf,
+    /// Instead of the ports in the file.
+    pub(crate) port: Option<String>,
+    pub(crate) hardware: bool,
+    pub(crate) out: PathBuf,
+    /// Words, of which a case has one in its name or as a tag.
+    pub(crate) filter: Vec<String>,
+    /// Part `0` of `1`, counted from 1.
+    pub(crate) shard: Option<(u64, u64)>,
+    pub(crate) keep: bool,
+    pub(crate) junit: Option<PathBuf>,
+    pub(crate) metrics: Option<PathBuf>,
+}
+
+/// One case with one of its seeds.
+struct Job<'a> {
+    case: &'a Case,
+    seed: u64,
+    port: String,
+}
+
+/// Reads a suite; unknown options are refused by what `options_of` says of a command.
+pub(crate) fn read(
+    file: &Path,
+    options_of: impl Fn(Verb) -> Vec<String>,
+) -> Result<Suite, Failure> {
+    let text = read_text(file)?;
+    Ok(Suite::parse(
+        &file.display().to_string(),
+        &text,
+        options_of,
+    )?)
+}
+
+/// The cases that are asked for, each as often as it repeats.
+fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Failure> {
+    let mut jobs = Vec::new();
+    for case in selected(suite, &request.filter)? {
+        let port = request.port.clone().or_else(|| case.port.clone());
+        let port = port.unwrap_or_else(|| "sim:".to_owned());
+        if Port::parse(&port).is_none() {
+            let headline = format!("case {:?}: {port:?} is not a port", case.name);
+            return Err(Failure::usage(
+                headline,
+                "a serial port, tcp:HOST:PORT, sim: or emulator",
+            ));
+        }
+        for repeat in 0..case.repeat {
+            jobs.push(Job {
+                case,
+                seed: case.seed.wrapping_add(repeat),
+                port: port.clone(),
+            });
+        }
+    }
+    if let Some((part, of)) = request.shard {
+        let mut number = 0;
+        jobs.retain(|_| {
+            number += 1;
+            (number - 1) % of == part - 1
+        });
+    }
+    Ok(jobs)
+}
+
+/// Cases with one of the words in their name or as a tag; all where there is none.
+pub(crate) fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'a Case>, Failure> {
+    let has = |case: &Case, word: &String| {
+        case.tags.contains(word) || case.name.to_lowercase().contains(&word.to_lowercase())
+    };
+    let is_asked = |case: &&Case| filter.is_empty() || filter.iter().any(|word| has(case, word));
+    let cases: Vec<&Case> = suite.cases.iter().filter(is_asked).collect();
+    if cases.is_empty() {
+        let headline = format!(
+            "no case of {:?} has {} in its name or its tags",
+            suite.name,
+            filter.join(" or ")
+        );
+        return Err(Failure::usage(
+            headline,
+            "drivebench test SUITE.toml --list shows all",
+        ));
+    }
+    Ok(cases)
+}
+
+/// Carries a suite out.
+///
+/// # Errors
+/// What stood in the way of beginning; how the cases went is in the outcome.
+pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOutcome, Failure> {
+    let jobs = jobs(suite, request)?;
+    for (path, option) in [(&request.junit, "--junit"), (&request.metrics, "--metrics")] {
+        if let Some(path) = path {
+            output::refuse_existing(path, option)?;
+        }
+    }
+    let is_real =
+        |job: &Job<'_>| !matches!(Port::parse(&job.port), Some(Port::Sim | Port::Emulator));
+    if !request.hardware && jobs.iter().any(is_real) {
+        consent(jobs.iter().filter(|job| is_real(job)).count())?;
+    }
+    let program = std::env::current_exe()
+        .map_err(|error| Failure::internal(format!("cannot find this program itself: {error}")))?;
+    let stop = signals::flag()?;
+    let began = opening::now();
+    let watch = Watch::start();
+    let folder = first_free(&request.out, &utc_stamp(began), &suite.name)?;
+    let home = request.file.parent().unwrap_or(Path::new(""));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let total = jobs.len();
+    let mut outcomes: Vec<Option<CaseOutcome>> = vec![None; total];
+    let (in_memory, on_a_line): (Vec<_>, Vec<_>) = jobs
+        .iter()
+        .enumerate()
+        .partition(|(_, job)| matches!(Port::parse(&job.port), Some(Port::Sim)));
+    // Real time first and alone: what is done beside it would make its cycles late.
+    for (part, at_once) in [(on_a_line, 1), (in_memory, cores)] {
+        let queue = Mutex::new(VecDeque::from(part));
+        let done = Mutex::new(&mut outcomes);
+        std::thread::scope(|scope| {
+            for _ in 0..at_once {
+                scope.spawn(|| {
+                    while let Some((index, job)) = lock(&queue).pop_front() {
+                        let bench = Bench {
+                            program: &program,
+                            home,
+                            port: job.port.clone(),
+                            hardware: is_real(job),
+                            threads: (cores / at_once).max(1),
+                            stop: &stop,
+                        };
+                        let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
+                        output::message(&line(&outcome, job.case.repeat));
+                        if outcome.verdict == Verdict::Passed && !request.keep {
+                            // What cannot be removed stays; it is in nobody's way.
+                            let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
+                        }
+                        lock(&done)[index] = Some(outcome);
+                    }
+                });
+            }
+        });
+    }
+    let mut cases: Vec<CaseOutcome> = outcomes.into_iter().flatten().collect();
+    if !request.keep {
+        for case in cases
+            .iter_mut()
+            .filter(|case| case.verdict == Verdict::Passed)
+        {
+            case.evidence = None;
+        }
+    }
+    let outcome = SuiteOutcome::of(
+        &suite.name,
+        began.to_string(),
+        machine(),
+        watch.took_s(),
+        cases,
+    );
+    write_results(&outcome, request, &folder)?;
+    if stop.load(Ordering::Acquire) {
+        let headline = format!("interrupted after {} of {total} cases", outcome.cases.len());
+        return Err(Failure::new(INTERRUPTED, headline));
+    }
+    Ok(outcome)
+}
+
+fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
+    if bench.stop.load(Ordering::Acquire) {
+        return CaseOutcome::skipped(job.case, job.seed, "interrupted");
+    }
+    if let Some(reason) = unfit(job, bench.hardware) {
+        return CaseOutcome::skipped(job.case, job.seed, reason);
+    }
+    case::carry_out(bench, job.case, job.seed, folder)
+}
+
+/// Why a case cannot be done on this bench.
+fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
+    let case = job.case;
+    let has_fault = case
+        .steps
+        .iter()
+        .any(|step| matches!(step.action, Action::Fault(_)));
+    let wants_emulator =
+        case.needs.contains(&Need::Emulator) || case.emulator.is_some() || has_fault;
+    if hardware && wants_emulator {
+        return Some("it sets up the software drive, and this one is real".to_owned());
+    }
+    let is_in_memory = matches!(Port::parse(&job.port), Some(Port::Sim));
+    (is_in_memory && case.needs.contains(&Need::Line))
+        .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
+}
+
+/// A person says that the shaft may turn.
+fn consent(cases: usize) -> Result<(), Failure> {
+    let question = format!(
+        "{cases} cases move a real motor, one after the other and unasked. Is the shaft free and nobody near it? Type yes: "
+    );
+    if output::ask(&question).is_some_and(|answer| answer.trim() == "yes") {
+        return Ok(());
+    }
+    let headline = "the port is no software drive, and nobody has said that its motor may turn";
+    Err(Failure::link(
+        headline,
+        "clear the shaft, then give --hardware; --port sim: runs the suite without a drive",
+    ))
+}
+
+/// A folder for this suite that holds nothing yet.
+fn first_free(root: &Path, stamp: &str, name: &str) -> Result<PathBuf, Failure> {
+    let folder = crate::recording::RunFolder::create(root, stamp, name)?;
+    Ok(folder.path().to_owned())
+}
+
+fn write_results(
+    outcome: &SuiteOutcome,
+    request: &SuiteRequest,
+    folder: &Path,
+) -> Result<(), Failure> {
+    let json = serde_json::to_string_pretty(outcome)
+        .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
+    let mut files = vec![(folder.join("result.json"), json)];
+    if let Some(path) = &request.junit {
+        files.push((path.clone(), junit::document(outcome)));
+    }
+    if let Some(path) = &request.metrics {
+        files.push((path.clone(), open_metrics::text(outcome)));
+    }
+    for (path, text) in files {
+        output::file(&path, &text)?;
+    }
+    Ok(())
+}
+
+/// One line for a case, and beneath it why it did not pass.
+fn line(outcome: &CaseOutcome, repeats: u64) -> String {
+    let seed = if repeats > 1 {
+        format!(", seed {}", outcome.seed)
+    } else {
+        String::new()
+    };
+    let (word, reason) = match &outcome.verdict {
+        Verdict::Passed => ("PASSED", None),
+        Verdict::Failed(reason) => ("FAILED", Some(reason)),
+        Verdict::Error(reason) => ("ERROR", Some(reason)),
+        Verdict::Skipped(reason) => ("skipped", Some(reason)),
+    };
+    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
+    for text in reason
+        .into_iter()
+        .chain(&outcome.evidence)
+        .take(if reason.is_some() { 2 } else { 0 })
+    {
+        line.push_str("\n                   ");
+        line.push_str(text);
+    }
+    line
+}
+
+/// What the suite ran on.
+fn machine() -> String {
+    format!("{} {}", std::env::consts::OS, std::env::consts::ARCH)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

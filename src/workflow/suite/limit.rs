@@ -1,0 +1,346 @@
+//! Acceptance limits: what a figure or a word of a result has to be.
+//!
+//! ```text
+//! [1.0, 1.3]                          within, both ends included
+//! "< 1.5", "<= 1.5", "> 0", ">= 0"     beyond one bound
+//! 1.1, "none", true                   equal; for a list of words: exactly this one, or empty for "none"
+//! "~ locked"                          a text that has this in it, capitals aside
+//! { value = 1.1, within = 0.05 }      absolute tolerance
+//! { value = 1.1, within_percent = 5 } relative tolerance
+//! ```
+
+use serde_json::Value;
+
+use crate::text::number::significant;
+
+/// What a figure or a word has to be.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Limit {
+    /// Both ends included.
+    Within {
+        least: f64,
+        most: f64,
+    },
+    Below {
+        bound: f64,
+        or_equal: bool,
+    },
+    Above {
+        bound: f64,
+        or_equal: bool,
+    },
+    Word(String),
+    /// A text with this in it, in small letters.
+    Has(String),
+    Flag(bool),
+    /// A list without an entry, or a key without a value.
+    Nothing,
+}
+
+/// Words for what a limit may look like.
+const FORMS: &str = "[least, most], \"< 1.5\", a number, a word, \"~ part of a text\", true or false, { value, within } or { value, within_percent }";
+
+impl Limit {
+    /// A limit as the suite file writes it; the error says what is wrong and what is allowed.
+    pub fn parse(value: &toml::Value) -> Result<Self, (String, String)> {
+        let wrong = |what: String| Err((what, format!("allowed: {FORMS}")));
+        match value {
+            toml::Value::Boolean(flag) => Ok(Self::Flag(*flag)),
+            toml::Value::String(text) => Self::parse_text(text),
+            toml::Value::Array(ends) => match ends.iter().map(number).collect::<Vec<_>>()[..] {
+                [Some(least), Some(most)] if least <= most => Ok(Self::Within { least, most }),
+                [Some(least), Some(most)] => {
+                    wrong(format!("[{least}, {most}] has its larger end first"))
+                }
+                _ => wrong(format!("{value} is not a pair of numbers")),
+            },
+            toml::Value::Table(table) => Self::parse_tolerance(table),
+            toml::Value::Datetime(_) => wrong(format!("{value} is a date")),
+            toml::Value::Integer(_) | toml::Value::Float(_) => match number(value) {
+                Some(exact) => Ok(Self::Within {
+                    least: exact,
+                    most: exact,
+                }),
+                None => wrong(format!("{value} is not a number")),
+            },
+        }
+    }
+
+    fn parse_text(text: &str) -> Result<Self, (String, String)> {
+        let text = text.trim();
+        if let Some(part) = text.strip_prefix('~') {
+            return Ok(Self::Has(part.trim().to_lowercase()));
+        }
+        for (sign, is_below, or_equal) in [
+            ("<=", true, true),
+            (">=", false, true),
+            ("<", true, false),
+            (">", false, false),
+        ] {
+            let Some(rest) = text.strip_prefix(sign) else {
+                continue;
+            };
+            let bound = rest
+                .trim()
+                .parse()
+                .ok()
+                .filter(|bound: &f64| bound.is_finite());
+            return match (bound, is_below) {
+                (Some(bound), true) => Ok(Self::Below { bound, or_equal }),
+                (Some(bound), false) => Ok(Self::Above { bound, or_equal }),
+                (None, _) => Err((
+                    format!("{text:?} has no number after {sign}"),
+                    "write the number without a unit: the key has it".to_owned(),
+                )),
+            };
+        }
+        Ok(match text {
+            "none" => Self::Nothing,
+            word => Self::Word(word.to_owned()),
+        })
+    }
+
+    fn parse_tolerance(table: &toml::Table) -> Result<Self, (String, String)> {
+        const HELP: &str =
+            "write { value = 1.1, within = 0.05 } or { value = 1.1, within_percent = 5 }";
+        let entry = |key: &str| table.get(key).and_then(number);
+        let known = ["value", "within", "within_percent"];
+        if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
+            return Err((format!("unknown key `{key}` of a limit"), HELP.to_owned()));
+        }
+        let around = entry("value");
+        let by = match (entry("within"), entry("within_percent")) {
+            (Some(by), None) => Some(by),
+            (None, Some(percent)) => around.map(|value| value.abs() * percent / 100.0),
+            _ => None,
+        };
+        match (around, by) {
+            (Some(value), Some(by)) if by >= 0.0 => Ok(Self::Within {
+                least: value - by,
+                most: value + by,
+            }),
+            _ => Err((
+                "a tolerance needs a value and one width, not negative".to_owned(),
+                HELP.to_owned(),
+            )),
+        }
+    }
+
+    /// What was found, in words, where it is not what it has to be. What is not in the result fails every limit.
+    pub fn fails(&self, found: Option<&Value>) -> Option<String> {
+        let said = found.map_or_else(|| "not in the result".to_owned(), said);
+        let holds = match (self, found) {
+            (Self::Nothing, Some(Value::Null)) => true,
+            (Self::Nothing, Some(Value::Array(list))) => list.is_empty(),
+            (Self::Nothing, Some(Value::String(word))) => word == "none",
+            (Self::Word(word), Some(Value::String(found))) => word == found,
+            (Self::Has(part), Some(Value::String(found))) => found.to_lowercase().contains(part),
+            (Self::Word(word), Some(Value::Array(list))) => {
+                matches!(&list[..], [Value::String(only)] if only == word)
+            }
+            (Self::Flag(flag), Some(Value::Bool(found))) => flag == found,
+            (limit, Some(found)) => found.as_f64().is_some_and(|figure| limit.holds(figure)),
+            (_, None) => false,
+        };
+        (!holds).then(|| format!("{said}, has to be {self}"))
+    }
+
+    fn holds(&self, figure: f64) -> bool {
+        match *self {
+            Self::Within { least, most } => (least..=most).contains(&figure),
+            Self::Below { bound, or_equal } => figure < bound || or_equal && figure <= bound,
+            Self::Above { bound, or_equal } => figure > bound || or_equal && figure >= bound,
+            Self::Word(_) | Self::Has(_) | Self::Flag(_) | Self::Nothing => false,
+        }
+    }
+}
+
+impl std::fmt::Display for Limit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let equal = |or_equal: bool| if or_equal { "=" } else { "" };
+        match self {
+            Self::Within { least, most } if least.to_bits() == most.to_bits() => {
+                write!(f, "{least}")
+            }
+            Self::Within { least, most } => {
+                write!(f, "{} to {}", significant(*least, 6), significant(*most, 6))
+            }
+            Self::Below { bound, or_equal } => write!(f, "<{} {bound}", equal(*or_equal)),
+            Self::Above { bound, or_equal } => write!(f, ">{} {bound}", equal(*or_equal)),
+            Self::Word(word) => write!(f, "{word}"),
+            Self::Has(part) => write!(f, "a text with {part:?}"),
+            Self::Flag(flag) => write!(f, "{flag}"),
+            Self::Nothing => write!(f, "none"),
+        }
+    }
+}
+
+fn number(value: &toml::Value) -> Option<f64> {
+    let number = match value {
+        toml::Value::Integer(whole) => *whole as f64,
+        toml::Value::Float(number) => *number,
+        _ => return None,
+    };
+    number.is_finite().then_some(number)
+}
+
+/// A found value in the words of a line.
+fn said(value: &Value) -> String {
+    match value {
+        Value::Null => "nothing".to_owned(),
+        Value::String(word) => word.clone(),
+        Value::Number(figure) => match (figure.as_i64(), figure.as_f64()) {
+            (None, Some(figure)) => significant(figure, 4),
+            _ => figure.to_string(),
+        },
+        Value::Array(list) if list.is_empty() => "none".to_owned(),
+        Value::Array(list) => list.iter().map(said).collect::<Vec<_>>().join(", "),
+        other => other.to_string(),
+    }
+}
+
+/// The value of `key` in the JSON of a command: the path that its dots name; else the parameter of that name; else what one
+/// of the short names stands for:
+///
+/// * `missing`: the effects that the diagnosis named; its verdict where it named none although something is missing;
+/// * `held_out_error`: with all that was found, in noise floors.
+pub fn find(result: &Value, key: &str) -> Option<Value> {
+    let path = |path: &str| {
+        path.split('.').try_fold(result, |at, step| match at {
+            Value::Array(list) => step.parse::<usize>().ok().and_then(|index| list.get(index)),
+            other => other.get(step),
+        })
+    };
+    let parameter = || {
+        let lists = ["parameters", "estimates", "online"]
+            .into_iter()
+            .filter_map(&path);
+        lists
+            .into_iter()
+            .find_map(|list| entry(list, key)?.get("value"))
+    };
+    let first = |names: &[&str]| names.iter().find_map(|name| path(name)).cloned();
+    match key {
+        "missing" => match first(&["diagnosis.verdict", "verdict"])?.as_str()? {
+            "effect" | "none" => first(&["diagnosis.effects", "effects"]),
+            verdict => Some(verdict.into()),
+        },
+        "held_out_error" => first(&["diagnosis.holdout_after", "holdout_after", "holdout_rmse"]),
+        _ => path(key).or_else(parameter).cloned(),
+    }
+}
+
+/// The row of a parameter in a table of parameters, in either of its two forms.
+pub fn entry<'a>(table: &'a Value, key: &str) -> Option<&'a Value> {
+    match table {
+        Value::Array(rows) => rows
+            .iter()
+            .find(|row| row.get("key").and_then(Value::as_str) == Some(key)),
+        rows => rows.get(key),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn limit(text: &str) -> Result<Limit, (String, String)> {
+        let table: toml::Table = toml::from_str(&format!("limit = {text}")).unwrap();
+        Limit::parse(&table["limit"])
+    }
+
+    fn holds(text: &str, found: &Value) -> bool {
+        limit(text).unwrap().fails(Some(found)).is_none()
+    }
+
+    #[test]
+    fn each_form_takes_what_it_names_and_nothing_else() {
+        assert!(holds("[1.0, 1.3]", &json!(1.0)) && holds("[1.0, 1.3]", &json!(1.3)));
+        assert!(!holds("[1.0, 1.3]", &json!(1.3001)) && !holds("[1, 2]", &json!("1.5")));
+        assert!(holds("\"< 1.5\"", &json!(1.4)) && !holds("\"< 1.5\"", &json!(1.5)));
+        assert!(holds("\"<=1.5\"", &json!(1.5)) && !holds("\">= 2\"", &json!(1.9)));
+        assert!(holds("\">2\"", &json!(3)) && holds("4", &json!(4)) && !holds("4", &json!(5)));
+        assert!(holds("{ value = 2.0, within = 0.5 }", &json!(2.5)));
+        assert!(!holds("{ value = 2.0, within_percent = 10 }", &json!(2.3)));
+        assert!(holds("{ value = -2.0, within_percent = 10 }", &json!(-1.9)));
+        assert!(holds("true", &json!(true)) && !holds("true", &json!("true")));
+        assert!(holds("\"none\"", &json!([])) && holds("\"none\"", &json!(null)));
+        assert!(!holds("\"none\"", &json!(["cogging"])));
+        assert!(
+            holds("\"cogging\"", &json!(["cogging"])) && holds("\"cogging\"", &json!("cogging"))
+        );
+        assert!(!holds("\"cogging\"", &json!(["cogging", "backlash"])));
+        assert!(holds("\"~ Locked\"", &json!("the rotor is locked")));
+        assert!(
+            !holds("\"~ open\"", &json!("the rotor is locked")) && !holds("\"~ 1\"", &json!(1))
+        );
+        assert!(!holds("[0, 1]", &json!(null)) && !holds("\"< 9\"", &json!(null)));
+        assert!(limit("[0, 1]").unwrap().fails(None).is_some());
+        assert!(limit("\"none\"").unwrap().fails(None).is_some());
+    }
+
+    #[test]
+    fn what_is_no_limit_says_what_would_be_one() {
+        for (text, word) in [
+            ("[2, 1]", "larger end first"),
+            ("[1]", "pair"),
+            ("\"< x\"", "no number"),
+            ("\"< nan\"", "no number"),
+            ("nan", "not a number"),
+            ("{ value = 1 }", "one width"),
+            ("{ value = 1, within = -1 }", "not negative"),
+            ("{ value = 1, within = 1, within_percent = 1 }", "one width"),
+            ("{ valeu = 1 }", "unknown key `valeu`"),
+            ("1979-05-27", "date"),
+        ] {
+            let (what, help) = limit(text).unwrap_err();
+            assert!(what.contains(word), "{text}: {what}");
+            assert!(!help.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_failure_says_what_was_found_and_what_it_has_to_be() {
+        let said = limit("[1.0, 1.3]")
+            .unwrap()
+            .fails(Some(&json!(1.512_345)))
+            .unwrap();
+        assert_eq!(said, "1.512, has to be 1.000 to 1.300");
+        let said = limit("\"none\"")
+            .unwrap()
+            .fails(Some(&json!(["backlash"])))
+            .unwrap();
+        assert_eq!(said, "backlash, has to be none");
+    }
+
+    #[test]
+    fn figures_are_found_by_path_parameter_and_short_name() {
+        let result = json!({
+            "diagnosis": {
+                "verdict": "effect", "effects": ["cogging"], "holdout_after": 1.2, "list": [ { "a": 3 } ],
+            },
+            "parameters": [ { "key": "resistance_ohm", "value": 1.1 } ],
+        });
+        assert_eq!(find(&result, "missing"), Some(json!(["cogging"])));
+        assert_eq!(find(&result, "held_out_error"), Some(json!(1.2)));
+        assert_eq!(find(&result, "resistance_ohm"), Some(json!(1.1)));
+        assert_eq!(find(&result, "diagnosis.list.0.a"), Some(json!(3)));
+        assert_eq!(find(&result, "inertia_kg_m2"), None);
+        let identified = json!({ "parameters": { "inertia_kg_m2": { "value": 0.004 } } });
+        assert_eq!(find(&identified, "inertia_kg_m2"), Some(json!(0.004)));
+    }
+
+    #[test]
+    fn what_no_effect_explains_is_not_nothing_missing() {
+        for (verdict, missing) in [
+            ("none", json!([])),
+            ("unexplained", json!("unexplained")),
+            ("ambiguous", json!("ambiguous")),
+        ] {
+            let result = json!({ "verdict": verdict, "effects": [] });
+            assert_eq!(find(&result, "missing"), Some(missing));
+        }
+        assert_eq!(find(&json!({ "parameters": {} }), "missing"), None);
+    }
+}

@@ -1,0 +1,615 @@
+//! A suite of bench tests: cases of steps, read from a file, and what came of them.
+//!
+//! ```text
+//! SUITE.toml -> Suite (cases, steps, limits) -> the driver runs each step as a command of the program
+//!                                  JSON of a step -> limits -> CaseOutcome -> SuiteOutcome -> exit status
+//! ```
+//!
+//! Pure: which process does a step, and in which folder, is the driver's concern. The motor is stopped by the guard of the
+//! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
+
+pub mod junit;
+mod limit;
+pub mod open_metrics;
+mod outcome;
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::config_text::{self, ConfigError, help_for_unknown};
+use crate::sample::Channel;
+pub use limit::{Limit, entry, find};
+pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+
+/// A suite file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Suite {
+    pub name: String,
+    pub cases: Vec<Case>,
+}
+
+/// One case: steps in their order, of which the first that fails ends it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Case {
+    pub name: String,
+    pub tags: Vec<String>,
+    /// Bench file, from the folder of the suite; the embedded one where there is none.
+    pub bench: Option<String>,
+    /// Embedded name or file of the software drive's motor.
+    pub emulator: Option<String>,
+    pub port: Option<String>,
+    /// Of the software drive; each repeat takes the next.
+    pub seed: u64,
+    pub repeat: u64,
+    /// For each step, s.
+    pub timeout_s: f64,
+    /// What this case cannot do without; on `sim:` it is skipped.
+    pub needs: Vec<Need>,
+    pub steps: Vec<Step>,
+}
+
+/// What only some ways of running have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Need {
+    /// A line in real time: the software drive behind a pseudo-terminal, or a real one.
+    Line,
+    /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
+    Emulator,
+}
+
+/// One step of a case.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// By which later steps refer to it; its verb where none was given.
+    pub name: String,
+    pub action: Action,
+    pub timeout_s: Option<f64>,
+}
+
+/// What a step does.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    /// A command of the program.
+    Command {
+        verb: Verb,
+        /// Options of the command by their long names, `_` for `-`.
+        options: Vec<(String, toml::Value)>,
+        /// Exit statuses that are as they should be.
+        statuses: Vec<u8>,
+    },
+    /// Keys of the emulator's file that are changed for the steps that follow.
+    Fault(toml::Table),
+    /// Limits on the result of an earlier step.
+    Assert {
+        /// The step; without it the last command.
+        of: Option<String>,
+        limits: Vec<(String, Limit)>,
+        signals: Vec<SignalLimit>,
+    },
+}
+
+/// What a recorded signal has to be around an instant.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignalLimit {
+    /// Column of `samples.csv`.
+    pub channel: String,
+    /// From the start of the run, s.
+    pub at_s: f64,
+    /// The value may come so much earlier or later, s.
+    #[serde(default)]
+    pub within_s: f64,
+    /// In the channel's unit.
+    pub value: f64,
+    pub within: f64,
+}
+
+impl SignalLimit {
+    /// What was found, in words, where no sample around the instant has the value. `points`: time from the start of the run,
+    /// s, and value.
+    pub fn fails(&self, points: impl Iterator<Item = (f64, f64)>) -> Option<String> {
+        let around = |&(time_s, _): &(f64, f64)| (time_s - self.at_s).abs() <= self.within_s;
+        let nearest = points
+            .filter(around)
+            .map(|(_, value)| value)
+            .min_by(|a, b| (a - self.value).abs().total_cmp(&(b - self.value).abs()));
+        let wanted = format!(
+            "{} ± {} at {} ± {} s",
+            self.value, self.within, self.at_s, self.within_s
+        );
+        match nearest {
+            None => Some(format!("no sample there, has to be {wanted}")),
+            Some(found) if (found - self.value).abs() <= self.within => None,
+            Some(found) => Some(format!("{found}, has to be {wanted}")),
+        }
+    }
+}
+
+/// The verbs of steps and the commands that they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verb {
+    Plan,
+    Commission,
+    Excite,
+    Speed,
+    Identify,
+    Compare,
+    Diagnose,
+    Add,
+}
+
+impl Verb {
+    /// Each with its word in a suite, and the command of the program.
+    pub const ALL: [(Self, &'static str, &'static str); 8] = [
+        (Self::Plan, "plan", "plan"),
+        (Self::Commission, "commission", "commission"),
+        (Self::Excite, "excite", "run"),
+        (Self::Speed, "speed", "speed"),
+        (Self::Identify, "identify", "identify"),
+        (Self::Compare, "compare", "compare"),
+        (Self::Diagnose, "diagnose", "diagnose"),
+        (Self::Add, "add", "add"),
+    ];
+
+    pub fn command(self) -> &'static str {
+        let row = Self::ALL.iter().find(|(verb, ..)| *verb == self);
+        row.map_or("", |(.., command)| command)
+    }
+
+    /// Whether it opens a link, and may move the motor.
+    pub const fn is_live(self) -> bool {
+        matches!(self, Self::Commission | Self::Excite | Self::Speed)
+    }
+}
+
+// The file.
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SuiteKeys {
+    name: String,
+    #[serde(default)]
+    defaults: Defaults,
+    #[serde(rename = "case")]
+    cases: Vec<CaseKeys>,
+}
+
+#[derive(Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Defaults {
+    bench: Option<String>,
+    emulator: Option<String>,
+    port: Option<String>,
+    timeout_s: Option<f64>,
+    #[serde(default)]
+    tags: Vec<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CaseKeys {
+    name: Spanned<String>,
+    #[serde(default)]
+    tags: Vec<String>,
+    bench: Option<String>,
+    emulator: Option<String>,
+    port: Option<String>,
+    #[serde(default = "one")]
+    seed: u64,
+    #[serde(default = "one_repeat")]
+    repeat: Spanned<u64>,
+    timeout_s: Option<Spanned<f64>>,
+    #[serde(default)]
+    needs: Vec<Need>,
+    #[serde(rename = "step")]
+    steps: Vec<Spanned<StepKeys>>,
+}
+
+const fn one() -> u64 {
+    1
+}
+
+fn one_repeat() -> Spanned<u64> {
+    Spanned::new(0..0, 1)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StepKeys {
+    #[serde(rename = "as")]
+    name: Option<String>,
+    timeout_s: Option<f64>,
+    status: Option<Statuses>,
+    plan: Option<Spanned<toml::Table>>,
+    commission: Option<Spanned<toml::Table>>,
+    excite: Option<Spanned<toml::Table>>,
+    speed: Option<Spanned<toml::Table>>,
+    identify: Option<Spanned<toml::Table>>,
+    compare: Option<Spanned<toml::Table>>,
+    diagnose: Option<Spanned<toml::Table>>,
+    add: Option<Spanned<toml::Table>>,
+    fault: Option<toml::Table>,
+    assert: Option<BTreeMap<Spanned<String>, Spanned<toml::Value>>>,
+    #[serde(default)]
+    signal: Vec<SignalLimit>,
+    of: Option<String>,
+}
+
+impl StepKeys {
+    fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
+        let table = match verb {
+            Verb::Plan => &mut self.plan,
+            Verb::Commission => &mut self.commission,
+            Verb::Excite => &mut self.excite,
+            Verb::Speed => &mut self.speed,
+            Verb::Identify => &mut self.identify,
+            Verb::Compare => &mut self.compare,
+            Verb::Diagnose => &mut self.diagnose,
+            Verb::Add => &mut self.add,
+        };
+        table.take()
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Statuses {
+    One(u8),
+    Any(Vec<u8>),
+}
+
+/// Most repeats of a case.
+const MOST_REPEATS: u64 = 10_000;
+/// Longest time for a step, s: a day.
+const MOST_S: f64 = 86_400.0;
+/// Time for a step where the file gives none, s.
+const TIMEOUT_S: f64 = 300.0;
+
+impl Suite {
+    /// Reads a suite. `options_of` gives the long names of the options that the command of a verb has.
+    pub fn parse(
+        file: &str,
+        text: &str,
+        options_of: impl Fn(Verb) -> Vec<String>,
+    ) -> Result<Self, ConfigError> {
+        let keys: SuiteKeys = config_text::parse(file, text)?;
+        let error = |offset: usize, what: String, help: &str| {
+            ConfigError::at(file, text, offset, what, help)
+        };
+        let mut cases: Vec<Case> = Vec::new();
+        for case in keys.cases {
+            let at = case.name.span().start;
+            let name = case.name.into_inner();
+            if cases.iter().any(|other| other.name == name) {
+                let what = format!("two cases are named {name:?}");
+                return Err(error(at, what, "each needs a name of its own"));
+            }
+            let repeat = *case.repeat.get_ref();
+            if !(1..=MOST_REPEATS).contains(&repeat) {
+                let what = format!("repeat = {repeat} is not allowed");
+                let help = format!("allowed: 1 to {MOST_REPEATS}");
+                return Err(error(case.repeat.span().start, what, &help));
+            }
+            let timeout_at = case.timeout_s.as_ref().map_or(at, |time| time.span().start);
+            let timeout_s = case.timeout_s.map(Spanned::into_inner);
+            let timeout_s = timeout_s.or(keys.defaults.timeout_s).unwrap_or(TIMEOUT_S);
+            if !(timeout_s > 0.0 && timeout_s <= MOST_S) {
+                let what = format!("timeout_s = {timeout_s} is not allowed");
+                return Err(error(timeout_at, what, "allowed: more than 0, to 86400 s"));
+            }
+            if case.steps.is_empty() {
+                return Err(error(
+                    at,
+                    format!("the case {name:?} has no step"),
+                    "give it [[case.step]]",
+                ));
+            }
+            let mut steps: Vec<Step> = Vec::new();
+            for step in case.steps {
+                let step = read_step(step, &steps, &options_of)
+                    .map_err(|(offset, what, help)| error(offset, what, &help))?;
+                steps.push(step);
+            }
+            let defaults = keys.defaults.clone();
+            cases.push(Case {
+                tags: [defaults.tags, case.tags].concat(),
+                bench: case.bench.or(defaults.bench),
+                emulator: case.emulator.or(defaults.emulator),
+                port: case.port.or(defaults.port),
+                seed: case.seed,
+                repeat,
+                timeout_s,
+                needs: case.needs,
+                name,
+                steps,
+            });
+        }
+        Ok(Self {
+            name: keys.name,
+            cases,
+        })
+    }
+}
+
+/// Where, what and what is allowed.
+type StepError = (usize, String, String);
+
+fn read_step(
+    step: Spanned<StepKeys>,
+    before: &[Step],
+    options_of: &impl Fn(Verb) -> Vec<String>,
+) -> Result<Step, StepError> {
+    let at = step.span().start;
+    let mut keys = step.into_inner();
+    let mut found: Vec<(&'static str, Action)> = Vec::new();
+    let has_status = keys.status.is_some();
+    let statuses = match keys.status.take() {
+        None => vec![0],
+        Some(Statuses::One(status)) => vec![status],
+        Some(Statuses::Any(statuses)) => statuses,
+    };
+    for (verb, word, _) in Verb::ALL {
+        if let Some(table) = keys.options(verb) {
+            let options = read_options(verb, word, table, before, options_of)?;
+            let action = Action::Command {
+                verb,
+                options,
+                statuses: statuses.clone(),
+            };
+            found.push((word, action));
+        }
+    }
+    if let Some(fault) = keys.fault {
+        found.push(("fault", Action::Fault(fault)));
+    }
+    if keys.assert.is_some() || !keys.signal.is_empty() {
+        let action = read_assert(at, keys.assert, keys.signal, keys.of, before)?;
+        found.push(("assert", action));
+    }
+    let is_command = matches!(&found[..], [(_, Action::Command { .. })]);
+    if has_status && !is_command {
+        let what = "status stands without a command".to_owned();
+        let help = "give it to the step whose exit status it is".to_owned();
+        return Err((at, what, help));
+    }
+    let [(word, action)] = <[_; 1]>::try_from(found).map_err(|found| {
+        let names: Vec<&str> = found.iter().map(|(word, _)| *word).collect();
+        let what = if names.is_empty() {
+            "the step does nothing".to_owned()
+        } else {
+            format!("the step does several things: {}", names.join(", "))
+        };
+        let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
+        (at, what, format!("allowed: one of {verbs}, fault, assert"))
+    })?;
+    Ok(Step {
+        name: keys.name.unwrap_or_else(|| word.to_owned()),
+        action,
+        timeout_s: keys.timeout_s,
+    })
+}
+
+/// The options of a command, each known and each reference to a step that is there.
+fn read_options(
+    verb: Verb,
+    word: &str,
+    table: Spanned<toml::Table>,
+    before: &[Step],
+    options_of: &impl Fn(Verb) -> Vec<String>,
+) -> Result<Vec<(String, toml::Value)>, StepError> {
+    let at = table.span().start;
+    let known = options_of(verb);
+    let table = table.into_inner();
+    for (key, value) in &table {
+        let is_positional = key == "run" || key == "effect";
+        if !is_positional && !known.iter().any(|name| *name == key.replace('_', "-")) {
+            let what = format!("unknown option `{key}` of {word}");
+            let names: Vec<String> = known.iter().map(|name| name.replace('-', "_")).collect();
+            let help = help_for_unknown(key, names.iter().map(String::as_str));
+            return Err((at, what, help));
+        }
+        for name in references(value) {
+            if !before.iter().any(|step| step.name == name) {
+                let what = format!("{key} = \"@{name}\": no earlier step is named {name:?}");
+                return Err((at, what, help_for_name(name, before)));
+            }
+        }
+    }
+    Ok(table.into_iter().collect())
+}
+
+fn read_assert(
+    at: usize,
+    keys: Option<BTreeMap<Spanned<String>, Spanned<toml::Value>>>,
+    signals: Vec<SignalLimit>,
+    of: Option<String>,
+    before: &[Step],
+) -> Result<Action, StepError> {
+    let mut limits = Vec::new();
+    for (key, value) in keys.into_iter().flatten() {
+        let limit = Limit::parse(value.get_ref()).map_err(|(what, help)| {
+            let what = format!("{}: {what}", key.get_ref());
+            (value.span().start, what, help)
+        })?;
+        limits.push((key.into_inner(), limit));
+    }
+    if let Some(of) = &of
+        && !before.iter().any(|step| step.name == *of)
+    {
+        let what = format!("of = {of:?}: no earlier step is named so");
+        return Err((at, what, help_for_name(of, before)));
+    }
+    for signal in &signals {
+        if Channel::from_key(&signal.channel).is_none() {
+            let what = format!("there is no channel {:?}", signal.channel);
+            let help = help_for_unknown(&signal.channel, Channel::ALL.map(Channel::key));
+            return Err((at, what, help));
+        }
+    }
+    Ok(Action::Assert {
+        of,
+        limits,
+        signals,
+    })
+}
+
+fn help_for_name(name: &str, before: &[Step]) -> String {
+    match before {
+        [] => "this is the first step; give an earlier one a name with `as`".to_owned(),
+        before => help_for_unknown(name, before.iter().map(|step| step.name.as_str())),
+    }
+}
+
+/// Names of steps in a value: `"@fit"`, `"@fit/model.toml"`.
+pub fn references(value: &toml::Value) -> Vec<&str> {
+    match value {
+        toml::Value::String(text) => reference(text).map(|(name, _)| name).into_iter().collect(),
+        toml::Value::Array(list) => list.iter().flat_map(references).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// The step that `"@fit/model.toml"` names, and what follows it.
+pub fn reference(text: &str) -> Option<(&str, &str)> {
+    let text = text.strip_prefix('@')?;
+    let end = text.find('/').unwrap_or(text.len());
+    Some(text.split_at(end))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options_of(_: Verb) -> Vec<String> {
+        ["run-seed", "escalate", "holdout", "model", "require"]
+            .map(String::from)
+            .into()
+    }
+
+    fn parse(text: &str) -> Result<Suite, ConfigError> {
+        Suite::parse("suite.toml", text, options_of)
+    }
+
+    const WHOLE: &str = r#"
+name = "acceptance"
+[defaults]
+port = "sim:"
+tags = ["all"]
+[[case]]
+name = "plain"
+emulator = "zk-22fc-plain"
+tags = ["smoke"]
+repeat = 3
+[[case.step]]
+fault = { noise = { current_a = 0.1 } }
+[[case.step]]
+as = "fit"
+excite = { run_seed = 2, escalate = true }
+[[case.step]]
+diagnose = { run = "@fit", model = "@fit/model.toml" }
+[[case.step]]
+assert = { missing = "none", resistance_ohm = [1.0, 1.3] }
+[[case.step]]
+of = "fit"
+signal = [ { channel = "speed_rad_s", at_s = 1.0, within_s = 0.1, value = 90.0, within = 2.0 } ]
+[[case.step]]
+speed = {}
+status = 4
+timeout_s = 9.0
+"#;
+
+    #[test]
+    fn a_suite_is_read_whole() {
+        let suite = parse(WHOLE).unwrap();
+        let case = &suite.cases[0];
+        assert_eq!(
+            (suite.name.as_str(), case.repeat, case.seed),
+            ("acceptance", 3, 1)
+        );
+        assert_eq!(case.port.as_deref(), Some("sim:"));
+        assert_eq!(case.tags, ["all", "smoke"]);
+        assert!((case.timeout_s - TIMEOUT_S).abs() < 1e-9);
+        let names: Vec<&str> = case.steps.iter().map(|step| step.name.as_str()).collect();
+        assert_eq!(
+            names,
+            ["fault", "fit", "diagnose", "assert", "assert", "speed"]
+        );
+        let Action::Command { statuses, .. } = &case.steps[5].action else {
+            panic!("speed is a command");
+        };
+        assert_eq!(statuses, &[4]);
+        let Action::Assert { limits, .. } = &case.steps[3].action else {
+            panic!("an assertion");
+        };
+        assert_eq!(limits.len(), 2);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        for (from, to, words) in [
+            ("repeat = 3", "repeat = 0", "10:10: repeat = 0"),
+            ("tags = [\"smoke\"]", "tag = 1", "unknown field `tag`"),
+            (
+                "run_seed = 2",
+                "runseed = 2",
+                "unknown option `runseed` of excite",
+            ),
+            ("\"@fit\"", "\"@fitt\"", "no earlier step is named \"fitt\""),
+            (
+                "[1.0, 1.3]",
+                "[1.3, 1.0]",
+                "resistance_ohm: [1.3, 1] has its larger end first",
+            ),
+            ("speed = {}", "", "status stands without a command"),
+            ("speed = {}", "speed = {}\nexcite = {}", "several things"),
+            (
+                "of = \"fit\"",
+                "of = \"fir\"",
+                "no earlier step is named so",
+            ),
+            (
+                "timeout_s = 9.0",
+                "timeout = 9.0",
+                "unknown field `timeout`",
+            ),
+        ] {
+            assert!(WHOLE.contains(from), "{from}");
+            let error = parse(&WHOLE.replace(from, to)).unwrap_err();
+            assert!(error.to_string().contains(words), "{to}: {error}");
+            assert!(!error.help.is_empty(), "{to}");
+        }
+        let twice = format!("{WHOLE}[[case]]\nname = \"plain\"\n[[case.step]]\nspeed = {{}}\n");
+        assert!(parse(&twice).unwrap_err().message.contains("two cases"));
+        let error = parse(&WHOLE.replace("run_seed", "runseed")).unwrap_err();
+        assert_eq!(error.help, "did you mean `run_seed`?");
+    }
+
+    #[test]
+    fn a_signal_may_come_earlier_or_later_by_its_tolerance() {
+        let limit = SignalLimit {
+            channel: "speed_rad_s".into(),
+            at_s: 1.0,
+            within_s: 0.1,
+            value: 90.0,
+            within: 2.0,
+        };
+        let ramp = |from_s: f64| {
+            (0..200).map(move |count| {
+                let time_s = f64::from(count) * 0.01;
+                (time_s, if time_s < from_s { 0.0 } else { 90.0 })
+            })
+        };
+        assert_eq!(limit.fails(ramp(1.05)), None);
+        let said = limit.fails(ramp(1.2)).unwrap();
+        assert_eq!(said, "0, has to be 90 ± 2 at 1 ± 0.1 s");
+        assert!(
+            limit
+                .fails(std::iter::empty())
+                .unwrap()
+                .contains("no sample")
+        );
+    }
+}

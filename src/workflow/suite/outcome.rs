@@ -1,0 +1,244 @@
+//! What came of a suite: a verdict for each case and repeat, the figures that were judged with their spread, and the exit
+//! status.
+
+use serde::Serialize;
+
+use super::Case;
+
+/// How a case ended.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "verdict", content = "reason", rename_all = "snake_case")]
+pub enum Verdict {
+    Passed,
+    /// A limit, or an exit status, was not what it has to be.
+    Failed(String),
+    /// It could not be judged: a step did not end in its time, or failed in itself.
+    Error(String),
+    Skipped(String),
+}
+
+/// One figure or word against its limit.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Check {
+    pub key: String,
+    /// `null` where it is no number.
+    pub value: Option<f64>,
+    /// What was found and what it has to be, where it is not that.
+    pub failure: Option<String>,
+}
+
+/// One step of a case.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StepOutcome {
+    pub name: String,
+    /// The command as a shell takes it; empty where the step is none.
+    pub command: String,
+    pub status: Option<u8>,
+    pub took_s: f64,
+    pub checks: Vec<Check>,
+}
+
+/// One case with one seed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CaseOutcome {
+    pub name: String,
+    pub seed: u64,
+    pub tags: Vec<String>,
+    #[serde(flatten)]
+    pub verdict: Verdict,
+    pub took_s: f64,
+    /// Exit status of the step that ended it, where that was not as it should be.
+    pub status: Option<u8>,
+    /// Folder with what is left of it.
+    pub evidence: Option<String>,
+    pub steps: Vec<StepOutcome>,
+}
+
+/// A figure over the repeats of a case.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    pub case: String,
+    pub key: String,
+    pub count: usize,
+    pub mean: f64,
+    /// Sample standard deviation; `null` for one.
+    pub std: Option<f64>,
+    pub least: f64,
+    pub most: f64,
+}
+
+/// The whole suite.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SuiteOutcome {
+    pub suite: String,
+    /// When it began, UTC.
+    pub began: String,
+    pub machine: String,
+    pub took_s: f64,
+    pub passed: usize,
+    pub failed: usize,
+    pub errors: usize,
+    pub skipped: usize,
+    pub cases: Vec<CaseOutcome>,
+    pub spread: Vec<Spread>,
+}
+
+impl CaseOutcome {
+    /// A case that is not done.
+    pub fn skipped(case: &Case, seed: u64, reason: impl Into<String>) -> Self {
+        Self {
+            name: case.name.clone(),
+            seed,
+            tags: case.tags.clone(),
+            verdict: Verdict::Skipped(reason.into()),
+            took_s: 0.0,
+            status: None,
+            evidence: None,
+            steps: Vec::new(),
+        }
+    }
+
+    fn figures(&self) -> impl Iterator<Item = (&str, f64)> {
+        let checks = self.steps.iter().flat_map(|step| &step.checks);
+        checks.filter_map(|check| Some((check.key.as_str(), check.value?)))
+    }
+}
+
+impl SuiteOutcome {
+    pub fn of(
+        suite: &str,
+        began: String,
+        machine: String,
+        took_s: f64,
+        cases: Vec<CaseOutcome>,
+    ) -> Self {
+        let count =
+            |is: fn(&Verdict) -> bool| cases.iter().filter(|case| is(&case.verdict)).count();
+        Self {
+            suite: suite.to_owned(),
+            began,
+            machine,
+            took_s,
+            passed: count(|verdict| *verdict == Verdict::Passed),
+            failed: count(|verdict| matches!(verdict, Verdict::Failed(_))),
+            errors: count(|verdict| matches!(verdict, Verdict::Error(_))),
+            skipped: count(|verdict| matches!(verdict, Verdict::Skipped(_))),
+            spread: spread(&cases),
+            cases,
+        }
+    }
+
+    /// The status that tells what was wrong: that of the steps that ended cases where it is one and the same and no limit
+    /// failed; else 1 where a limit failed.
+    pub fn exit_status(&self) -> u8 {
+        let wrong = || {
+            self.cases
+                .iter()
+                .filter(|case| matches!(case.verdict, Verdict::Failed(_) | Verdict::Error(_)))
+        };
+        if self.failed + self.errors == 0 {
+            return 0;
+        }
+        if self.failed > 0 {
+            return 1;
+        }
+        let mut statuses = wrong().map(|case| case.status.unwrap_or(1));
+        let first = statuses.next().unwrap_or(1);
+        if statuses.all(|status| status == first) {
+            first
+        } else {
+            1
+        }
+    }
+}
+
+/// In the order in which cases and figures first come.
+fn spread(cases: &[CaseOutcome]) -> Vec<Spread> {
+    let mut figures: Vec<(&str, &str, Vec<f64>)> = Vec::new();
+    for case in cases {
+        for (key, value) in case.figures() {
+            let same =
+                |(name, at, _): &&mut (&str, &str, Vec<f64>)| *name == case.name && *at == key;
+            match figures.iter_mut().find(same) {
+                Some((.., values)) => values.push(value),
+                None => figures.push((&case.name, key, vec![value])),
+            }
+        }
+    }
+    let summed = |(case, key, values): (&str, &str, Vec<f64>)| {
+        let count = values.len();
+        let mean = values.iter().sum::<f64>() / count as f64;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        Spread {
+            case: case.to_owned(),
+            key: key.to_owned(),
+            count,
+            mean,
+            std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()),
+            least: values.iter().copied().fold(f64::INFINITY, f64::min),
+            most: values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+        }
+    };
+    figures.into_iter().map(summed).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case(name: &str, verdict: Verdict, status: Option<u8>, value: Option<f64>) -> CaseOutcome {
+        CaseOutcome {
+            name: name.into(),
+            seed: 1,
+            tags: Vec::new(),
+            verdict,
+            took_s: 1.0,
+            status,
+            evidence: None,
+            steps: vec![StepOutcome {
+                name: "assert".into(),
+                command: String::new(),
+                status: None,
+                took_s: 0.0,
+                checks: vec![Check {
+                    key: "resistance_ohm".into(),
+                    value,
+                    failure: None,
+                }],
+            }],
+        }
+    }
+
+    fn outcome(cases: Vec<CaseOutcome>) -> SuiteOutcome {
+        SuiteOutcome::of("s", String::new(), String::new(), 1.0, cases)
+    }
+
+    #[test]
+    fn the_status_tells_a_limit_from_a_link() {
+        let passed = || case("a", Verdict::Passed, None, None);
+        let failed = || case("b", Verdict::Failed("high".into()), Some(0), None);
+        let error = |status| case("c", Verdict::Error("no answer".into()), Some(status), None);
+        let skipped = || case("d", Verdict::Skipped("sim:".into()), None, None);
+        assert_eq!(outcome(vec![passed(), skipped()]).exit_status(), 0);
+        assert_eq!(outcome(vec![]).exit_status(), 0);
+        assert_eq!(outcome(vec![passed(), failed(), error(3)]).exit_status(), 1);
+        assert_eq!(outcome(vec![passed(), error(3), error(3)]).exit_status(), 3);
+        assert_eq!(outcome(vec![error(3), error(4)]).exit_status(), 1);
+        let all = outcome(vec![passed(), failed(), error(3), skipped()]);
+        assert_eq!(
+            (all.passed, all.failed, all.errors, all.skipped),
+            (1, 1, 1, 1)
+        );
+    }
+
+    #[test]
+    fn repeats_have_a_spread_and_a_single_case_has_none() {
+        let of = |name, value| case(name, Verdict::Passed, None, Some(value));
+        let found = outcome(vec![of("a", 1.0), of("b", 5.0), of("a", 3.0)]).spread;
+        assert_eq!(found.len(), 2);
+        let a = &found[0];
+        assert_eq!((a.count, a.mean, a.least, a.most), (2, 2.0, 1.0, 3.0));
+        assert_eq!(a.std, Some(std::f64::consts::SQRT_2));
+        assert_eq!(found[1].std, None);
+    }
+}
