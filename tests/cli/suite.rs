@@ -169,9 +169,9 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
             ][..],
         ),
         (
-            good.replace("excite", "exite"),
+            good.replace("excite", "excitation"),
             "",
-            &["unknown field `exite`", "`excite`"],
+            &["unknown field `excitation`", "`excite`"],
         ),
         (
             good.clone(),
