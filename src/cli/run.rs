@@ -137,7 +137,7 @@ impl StepLog {
             }
             let head = format!("[{:>2}/{total}] {}", index + 1, step.step.title());
             match step.state {
-                StepState::Waiting | StepState::Offered => {}
+                StepState::Waiting | StepState::Offered | StepState::Withheld => {}
                 StepState::Active => {
                     output::message(&format!("{head} ..."));
                     progress::stage(step.step.title(), 0);

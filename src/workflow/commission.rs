@@ -377,7 +377,7 @@ impl Commission {
     fn offered(&mut self, step: Step, offer: Result<&str, &str>) {
         match offer {
             Ok(line) => self.step_is(step, StepState::Offered, line),
-            Err(reason) => self.step_is(step, StepState::Waiting, reason),
+            Err(reason) => self.step_is(step, StepState::Withheld, reason),
         }
     }
 
@@ -427,6 +427,8 @@ pub enum StepState {
     Failed,
     /// It can follow, on request.
     Offered,
+    /// It cannot follow, for the reason in its line.
+    Withheld,
 }
 
 /// One step of the loop with its figure, or its reason.

@@ -404,6 +404,7 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             StepState::Done => ("✓", "done", theme::GOOD),
             StepState::Failed => ("✗", "failed", theme::BAD),
             StepState::Offered => ("+", "possible", theme::CAREFUL),
+            StepState::Withheld => ("-", "none", theme::DIM),
         };
         let title = step.step.title();
         let mut head = vec![
