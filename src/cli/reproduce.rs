@@ -138,7 +138,7 @@ fn finish(
     output::result(found, arguments.json, |_| report.text())
 }
 
-/// Makes the folder; one that holds anything is refused, and one that cannot be made or written to.
+/// Refuses a folder that holds anything, and one that cannot be made or written to: it is tried.
 fn prepare(folder: &Path) -> Result<(), Failure> {
     let occupied = match fs::read_dir(folder) {
         Ok(mut entries) => entries.next().is_some(),
@@ -150,10 +150,17 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
         let help = "give another folder with --out, or move this one away";
         return Err(Failure::usage(headline, help));
     }
-    fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))?;
+    let is_made = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+    let made: Vec<&Path> = folder.ancestors().take_while(is_made).collect();
     // A folder that is there may not be one that takes files.
     let trial = folder.join(".drivebench");
-    let tried = fs::write(&trial, "").and_then(|()| fs::remove_file(&trial));
+    let tried = fs::create_dir_all(folder)
+        .and_then(|()| fs::write(&trial, ""))
+        .and_then(|()| fs::remove_file(&trial));
+    // Work that is interrupted leaves nothing behind; what cannot be removed again is an empty folder.
+    for path in made {
+        let _ = fs::remove_dir(path);
+    }
     tried.map_err(|error| cannot_write(folder, &error))
 }
 

@@ -354,6 +354,7 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
     use drivebench::bench::BenchFile;
     use drivebench::drive::DriveProfile;
     use drivebench::emulator::EmulatorConfig;
+    use drivebench::workflow::suite::Suite;
     let bench = |text: &str| {
         BenchFile::parse(path, text)
             .map(drop)
@@ -367,6 +368,16 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
         "emulators" => EmulatorConfig::parse(path, text)
             .map(drop)
             .map_err(|e| e.to_string()),
+        "suites" => {
+            let options = |_| {
+                ["run-seed", "holdout", "controller"]
+                    .map(str::to_owned)
+                    .into()
+            };
+            Suite::parse(path, text, options)
+                .map(drop)
+                .map_err(|e| e.to_string())
+        }
         // A nameplate is the [motor] table of a bench file; the rest of the bench does not matter here.
         "motors" => bench(&format!(
             "name = \"nameplate\"\n[drive]\nprofile = \"own\"\n[link]\nport = \"sim:\"\n\
