@@ -306,7 +306,7 @@ mod tests {
             .unwrap()
             .fails(Some(&json!(1.512_345)))
             .unwrap();
-        assert_eq!(said, "1.512, has to be 1.000 to 1.300");
+        assert_eq!(said, "1.512, has to be 1.00000 to 1.30000");
         let said = limit("\"none\"")
             .unwrap()
             .fails(Some(&json!(["backlash"])))

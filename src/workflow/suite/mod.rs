@@ -369,12 +369,6 @@ fn read_step(
         let action = read_assert(at, keys.assert, keys.signal, keys.of, before)?;
         found.push(("assert", action));
     }
-    let is_command = matches!(&found[..], [(_, Action::Command { .. })]);
-    if has_status && !is_command {
-        let what = "status stands without a command".to_owned();
-        let help = "give it to the step whose exit status it is".to_owned();
-        return Err((at, what, help));
-    }
     let [(word, action)] = <[_; 1]>::try_from(found).map_err(|found| {
         let names: Vec<&str> = found.iter().map(|(word, _)| *word).collect();
         let what = if names.is_empty() {
@@ -385,6 +379,12 @@ fn read_step(
         let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
         (at, what, format!("allowed: one of {verbs}, fault, assert"))
     })?;
+    let is_command = matches!(action, Action::Command { .. });
+    if has_status && !is_command {
+        let what = "status stands without a command".to_owned();
+        let help = "give it to the step whose exit status it is".to_owned();
+        return Err((at, what, help));
+    }
     Ok(Step {
         name: keys.name.unwrap_or_else(|| word.to_owned()),
         action,
@@ -563,7 +563,12 @@ timeout_s = 9.0
                 "[1.3, 1.0]",
                 "resistance_ohm: [1.3, 1] has its larger end first",
             ),
-            ("speed = {}", "", "status stands without a command"),
+            ("speed = {}", "", "the step does nothing"),
+            (
+                "speed = {}",
+                "assert = { rows = 1 }",
+                "status stands without a command",
+            ),
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
             (
                 "of = \"fit\"",
