@@ -17,7 +17,7 @@ fn our_own_drive_is_set_up_planned_and_run() {
     assert!(done.stdout.is_empty(), "{}", done.stdout);
     // The next steps as they can be pasted.
     for next in ["plan", "run"] {
-        let command = format!("  drivebench {next} {}", file.display());
+        let command = format!("drivebench {next} {}", file.display());
         has(&done.stderr, &[&command]);
     }
     let text = fs::read_to_string(&file).unwrap();
