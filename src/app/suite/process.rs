@@ -5,6 +5,7 @@
 
 use std::fs::File;
 use std::io;
+use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -65,6 +66,8 @@ pub(super) fn finish(
         .stdin(Stdio::null())
         .stdout(File::create(stdout)?)
         .stderr(File::create(stderr)?)
+        // A key at the terminal is for the suite, which asks the command to end: twice at once would cut its ramp short.
+        .process_group(0)
         .spawn()?;
     let end = loop {
         if let Some(status) = child.try_wait()? {

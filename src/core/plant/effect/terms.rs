@@ -125,14 +125,7 @@ impl dyn Terms + '_ {
         let at = |time_s: f64| {
             let here = Instant {
                 time_s,
-                voltage_v: 1.0,
-                supply_v: 1.0,
-                current_a: 1.0,
-                speed_rad_s: 1.0,
-                resistance_ohm: 1.0,
-                back_emf_v_s_per_rad: 1.0,
-                torque_n_m_per_a: 1.0,
-                ..Instant::default()
+                ..of_ones()
             };
             let sums = self.sums(&here, &[]);
             [
@@ -162,16 +155,7 @@ impl dyn Terms + '_ {
         if self.why_no_term().is_some() {
             return false;
         }
-        let here = Instant {
-            voltage_v: 1.0,
-            supply_v: 1.0,
-            current_a: 1.0,
-            speed_rad_s: 1.0,
-            resistance_ohm: 1.0,
-            back_emf_v_s_per_rad: 1.0,
-            torque_n_m_per_a: 1.0,
-            ..Instant::default()
-        };
+        let here = of_ones();
         let there = Instant {
             time_s: 1e9,
             supply_v: 2.0,
@@ -184,6 +168,20 @@ impl dyn Terms + '_ {
             && same(here.voltage_v, there.voltage_v)
             && same(here.torque_n_m, there.torque_n_m)
             && same(here.friction_n_m, there.friction_n_m)
+    }
+}
+
+/// An instant in which nothing is zero, in a motor of ones.
+fn of_ones() -> Instant {
+    Instant {
+        voltage_v: 1.0,
+        supply_v: 1.0,
+        current_a: 1.0,
+        speed_rad_s: 1.0,
+        resistance_ohm: 1.0,
+        back_emf_v_s_per_rad: 1.0,
+        torque_n_m_per_a: 1.0,
+        ..Instant::default()
     }
 }
 
