@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::CommandFactory as _;
 
+use super::arguments::shard;
 use super::failure::Failure;
 use super::output;
 use crate::app::suite::{self, SuiteRequest};
@@ -152,13 +153,4 @@ fn options_of(verb: Verb) -> Vec<String> {
     options
         .filter_map(|option| option.get_long().map(str::to_owned))
         .collect()
-}
-
-fn shard(text: &str) -> Result<(u64, u64), String> {
-    let parts = text.split_once('/');
-    let numbers = parts.and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
-    match numbers {
-        Some((part, of)) if part >= 1 && part <= of => Ok((part, of)),
-        _ => Err("expected I/N with 1 <= I <= N, as 2/4".to_owned()),
-    }
 }

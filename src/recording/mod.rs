@@ -27,7 +27,7 @@ mod run_folder;
 
 pub use column_map::{ColumnMap, Factor, Mapping};
 pub use csv_read::{CsvRows, ReadOptions, read_csv};
-pub use csv_write::{Layout, Row, number_text, write_run};
+pub use csv_write::{ColumnKind, Layout, Row, number_text, write_run};
 pub use error::{RecordingError, RowProblem};
 pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
 pub use manifest::Manifest;
