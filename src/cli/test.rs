@@ -7,6 +7,7 @@ use clap::CommandFactory as _;
 use super::arguments::shard;
 use super::failure::Failure;
 use super::output;
+use crate::app::suite::baseline::lines as drift_lines;
 use crate::app::suite::{self, SuiteRequest};
 use crate::workflow::suite::{Suite, SuiteOutcome, Verb, Verdict};
 
@@ -21,6 +22,7 @@ use crate::workflow::suite::{Suite, SuiteOutcome, Verb, Verdict};
   drivebench test bench-configs/suites/acceptance.toml                        the software drive, in virtual time
   drivebench test suite.toml --junit junit.xml --json > result.json           for a CI job
   drivebench test suite.toml --filter smoke --port /dev/ttyUSB0 --hardware    the same cases on the bench
+  drivebench test suite.toml --baseline suites/MARCH/result.json              what has drifted since then
   drivebench test suite.toml --shard 2/4                                      the second quarter, on one of four machines
 
 Each step is a command of this program, with the options that its --help has. The motor is stopped by the guard of that
@@ -53,6 +55,13 @@ pub(super) struct Arguments {
     /// Write the figures as OpenMetrics text
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
+    /// Compare what the steps that identify find with an earlier run of the same machine, or with result.json of an earlier
+    /// suite, and name what has drifted; may be given again
+    #[arg(long, value_name = "RUN")]
+    baseline: Vec<PathBuf>,
+    /// Compare also where the baseline is of another machine, or does not say of which
+    #[arg(long, requires = "baseline")]
+    any_machine: bool,
     /// List the cases and do nothing
     #[arg(long)]
     list: bool,
@@ -76,6 +85,8 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         keep: arguments.keep,
         junit: arguments.junit,
         metrics: arguments.metrics,
+        baseline: arguments.baseline,
+        any_machine: arguments.any_machine,
     };
     let outcome = suite::carry_out(&suite, &request)?;
     output::result(&outcome, arguments.json, text)?;
@@ -142,6 +153,11 @@ fn text(outcome: &SuiteOutcome) -> String {
     if wrong.len() > MOST_LINES {
         lines.push(format!("and {} more", wrong.len() - MOST_LINES));
     }
+    lines.extend(
+        drift_lines(outcome)
+            .iter()
+            .flat_map(|line| output::fitted(line)),
+    );
     lines.join("\n")
 }
 

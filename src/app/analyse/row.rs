@@ -13,13 +13,12 @@ use super::super::failure::{Failure, INTERNAL, NOT_IDENTIFIABLE};
 use super::super::identify::{OneRun, identify, is_usable};
 use super::super::output;
 use super::AnalysisRequest;
-use crate::bench::BenchFile;
 use crate::diagnosis::{Candidate, Score, diagnose};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::temperature;
 use crate::numerics::checksum::{EMPTY, fnv_1a};
 use crate::plant::{Input, Model, MotorKey, Slot};
-use crate::recording::{ColumnKind, LoadedRun, Manifest, RunFile, RunFolder, number_text};
+use crate::recording::{ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text};
 use crate::sample::{Channel, ParameterEstimate, Verdict};
 
 /// A cell of the table.
@@ -226,7 +225,7 @@ struct Found {
 /// What a run says of itself.
 struct About {
     manifest: Manifest,
-    motor: String,
+    machine: Machine,
     rows: usize,
     rows_dropped: usize,
     rows_limited: usize,
@@ -359,16 +358,12 @@ impl About {
     fn of(loaded: &LoadedRun) -> Self {
         let run = &loaded.run;
         let manifest = loaded.manifest.clone().unwrap_or_default();
-        let bench = manifest
-            .configs
-            .get("bench")
-            .and_then(|text| BenchFile::parse("bench", text).ok());
         let period = [Channel::Current, Channel::Speed]
             .into_iter()
             .find_map(|channel| run.period_s(channel));
         let (times, rows) = (run.time_s(), run.rows());
         Self {
-            motor: bench.map(|bench| bench.motor.name).unwrap_or_default(),
+            machine: manifest.machine(),
             rows,
             rows_dropped: run.rows_dropped,
             rows_limited: run.limited_rows().len(),
@@ -382,23 +377,8 @@ impl About {
         }
     }
 
-    fn identity(&self, key: &str) -> &str {
-        self.manifest
-            .identity
-            .get(key)
-            .and_then(Value::as_str)
-            .unwrap_or_default()
-    }
-
     fn statistic(&self, key: &str) -> Option<u64> {
         self.manifest.link_statistics.get(key)?.as_u64()
-    }
-
-    /// The stamp as a time that every reader of a table knows.
-    fn begin(&self) -> String {
-        let parsed = jiff::fmt::strtime::parse("%Y%m%dT%H%M%SZ", &self.manifest.stamp);
-        let civil = parsed.and_then(|time| time.to_datetime());
-        civil.map_or_else(|_| String::new(), |civil| format!("{civil}Z"))
     }
 }
 
@@ -463,10 +443,10 @@ fn cells(
         Cell::word(status.name()),
         Cell::word(reason),
         word(|about| about.manifest.name.clone()),
-        word(About::begin),
-        word(|about| about.identity("product").to_owned()),
-        word(|about| about.identity("serial_number").to_owned()),
-        word(|about| about.motor.clone()),
+        word(|about| about.manifest.began().unwrap_or_default()),
+        word(|about| about.machine.drive.clone()),
+        word(|about| about.machine.drive_serial.clone()),
+        word(|about| about.machine.motor.clone()),
         word(|about| about.manifest.link.clone()),
         word(|about| about.manifest.outcome.clone().unwrap_or_default()),
         word(|about| about.manifest.program_version.clone()),

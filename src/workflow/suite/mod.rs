@@ -21,7 +21,7 @@ use toml::Spanned;
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
 pub use limit::{Limit, entry, find};
-pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+pub use outcome::{CaseOutcome, Check, IdentifiedStep, Spread, StepOutcome, SuiteOutcome, Verdict};
 
 /// A suite file.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +58,8 @@ pub enum Need {
     Line,
     /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
     Emulator,
+    /// An earlier run of the same machine, given by `--baseline`.
+    Baseline,
 }
 
 /// One step of a case.
