@@ -186,10 +186,10 @@ impl Progress<'_> {
             None => run.clone(),
         };
         let manifest = run.as_deref().and_then(manifest_of);
+        let manifest = manifest.unwrap_or_default();
         let mut found = IdentifiedStep {
-            machine: manifest
-                .map(|manifest| manifest.machine())
-                .unwrap_or_default(),
+            machine: manifest.machine(),
+            excitation: manifest.excitation(),
             parameters: result["parameters"].clone(),
             drift: None,
         };

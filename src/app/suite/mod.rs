@@ -4,7 +4,7 @@
 //! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
 //! ```
 //!
-//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
+//! `baseline`: earlier runs and results, and what has drifted since. In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
 
 pub(crate) mod baseline;
 mod case;
