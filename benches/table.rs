@@ -25,7 +25,9 @@ rls/guarded_2 | 20 | the same, 2 parameters
 rls/plain_4 | - | plain reference form, 4 parameters, one update
 rls/plain_2 | - | the same, 2 parameters
 online/push | - | on-line identification (schemes 2 and 3), one sample
-replay/rows | - | replay of a `samples.csv`, one row
+csv/write | 1000 | a row of `samples.csv` written, four columns
+csv/read | 500 | the same read
+replay/rows | 1000 | replay of a `samples.csv` with schemes 2 and 3, one row
 fit/output_error | - | output-error fit of five parameters, 12 s at 1 kHz
 control/pi | 200 | speed controller, one cycle: PI
 control/pi_with_feed_forward | 1000 | the same with feed-forward
@@ -129,7 +131,7 @@ fn table(measurements: &Path, before: &str) -> String {
         "# Benchmarks\n\n\
          `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
          latest measurements, and leaves what was not measured anew on this machine as it is. Single figures: `cargo bench\n\
-         --bench estimation -- rls`.\n\n\
+         --bench hot_paths -- rls`.\n\n\
          Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
          and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
          parameters: a hand-written C loop 19 and 9.5 ns, padasip in Python 6,900 ns, the computer of paper A 8 and 3 ms.\n\n\
