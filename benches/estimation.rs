@@ -5,14 +5,12 @@ mod common;
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use drivebench::bench::replay;
 use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::identification::output_error;
 use drivebench::numerics::recursive_least_squares::RecursiveLeastSquares;
 use drivebench::plant::{Model, Motor};
-use drivebench::recording::{CsvRows, ReadOptions, write_run};
-use drivebench::sample::{Channel, Origin, Run, Sample};
+use drivebench::sample::{Channel, Sample};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -124,31 +122,6 @@ fn online(criterion: &mut Criterion) {
     group.finish();
 }
 
-fn replayed(criterion: &mut Criterion) {
-    let scenario = common::run_of_12_s();
-    let column = |values: Vec<f64>, run: &mut Run, channel| {
-        run.set_column(channel, values, Origin::Measured)
-            .expect("a value for each row");
-    };
-    let mut run = Run::new("run", scenario.sample_time_s.clone()).expect("times increase");
-    let volts = scenario.events.iter().map(|event| event.1).collect();
-    column(volts, &mut run, Channel::VoltageCmd);
-    column(scenario.current_a, &mut run, Channel::Current);
-    column(scenario.speed_rad_s, &mut run, Channel::Speed);
-    let csv = write_run(&run);
-    let mut group = criterion.benchmark_group("replay");
-    group.throughput(Throughput::Elements(run.rows() as u64));
-    group.sample_size(40);
-    group.bench_function("rows", |bencher| {
-        bencher.iter(|| {
-            let mut rows = CsvRows::new(csv.as_bytes(), "run", ReadOptions::default())
-                .expect("our own header");
-            replay(|| rows.next_row(), OnlineConfig::default()).map(|done| done.result())
-        });
-    });
-    group.finish();
-}
-
 fn fit(criterion: &mut Criterion) {
     let run = common::run_of_12_s();
     let noise = NoiseFloor::from_standstill(&run).expect("the run begins with a standstill");
@@ -166,6 +139,6 @@ fn fit(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = common::settings();
-    targets = guarded::<2>, guarded::<4>, online, replayed, fit
+    targets = guarded::<2>, guarded::<4>, online, fit
 }
 criterion_main!(benches);
