@@ -3,6 +3,8 @@
 mod common;
 #[path = "common/kernels.rs"]
 mod kernels;
+#[path = "common/rows.rs"]
+mod rows;
 
 use common::records;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

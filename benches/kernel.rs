@@ -3,12 +3,15 @@
 //! ```text
 //! kernel                   ids of all, with their elements
 //! kernel online/push 20    does it twenty times, prints the nanoseconds of one element
+//! kernel table             the rows that it reads, as CSV, for others to read
 //! ```
 
 #[path = "common/kernels.rs"]
 mod kernels;
 #[path = "common/records.rs"]
 mod records;
+#[path = "common/rows.rs"]
+mod rows;
 
 use std::time::Instant;
 
@@ -18,6 +21,7 @@ fn main() {
     match words.as_slice() {
         // As `cargo bench` starts every benchmark: this one waits to be asked.
         [word] if word == "--bench" => {}
+        [word] if word == "table" => print!("{}", kernels::text()),
         [] => {
             for (id, make) in kernels::ALL {
                 println!("{id} {}", make().elements);

@@ -25,9 +25,6 @@ rls/guarded_2 | 20 | the same, 2 parameters
 rls/plain_4 | - | plain reference form, 4 parameters, one update
 rls/plain_2 | - | the same, 2 parameters
 online/push | - | on-line identification (schemes 2 and 3), one sample
-csv/write | 1000 | a row of `samples.csv` written, four columns
-csv/read | 500 | the same read
-replay/rows | 1000 | replay of a `samples.csv` with schemes 2 and 3, one row
 fit/output_error | - | output-error fit of five parameters, 12 s at 1 kHz
 control/pi | 200 | speed controller, one cycle: PI
 control/pi_with_feed_forward | 1000 | the same with feed-forward
@@ -35,6 +32,10 @@ control/addc | 200 | ADDC, with its identification
 control/mrac | 1000 | MRAC
 control/paper_b | 1000 | paper B
 control/load_observer | 1000 | Kalman filter with load torque, feedback and integral
+recording/row_out | 1000 | a row of twelve columns for `samples.csv`, as a run writes it
+recording/run_out | 1000 | a row of a run of eight columns, written as a whole file
+recording/run_in | 500 | a row of twelve columns of a `samples.csv`, read
+recording/replay | 1000 | the same, read and through the on-line estimators (schemes 2 and 3); asserted: the memory does not grow
 session/addc | 5000 | whole cycle of a session: guard, on-line identification, ADDC, record, snapshot
 diagnose/nothing_missing | 500e6 | `diagnose` with a second run of 12 s, nothing missing
 diagnose/stribeck_missing | 500e6 | the same, one effect missing

@@ -14,10 +14,13 @@ use drivebench::control::{
 use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::numerics::recursive_least_squares::RecursiveLeastSquares;
 use drivebench::plant::{Model, Motor, MotorKey};
-use drivebench::recording::{CsvRows, ReadOptions, read_csv, write_run};
+use drivebench::recording::{CsvRows, ReadOptions, Row, read_csv, write_run};
 use drivebench::sample::{Channel, Origin, Run, Sample};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
+
+use crate::records::run_of_12_s;
+use crate::rows::{SIGNALS, layout, row};
 
 /// Work on so many elements (cycles, samples, rows).
 pub(crate) struct Kernel {
@@ -26,7 +29,7 @@ pub(crate) struct Kernel {
 }
 
 /// Every hot path with its id, `group/name`.
-pub(crate) const ALL: [(&str, fn() -> Kernel); 14] = [
+pub(crate) const ALL: [(&str, fn() -> Kernel); 15] = [
     ("rls/guarded_2", guarded::<2>),
     ("rls/guarded_4", guarded::<4>),
     ("rls/plain_2", plain::<2>),
@@ -38,9 +41,10 @@ pub(crate) const ALL: [(&str, fn() -> Kernel); 14] = [
     ("control/mrac", || cycles(mrac())),
     ("control/paper_b", || cycles(paper_b())),
     ("control/load_observer", || cycles(load_observer())),
-    ("csv/write", write_rows),
-    ("csv/read", read_rows),
-    ("replay/rows", replayed),
+    ("recording/row_out", row_out),
+    ("recording/run_out", run_out),
+    ("recording/run_in", run_in),
+    ("recording/replay", replayed),
 ];
 
 // Estimation.
@@ -134,7 +138,7 @@ fn plain<const N: usize>() -> Kernel {
 }
 
 fn online() -> Kernel {
-    let run = crate::records::run_of_12_s();
+    let run = run_of_12_s();
     let samples: Vec<Sample> = (0..run.sample_time_s.len())
         .map(|k| {
             Sample::at(run.sample_time_s[k])
@@ -246,57 +250,72 @@ fn load_observer() -> LoadObserving {
 
 // Records.
 
-/// 12 s at 1 kHz as a record has them.
-fn recorded() -> Run {
-    let scenario = crate::records::run_of_12_s();
-    let column = |values: Vec<f64>, run: &mut Run, channel| {
-        run.set_column(channel, values, Origin::Measured)
-            .expect("a value for each row");
-    };
-    let mut run = Run::new("run", scenario.sample_time_s.clone()).expect("times increase");
-    let volts = scenario.events.iter().map(|event| event.1).collect();
-    column(volts, &mut run, Channel::VoltageCmd);
-    column(scenario.current_a, &mut run, Channel::Current);
-    column(scenario.speed_rad_s, &mut run, Channel::Speed);
-    run
+const RECORDED: usize = 20_000;
+
+/// A `samples.csv`.
+pub(crate) fn text() -> String {
+    let layout = layout();
+    let mut text = layout.header();
+    for k in 0..RECORDED {
+        layout.push_line(&row(k), &mut text);
+    }
+    text
 }
 
-fn write_rows() -> Kernel {
-    let run = recorded();
-    let elements = run.rows();
+fn row_out() -> Kernel {
+    let (layout, rows): (_, Vec<Row>) = (layout(), (0..RECORDED).map(row).collect());
+    let mut line = String::new();
     let work = move || {
-        black_box(write_run(black_box(&run)));
+        for row in &rows {
+            line.clear();
+            layout.push_line(black_box(row), &mut line);
+        }
     };
     Kernel {
-        elements,
+        elements: RECORDED,
         work: Box::new(work),
     }
 }
 
-fn read_rows() -> Kernel {
-    let run = recorded();
-    let (csv, elements) = (write_run(&run), run.rows());
+fn run_out() -> Kernel {
+    let rows: Vec<Row> = (0..RECORDED).map(row).collect();
+    let mut run = Run::new("run", rows.iter().map(|row| row.time_s).collect()).expect("rising");
+    for channel in SIGNALS {
+        let values = rows.iter().map(|row| row.get(channel).unwrap_or(f64::NAN));
+        run.set_column(channel, values.collect(), Origin::Measured)
+            .expect("a value for each row");
+    }
     let work = move || {
-        let read = read_csv(black_box(csv.as_bytes()), "run", ReadOptions::default());
+        black_box(write_run(black_box(&run)));
+    };
+    Kernel {
+        elements: RECORDED,
+        work: Box::new(work),
+    }
+}
+
+fn run_in() -> Kernel {
+    let text = text();
+    let work = move || {
+        let read = read_csv(black_box(text.as_bytes()), "run", ReadOptions::default());
         black_box(read.expect("our own table"));
     };
     Kernel {
-        elements,
+        elements: RECORDED,
         work: Box::new(work),
     }
 }
 
 fn replayed() -> Kernel {
-    let run = recorded();
-    let (csv, elements) = (write_run(&run), run.rows());
+    let text = text();
     let work = move || {
-        let csv = black_box(csv.as_bytes());
-        let mut rows = CsvRows::new(csv, "run", ReadOptions::default()).expect("our own header");
+        let text = black_box(text.as_bytes());
+        let mut rows = CsvRows::new(text, "run", ReadOptions::default()).expect("our own header");
         let done = replay(|| rows.next_row(), OnlineConfig::default()).map(|done| done.result());
         black_box(done.expect("our own rows"));
     };
     Kernel {
-        elements,
+        elements: RECORDED,
         work: Box::new(work),
     }
 }
