@@ -1,6 +1,8 @@
 //! What a row costs: written by a run and as a whole file, read, and read again through the on-line estimators; and that
 //! the memory does not grow meanwhile.
 
+mod common;
+
 use std::io::{self, Read};
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -9,7 +11,8 @@ use drivebench::identification::online::OnlineConfig;
 use drivebench::recording::{CsvRows, Layout, ReadOptions, Row, read_csv, write_run};
 use drivebench::sample::{Channel, Origin, Run};
 
-const ROWS: usize = 100_000;
+/// Few, so that a sample is short: on a shared machine the least of them is near the truth.
+const ROWS: usize = 2_000;
 const ALL_ROWS: usize = 5_000_000;
 /// The twelve columns of our own drive: these and `time_s`, `host_time_s`, `seq`, `status`, `quality`.
 const SIGNALS: [Channel; 7] = [
@@ -130,12 +133,13 @@ fn memory() {
 }
 
 fn recording(criterion: &mut Criterion) {
-    memory();
+    if !std::env::args().any(|argument| argument == "--profile-time") {
+        memory();
+    }
     let (text, run, layout) = (text(ROWS), run(ROWS), layout());
     let rows: Vec<Row> = (0..ROWS).map(row).collect();
     let mut group = criterion.benchmark_group("recording");
     group.throughput(Throughput::Elements(ROWS as u64));
-    group.sample_size(20);
     group.bench_function("row_out", |bencher| {
         let mut line = String::new();
         bencher.iter(|| {
@@ -161,7 +165,7 @@ fn recording(criterion: &mut Criterion) {
 
 criterion_group! {
     name = benches;
-    config = Criterion::default().configure_from_args();
+    config = common::settings();
     targets = recording
 }
 criterion_main!(benches);

@@ -1,8 +1,10 @@
-//! Rows and runs that the benchmarks share.
+//! Rows and runs that the benchmarks share; each of them needs its part.
 //!
 //! ```text
 //! estimation, simulation, diagnosis -> target/criterion/*/new/*.json -> table -> docs/benchmarks.md
 //! ```
+
+#![allow(dead_code, reason = "each benchmark needs its part")]
 
 use std::time::Duration;
 
