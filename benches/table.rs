@@ -46,6 +46,11 @@ screen/frame_200x50 | 1666e3 | the same, 200x50
 free_run/baseline | 0.5e6 | free run of the baseline, 12 s at 1 kHz
 free_run/baseline_stamped_commands | - | the same, every command applied at an instant of its own";
 
+/// The heading of what others need for the same.
+const BESIDE: &str = "## Beside others\n\n\
+`.ci/performance/run.sh` measures all of this page and does the same work with others, in turn, in one run: the ratio of a\n\
+round is taken before the median, so that a machine that becomes slower makes both slower.\n\n";
+
 /// Effects with a second mass take four states.
 const TWO_MASS: [&str; 2] = ["elastic_coupling", "backlash"];
 
@@ -132,10 +137,10 @@ fn table(measurements: &Path, before: &str) -> String {
         "# Benchmarks\n\n\
          `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
          latest measurements, and leaves what was not measured anew on this machine as it is. Single figures: `cargo bench\n\
-         --bench estimation -- rls`.\n\n\
+         --bench hot_paths -- rls`.\n\n\
          Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
          and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
-         parameters: a hand-written C loop 19 and 9.5 ns, padasip in Python 6,900 ns, the computer of paper A 8 and 3 ms.\n\n\
+         parameters took the computer of paper A 8 and 3 ms.\n\n\
          | what | asked | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
         machine()
     );
@@ -169,6 +174,15 @@ fn table(measurements: &Path, before: &str) -> String {
         };
         let _ = writeln!(out, "{line}");
     }
+    let _ = write!(out, "\n{BESIDE}");
+    let peers = fs::read_to_string(measurements.join("peers.md")).ok();
+    let kept = before.split_once(BESIDE).filter(|_| is_same);
+    out.push_str(
+        peers
+            .as_deref()
+            .or(kept.map(|(_, kept)| kept))
+            .unwrap_or("Not measured on this machine.\n"),
+    );
     out
 }
 
