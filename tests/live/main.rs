@@ -14,6 +14,7 @@ mod witness;
 
 mod burst;
 mod c_slave;
+mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;
