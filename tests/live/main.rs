@@ -14,6 +14,7 @@ mod witness;
 
 mod burst;
 mod c_slave;
+mod commission;
 mod fault_trials;
 mod init;
 mod link_contract;
@@ -25,4 +26,3 @@ mod screen;
 mod speed;
 mod tools;
 mod ways_out;
-mod whole_loop;
