@@ -252,6 +252,9 @@ fn write_results(
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
     let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
     if let Some(path) = &request.junit {
         files.push((path.clone(), junit::document(outcome)));
     }

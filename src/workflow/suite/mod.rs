@@ -20,8 +20,10 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
-pub use limit::{Limit, entry, find};
-pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+pub use limit::{Limit, answered, entry, figure, find};
+pub use outcome::{
+    Answered, CaseOutcome, Check, Confusion, Spread, StepOutcome, SuiteOutcome, Verdict,
+};
 
 /// A suite file.
 #[derive(Clone, Debug, PartialEq)]
