@@ -261,7 +261,10 @@ impl Progress<'_> {
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
         }
-        if !verb.is_live() && verb != Verb::Plan {
+        if verb == Verb::Probe {
+            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+        }
+        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
             let run = match given("run") {
                 Some(run) => Some(self.resolved(run)?),
                 None => self.last_run().map(|run| run.display().to_string()),

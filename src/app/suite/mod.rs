@@ -7,6 +7,7 @@
 //! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
 
 mod case;
+pub(crate) mod golden;
 mod process;
 
 use std::collections::VecDeque;

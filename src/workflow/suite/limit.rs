@@ -5,7 +5,7 @@
 //! "< 1.5", "<= 1.5", "> 0", ">= 0"     beyond one bound
 //! 1.1, "none", true                   equal; for a list of words: exactly this one, or empty for "none"
 //! ["cogging", "supply_sag"]           a list of exactly these words, in any order
-//! "~ locked"                          a text that has this in it, capitals aside
+//! "~ locked"                          a text, or a word of a list, that has this in it, capitals aside
 //! { value = 1.1, within = 0.05 }      absolute tolerance
 //! { value = 1.1, within_percent = 5 } relative tolerance
 //! ```
@@ -36,7 +36,7 @@ pub enum Limit {
     Word(String),
     /// A list of these words, in their order.
     Words(Vec<String>),
-    /// A text with this in it, in small letters.
+    /// A text, or a list of words one of them, with this in it, in small letters.
     Has(String),
     Flag(bool),
     /// A list without an entry, or a key without a value.
@@ -149,6 +149,10 @@ impl Limit {
             (Self::Nothing, Some(Value::String(word))) => word == "none",
             (Self::Word(word), Some(Value::String(found))) => word == found,
             (Self::Has(part), Some(Value::String(found))) => found.to_lowercase().contains(part),
+            (Self::Has(part), Some(Value::Array(list))) => {
+                let mut words = list.iter().filter_map(Value::as_str);
+                words.any(|word| word.to_lowercase().contains(part))
+            }
             (Self::Word(word), Some(Value::Array(list))) => {
                 matches!(&list[..], [Value::String(only)] if only == word)
             }
@@ -305,9 +309,10 @@ pub fn answered(result: &Value) -> Option<Answered> {
     })
 }
 
-/// The words of a list that has any.
+/// The words of a list that has any, in one order.
 fn words(list: &Value) -> Option<String> {
-    let words: Vec<&str> = list.as_array()?.iter().filter_map(Value::as_str).collect();
+    let mut words: Vec<&str> = list.as_array()?.iter().filter_map(Value::as_str).collect();
+    words.sort_unstable();
     (!words.is_empty()).then(|| words.join(" + "))
 }
 
@@ -364,6 +369,8 @@ mod tests {
             holds("\"cogging\"", &json!(["cogging"])) && holds("\"cogging\"", &json!("cogging"))
         );
         assert!(!holds("\"cogging\"", &json!(["cogging", "backlash"])));
+        let names = json!(["cogging", "backlash"]);
+        assert!(holds("\"~ back\"", &names) && !holds("\"~ sag\"", &names));
         assert!(holds("[\"b\", \"a\"]", &json!(["a", "b"])));
         assert!(!holds("[\"b\", \"a\"]", &json!(["a"])));
         assert!(!holds("[\"b\", \"a\"]", &json!(["a", "b", "c"])));
