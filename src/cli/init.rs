@@ -140,7 +140,7 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
     if Port::parse(port).is_none() {
         return Err(Failure::usage(
             format!("--port {port:?} is not a port"),
-            "a serial port, tcp:HOST:PORT, sim: or emulator; `drivebench ports` lists what is plugged in",
+            "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator; `drivebench ports` lists what is plugged in",
         ));
     }
     let (mut profile, _) = opening::profile(drive)?;

@@ -5,7 +5,7 @@
 //!                                   ^ pure function of drive time
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
-//!   memory.rs  virtual time --------+
+//!   memory.rs, line.rs  virtual time, without bytes and with them
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
@@ -13,6 +13,7 @@ mod config;
 mod dialogue;
 mod drive;
 mod foreign;
+mod line;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -23,6 +24,7 @@ mod session;
 mod tcp;
 pub mod truth;
 
+pub use crate::drive::VirtualClock;
 pub use config::{
     BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
     OutputOff,
@@ -30,5 +32,6 @@ pub use config::{
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
-pub use memory::{Latency, MemoryLink, VirtualClock};
+pub use line::open_line;
+pub use memory::{Latency, MemoryLink};
 pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

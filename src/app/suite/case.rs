@@ -14,8 +14,8 @@ use crate::app::{opening, output};
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Action, Answered, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb,
-    Verdict, answered, figure, find, reference,
+    Action, Answered, CASE, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb,
+    Verdict, answered, figure, find, is_written, reference,
 };
 
 /// What all cases of a suite have in common.
@@ -303,6 +303,9 @@ impl Progress<'_> {
             match value {
                 toml::Value::Boolean(true) => words.push(name),
                 toml::Value::Boolean(false) => {}
+                toml::Value::String(text) if is_written(key) => {
+                    words.extend([name, self.folder.join(text).display().to_string()]);
+                }
                 toml::Value::String(text) => words.extend([name, self.resolved(text)?]),
                 other => words.extend([name, other.to_string()]),
             }
@@ -316,6 +319,9 @@ impl Progress<'_> {
         let Some((name, rest)) = reference(text) else {
             return Ok(text.to_owned());
         };
+        if name == CASE {
+            return Ok(format!("{}{rest}", self.folder.display()));
+        }
         let run = self.left.get(name).and_then(|left| left.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))

@@ -73,7 +73,7 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
             let headline = format!("case {:?}: {port:?} is not a port", case.name);
             return Err(Failure::usage(
                 headline,
-                "a serial port, tcp:HOST:PORT, sim: or emulator",
+                "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator",
             ));
         }
         for repeat in 0..case.repeat {
@@ -126,8 +126,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
             output::refuse_existing(path, option)?;
         }
     }
-    let is_real =
-        |job: &Job<'_>| !matches!(Port::parse(&job.port), Some(Port::Sim | Port::Emulator));
+    let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
     if !request.hardware && jobs.iter().any(is_real) {
         consent(jobs.iter().filter(|job| is_real(job)).count())?;
     }
@@ -144,7 +143,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     let (in_memory, on_a_line): (Vec<_>, Vec<_>) = jobs
         .iter()
         .enumerate()
-        .partition(|(_, job)| matches!(Port::parse(&job.port), Some(Port::Sim)));
+        .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
     // Real time first and alone: what is done beside it would make its cycles late.
     for (part, at_once) in [(on_a_line, 1), (in_memory, cores)] {
         let queue = Mutex::new(VecDeque::from(part));
@@ -219,7 +218,7 @@ fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
     if hardware && wants_emulator {
         return Some("it sets up the software drive, and this one is real".to_owned());
     }
-    let is_in_memory = matches!(Port::parse(&job.port), Some(Port::Sim));
+    let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     (is_in_memory && case.needs.contains(&Need::Line))
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
