@@ -14,8 +14,8 @@ use crate::app::{opening, output};
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Action, CASE, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb, Verdict,
-    find, is_written, reference,
+    Action, Answered, CASE, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb,
+    Verdict, answered, figure, find, is_written, reference,
 };
 
 /// What all cases of a suite have in common.
@@ -70,6 +70,7 @@ struct Progress<'a> {
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
     outcomes: Vec<StepOutcome>,
+    answers: Vec<Answered>,
 }
 
 /// Carries a case out. `folder` is made for it.
@@ -84,6 +85,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         last: None,
         changed: toml::Table::new(),
         outcomes: Vec::new(),
+        answers: Vec::new(),
     };
     let made = fs::create_dir_all(folder)
         .map_err(|error| Ended::error(format!("cannot create {}: {error}", folder.display())));
@@ -101,6 +103,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
+        answers: progress.answers,
     }
 }
 
@@ -226,6 +229,7 @@ impl Progress<'_> {
             figures.insert("took_s".to_owned(), done.took_s.into());
             figures.insert("error".to_owned(), error.into());
         }
+        self.answers.extend(answered(&result));
         let recorded = match verb {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
@@ -257,7 +261,10 @@ impl Progress<'_> {
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
         }
-        if !verb.is_live() && verb != Verb::Plan {
+        if verb == Verb::Probe {
+            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+        }
+        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
             let run = match given("run") {
                 Some(run) => Some(self.resolved(run)?),
                 None => self.last_run().map(|run| run.display().to_string()),
@@ -365,7 +372,7 @@ impl Progress<'_> {
                 let found = find(&left.result, key);
                 Check {
                     key: key.clone(),
-                    value: found.as_ref().and_then(Value::as_f64),
+                    value: found.as_ref().and_then(figure),
                     failure: limit.fails(found.as_ref()),
                 }
             })

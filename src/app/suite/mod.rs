@@ -7,6 +7,7 @@
 //! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
 
 mod case;
+pub(crate) mod golden;
 mod process;
 
 use std::collections::VecDeque;
@@ -251,6 +252,9 @@ fn write_results(
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
     let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
     if let Some(path) = &request.junit {
         files.push((path.clone(), junit::document(outcome)));
     }

@@ -8,6 +8,7 @@
 //! Pure: which process does a step, and in which folder, is the driver's concern. The motor is stopped by the guard of the
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
+pub mod golden;
 pub mod junit;
 mod limit;
 pub mod open_metrics;
@@ -20,8 +21,10 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
-pub use limit::{Limit, entry, find};
-pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+pub use limit::{Limit, answered, entry, figure, find};
+pub use outcome::{
+    Answered, CaseOutcome, Check, Confusion, Spread, StepOutcome, SuiteOutcome, Verdict,
+};
 
 /// A suite file.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,6 +134,7 @@ impl SignalLimit {
 /// The verbs of steps and the commands that they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verb {
+    Probe,
     Plan,
     Commission,
     Excite,
@@ -143,7 +147,8 @@ pub enum Verb {
 
 impl Verb {
     /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 8] = [
+    pub const ALL: [(Self, &'static str, &'static str); 9] = [
+        (Self::Probe, "probe", "probe"),
         (Self::Plan, "plan", "plan"),
         (Self::Commission, "commission", "commission"),
         (Self::Excite, "excite", "run"),
@@ -223,6 +228,7 @@ struct StepKeys {
     name: Option<String>,
     timeout_s: Option<f64>,
     status: Option<Statuses>,
+    probe: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
     excite: Option<Spanned<toml::Table>>,
@@ -241,6 +247,7 @@ struct StepKeys {
 impl StepKeys {
     fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
         let table = match verb {
+            Verb::Probe => &mut self.probe,
             Verb::Plan => &mut self.plan,
             Verb::Commission => &mut self.commission,
             Verb::Excite => &mut self.excite,
