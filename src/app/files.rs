@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-use super::export::parquet;
+use super::export::samples_as_parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
@@ -282,7 +282,7 @@ impl Recorded {
         let columns = recorded
             .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
             .map_err(|error| error.to_string())
-            .and_then(|table| parquet(&table));
+            .and_then(|table| samples_as_parquet(&table));
         match columns {
             Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
             Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),
