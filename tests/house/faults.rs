@@ -34,7 +34,9 @@ fn tests() -> BTreeSet<String> {
         let text = read(&path.display().to_string());
         let mut is_test = false;
         for line in text.lines().map(str::trim) {
-            let name = line.strip_prefix("fn ").and_then(|rest| rest.split_once('('));
+            let name = line
+                .strip_prefix("fn ")
+                .and_then(|rest| rest.split_once('('));
             if let (true, Some((name, _))) = (is_test, name) {
                 names.insert(name.to_owned());
             }
