@@ -3,16 +3,19 @@
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
+//!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
-//!   memory.rs  virtual time --------+
+//!   memory.rs, line.rs  virtual time, without bytes and with them
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
 mod config;
 mod dialogue;
 mod drive;
+mod fault;
 mod foreign;
+mod line;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -20,15 +23,19 @@ mod pace;
 mod pty;
 mod server;
 mod session;
+mod spoiler;
 mod tcp;
 pub mod truth;
 
+pub use crate::drive::VirtualClock;
 pub use config::{
     BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
     OutputOff,
 };
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
+pub use fault::{FaultEntry, FaultKind};
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
-pub use memory::{Latency, MemoryLink, VirtualClock};
+pub use line::open_line;
+pub use memory::{Latency, MemoryLink};
 pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

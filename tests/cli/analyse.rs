@@ -181,7 +181,8 @@ fn what_is_no_run_is_said_before_anything_is_written() {
 
 /// The blocks of a page that stand behind `<!-- tool: name -->`.
 fn blocks(page: &str, tool: &str) -> Vec<(String, String)> {
-    let parts = page.split(&format!("<!-- {tool}: ")).skip(1);
+    let mark = format!("<!-- {tool}: ");
+    let parts = page.split(&mark).skip(1);
     let blocks = parts.map(|part| {
         let (name, rest) = part.split_once(" -->").unwrap();
         let code = rest.split("```").nth(1).unwrap();

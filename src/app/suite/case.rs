@@ -15,8 +15,8 @@ use crate::app::{opening, output};
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Action, Case, CaseOutcome, Check, IdentifiedStep, Limit, SignalLimit, Step, StepOutcome, Verb,
-    Verdict, find, reference,
+    Action, Answered, CASE, Case, CaseOutcome, Check, IdentifiedStep, Limit, SignalLimit, Step,
+    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
 /// What all cases of a suite have in common.
@@ -72,6 +72,7 @@ struct Progress<'a> {
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
     outcomes: Vec<StepOutcome>,
+    answers: Vec<Answered>,
 }
 
 /// Carries a case out. `folder` is made for it.
@@ -86,6 +87,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         last: None,
         changed: toml::Table::new(),
         outcomes: Vec::new(),
+        answers: Vec::new(),
     };
     let made = fs::create_dir_all(folder)
         .map_err(|error| Ended::error(format!("cannot create {}: {error}", folder.display())));
@@ -103,6 +105,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
+        answers: progress.answers,
     }
 }
 
@@ -312,6 +315,7 @@ impl Progress<'_> {
             figures.insert("took_s".to_owned(), done.took_s.into());
             figures.insert("error".to_owned(), error.into());
         }
+        self.answers.extend(answered(&result));
         let recorded = match verb {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
@@ -343,7 +347,10 @@ impl Progress<'_> {
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
         }
-        if !verb.is_live() && verb != Verb::Plan {
+        if verb == Verb::Probe {
+            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+        }
+        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
             let run = match given("run") {
                 Some(run) => Some(self.resolved(run)?),
                 None => self.last_run().map(|run| run.display().to_string()),
@@ -382,6 +389,9 @@ impl Progress<'_> {
             match value {
                 toml::Value::Boolean(true) => words.push(name),
                 toml::Value::Boolean(false) => {}
+                toml::Value::String(text) if is_written(key) => {
+                    words.extend([name, self.folder.join(text).display().to_string()]);
+                }
                 toml::Value::String(text) => words.extend([name, self.resolved(text)?]),
                 other => words.extend([name, other.to_string()]),
             }
@@ -395,6 +405,9 @@ impl Progress<'_> {
         let Some((name, rest)) = reference(text) else {
             return Ok(text.to_owned());
         };
+        if name == CASE {
+            return Ok(format!("{}{rest}", self.folder.display()));
+        }
         let run = self.left.get(name).and_then(|left| left.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))
@@ -450,7 +463,7 @@ impl Progress<'_> {
                 let found = find(&left.result, key);
                 Check {
                     key: key.clone(),
-                    value: found.as_ref().and_then(Value::as_f64),
+                    value: found.as_ref().and_then(figure),
                     failure: limit.fails(found.as_ref()),
                 }
             })

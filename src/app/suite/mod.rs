@@ -8,6 +8,7 @@
 
 pub(crate) mod baseline;
 mod case;
+pub(crate) mod golden;
 mod process;
 
 use std::collections::VecDeque;
@@ -77,7 +78,7 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
             let headline = format!("case {:?}: {port:?} is not a port", case.name);
             return Err(Failure::usage(
                 headline,
-                "a serial port, tcp:HOST:PORT, sim: or emulator",
+                "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator",
             ));
         }
         for repeat in 0..case.repeat {
@@ -130,8 +131,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
             output::refuse_existing(path, option)?;
         }
     }
-    let is_real =
-        |job: &Job<'_>| !matches!(Port::parse(&job.port), Some(Port::Sim | Port::Emulator));
+    let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
     if !request.hardware && jobs.iter().any(is_real) {
         consent(jobs.iter().filter(|job| is_real(job)).count())?;
     }
@@ -149,7 +149,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     let (in_memory, on_a_line): (Vec<_>, Vec<_>) = jobs
         .iter()
         .enumerate()
-        .partition(|(_, job)| matches!(Port::parse(&job.port), Some(Port::Sim)));
+        .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
     // Real time first and alone: what is done beside it would make its cycles late.
     for (part, at_once) in [(on_a_line, 1), (in_memory, cores)] {
         let queue = Mutex::new(VecDeque::from(part));
@@ -228,7 +228,7 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
         return Some("it compares with an earlier run, and there is no --baseline".to_owned());
     }
-    let is_in_memory = matches!(Port::parse(&job.port), Some(Port::Sim));
+    let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     (is_in_memory && case.needs.contains(&Need::Line))
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
@@ -262,6 +262,9 @@ fn write_results(
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
     let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
     if let Some(path) = &request.junit {
         files.push((path.clone(), junit::document(outcome)));
     }
