@@ -13,6 +13,7 @@ mod row;
 mod table;
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -82,6 +83,27 @@ impl Analysed {
             Status::NotIdentified => &mut self.not_identified,
             Status::Unread => &mut self.unread,
         } += 1;
+    }
+
+    /// The sums in one line.
+    pub(crate) fn text(&self) -> String {
+        let mut text = format!(
+            "{}: {} runs, {} ok, {} not identified, {} unread",
+            self.output.as_deref().unwrap_or_default(),
+            self.runs,
+            self.ok,
+            self.not_identified,
+            self.unread
+        );
+        for (count, what) in [
+            (self.kept, "rows kept from before"),
+            (self.left_out, "rows of runs that are not named left out"),
+        ] {
+            if count > 0 {
+                let _ = write!(text, "; {count} {what}");
+            }
+        }
+        text
     }
 
     /// The failure of runs that could not be read, if any.
