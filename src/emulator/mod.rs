@@ -6,6 +6,7 @@
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs  virtual time --------+
+//!   journal.rs what the motor does, row by row, for whoever judges a host
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
@@ -13,6 +14,7 @@ mod config;
 mod dialogue;
 mod drive;
 mod foreign;
+mod journal;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -30,5 +32,6 @@ pub use config::{
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
+pub use journal::{Journal, JournalRow};
 pub use memory::{Latency, MemoryLink, VirtualClock};
-pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

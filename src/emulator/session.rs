@@ -133,6 +133,7 @@ impl Session {
         let seen_until = if self.gone { f64::INFINITY } else { now };
         while let Some((at, byte)) = due(&mut self.incoming, seen_until) {
             far.drive.advance_to(at);
+            far.drive.asked_by(self.number);
             let (commander, number) = (&mut *far.commander, self.number);
             let may_command = &mut || commander.takes(number, at);
             let pushed = self

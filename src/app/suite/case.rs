@@ -300,6 +300,9 @@ impl Progress<'_> {
                 other => words.extend([name, other.to_string()]),
             }
         }
+        if verb == Verb::Connect {
+            words.push("--check".to_owned());
+        }
         words.push("--json".to_owned());
         Ok(words)
     }

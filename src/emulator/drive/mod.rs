@@ -198,6 +198,15 @@ impl SoftDrive {
         self.fault
     }
 
+    /// What its output is told to be, V; 0 while it is off.
+    pub(super) fn output_v(&self) -> f64 {
+        if self.state == State::Running {
+            self.output.volts
+        } else {
+            0.0
+        }
+    }
+
     /// The true parameters of this specimen: for tests, and for the one who reveals a mystery.
     pub const fn truth(&self) -> &MotorTruth {
         &self.specimen

@@ -131,6 +131,7 @@ impl SignalLimit {
 /// The verbs of steps and the commands that they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verb {
+    Connect,
     Plan,
     Commission,
     Excite,
@@ -143,7 +144,8 @@ pub enum Verb {
 
 impl Verb {
     /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 8] = [
+    pub const ALL: [(Self, &'static str, &'static str); 9] = [
+        (Self::Connect, "connect", "run"),
         (Self::Plan, "plan", "plan"),
         (Self::Commission, "commission", "commission"),
         (Self::Excite, "excite", "run"),
@@ -161,7 +163,10 @@ impl Verb {
 
     /// Whether it opens a link, and may move the motor.
     pub const fn is_live(self) -> bool {
-        matches!(self, Self::Commission | Self::Excite | Self::Speed)
+        matches!(
+            self,
+            Self::Connect | Self::Commission | Self::Excite | Self::Speed
+        )
     }
 }
 
@@ -223,6 +228,7 @@ struct StepKeys {
     name: Option<String>,
     timeout_s: Option<f64>,
     status: Option<Statuses>,
+    connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
     excite: Option<Spanned<toml::Table>>,
@@ -241,6 +247,7 @@ struct StepKeys {
 impl StepKeys {
     fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
         let table = match verb {
+            Verb::Connect => &mut self.connect,
             Verb::Plan => &mut self.plan,
             Verb::Commission => &mut self.commission,
             Verb::Excite => &mut self.excite,
