@@ -16,7 +16,7 @@ use super::dialogue::{Answering, Received};
 
 /// Columns of the file. `time_s` is `CLOCK_MONOTONIC` of this machine, so that other processes can tell what was when.
 const COLUMNS: &str =
-    "time_s,set_point_v,output_on,voltage_v,current_a,speed_rad_s,state,fault,host,late_s";
+    "time_s,set_point_v,output_on,voltage_v,current_a,speed_rad_s,state,fault,host,seq,late_s";
 /// Changes are seen this far apart, s.
 const STEP_S: f64 = 0.001;
 /// Between two rows where nothing changes, s.
@@ -40,6 +40,8 @@ pub struct JournalRow {
     pub fault: String,
     /// Number of the connection that asked last, in the order in which they were made; empty before the first.
     pub host: Option<u64>,
+    /// Low 16 bits of the number of the last command that was applied.
+    pub seq: u16,
     /// So much later than its instant it was written, s: a drive that is kept from running sees nothing.
     pub late_s: f64,
 }
@@ -48,7 +50,7 @@ impl JournalRow {
     fn text(&self) -> String {
         let host = self.host.map_or_else(String::new, |host| host.to_string());
         format!(
-            "{:.4},{},{},{:.4},{:.4},{:.4},{},{},{host},{:.4}\n",
+            "{:.4},{},{},{:.4},{:.4},{:.4},{},{},{host},{},{:.4}\n",
             self.time_s,
             self.set_point_v,
             u8::from(self.output_on),
@@ -57,13 +59,14 @@ impl JournalRow {
             self.speed_rad_s,
             self.state,
             self.fault,
+            self.seq,
             self.late_s
         )
     }
 
     /// A row of the file; `None`: it is none, or not whole.
     pub fn parse(line: &str) -> Option<Self> {
-        let cells: [&str; 10] = line.split(',').collect::<Vec<_>>().try_into().ok()?;
+        let cells: [&str; 11] = line.split(',').collect::<Vec<_>>().try_into().ok()?;
         let number = |at: usize| cells[at].parse::<f64>().ok();
         Some(Self {
             time_s: number(0)?,
@@ -75,7 +78,8 @@ impl JournalRow {
             state: cells[6].to_owned(),
             fault: cells[7].to_owned(),
             host: cells[8].parse().ok(),
-            late_s: number(9)?,
+            seq: cells[9].parse().ok()?,
+            late_s: number(10)?,
         })
     }
 
@@ -86,6 +90,7 @@ impl JournalRow {
             || self.state != other.state
             || self.fault != other.fault
             || self.host != other.host
+            || self.seq != other.seq
     }
 }
 
@@ -123,6 +128,7 @@ impl Journal {
             state: state(drive.state()).to_owned(),
             fault: drive.fault().name().to_owned(),
             host: self.host,
+            seq: drive.seq(),
             late_s: (now_s - drive.time_s()).max(0.0),
         };
         let is_due = self

@@ -34,4 +34,7 @@ pub use drive::SoftDrive;
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
 pub use journal::{Journal, JournalRow};
 pub use memory::{Latency, MemoryLink, VirtualClock};
+#[cfg(target_os = "linux")]
+pub(crate) use pty::PtyPort;
 pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+pub(crate) use session::Port;

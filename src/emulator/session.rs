@@ -18,10 +18,10 @@ pub(super) const HAND_OVER_S: f64 = 2.0;
 
 /// The host has gone; what it wrote before was read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Gone;
+pub(crate) struct Gone;
 
 /// One connection to a host.
-pub(super) trait Port {
+pub(crate) trait Port {
     /// Waits at most `timeout` for bytes; 0: none came.
     fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone>;
 

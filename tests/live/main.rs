@@ -23,6 +23,7 @@ mod reopen;
 mod run;
 mod screen;
 mod speed;
+mod suite_host;
 mod tools;
 mod ways_out;
 mod whole_loop;

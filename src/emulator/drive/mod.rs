@@ -198,6 +198,11 @@ impl SoftDrive {
         self.fault
     }
 
+    /// Number of the last command that was applied.
+    pub(super) const fn seq(&self) -> u16 {
+        self.seq
+    }
+
     /// What its output is told to be, V; 0 while it is off.
     pub(super) fn output_v(&self) -> f64 {
         if self.state == State::Running {

@@ -8,8 +8,10 @@
 //! Pure: which process does a step, and in which folder, is the driver's concern. The motor is stopped by the guard of the
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
+mod host;
 pub mod junit;
 mod limit;
+mod motor;
 pub mod open_metrics;
 mod outcome;
 
@@ -20,7 +22,9 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
+pub use host::{Act, HostAct};
 pub use limit::{Limit, entry, find};
+pub use motor::{MotorFigures, figures};
 pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
 
 /// A suite file.
@@ -50,6 +54,14 @@ pub struct Case {
     pub steps: Vec<Step>,
 }
 
+impl Case {
+    /// Whether its software drive is a process of its own.
+    pub fn has_own_drive(&self) -> bool {
+        let has_act = |step: &Step| matches!(step.action, Action::Command { host: Some(_), .. });
+        self.needs.contains(&Need::Process) || self.steps.iter().any(has_act)
+    }
+}
+
 /// What only some ways of running have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -58,6 +70,9 @@ pub enum Need {
     Line,
     /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
     Emulator,
+    /// The software drive in a process of its own, which outlives the command and keeps a journal of its motor. So it is for
+    /// every case in which something is done to the command.
+    Process,
 }
 
 /// One step of a case.
@@ -79,6 +94,8 @@ pub enum Action {
         options: Vec<(String, toml::Value)>,
         /// Exit statuses that are as they should be.
         statuses: Vec<u8>,
+        /// What is done to it while it runs.
+        host: Option<HostAct>,
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
     Fault(toml::Table),
@@ -228,6 +245,7 @@ struct StepKeys {
     name: Option<String>,
     timeout_s: Option<f64>,
     status: Option<Statuses>,
+    host: Option<HostAct>,
     connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
@@ -358,6 +376,10 @@ fn read_step(
         Some(Statuses::One(status)) => vec![status],
         Some(Statuses::Any(statuses)) => statuses,
     };
+    let host = keys.host;
+    if let Some((what, help)) = host.and_then(|host| host.refusal()) {
+        return Err((at, what, help));
+    }
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
@@ -365,6 +387,7 @@ fn read_step(
                 verb,
                 options,
                 statuses: statuses.clone(),
+                host,
             };
             found.push((word, action));
         }
@@ -390,6 +413,12 @@ fn read_step(
     if has_status && !is_command {
         let what = "status stands without a command".to_owned();
         let help = "give it to the step whose exit status it is".to_owned();
+        return Err((at, what, help));
+    }
+    let is_live = matches!(action, Action::Command { verb, .. } if verb.is_live());
+    if host.is_some() && !is_live {
+        let what = "host stands without a command that opens a link".to_owned();
+        let help = "give it to connect, commission, excite or speed".to_owned();
         return Err((at, what, help));
     }
     Ok(Step {
@@ -577,6 +606,16 @@ timeout_s = 9.0
                 "status stands without a command",
             ),
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
+            (
+                "speed = {}",
+                "speed = {}\nhost = { act = \"kil\" }",
+                "unknown variant `kil`",
+            ),
+            (
+                "speed = {}\nstatus = 4",
+                "identify = {}\nhost = { act = \"kill\" }",
+                "host stands without a command that opens a link",
+            ),
             (
                 "of = \"fit\"",
                 "of = \"fir\"",
