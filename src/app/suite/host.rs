@@ -34,6 +34,8 @@ const WAITS_S: f64 = 0.02;
 const KEYS_S: f64 = 0.5;
 /// What stood still so long before the act still counts, s.
 const BEFORE_S: f64 = 1.0;
+/// With one of these a command says that its link is lost.
+const LOST: [&str; 3] = ["link silent", "link is gone", "link lost"];
 /// Status of a command that SIGKILL has ended, as a shell gives it.
 const KILLED: u8 = 137;
 /// Columns and rows of a screen.
@@ -399,7 +401,8 @@ impl Watched<'_> {
         let loses = self.stage.act.act.is_on_line() || self.stage.act.act == Act::KillDrive;
         if loses && self.lost_s.is_none() {
             let said = fs::read_to_string(&self.stderr).unwrap_or_default();
-            self.lost_s = said.contains("link lost").then_some(now_s);
+            let is_said = LOST.iter().any(|words| said.contains(words));
+            self.lost_s = is_said.then_some(now_s);
         }
     }
 

@@ -136,7 +136,11 @@ pub(super) fn attend(
 ) -> io::Result<Done> {
     let watch = Watch::start();
     let end = loop {
-        look(&mut child)?;
+        if let Err(error) = look(&mut child) {
+            // Whatever became of the look, no command runs on unwatched.
+            end(&mut child, period, &mut |_| Ok(()))?;
+            return Err(error);
+        }
         if let Some(status) = child.try_wait()? {
             break ended(status);
         }
@@ -165,7 +169,8 @@ fn end(
     signal(child, Signal::SIGTERM);
     let asked = Watch::start();
     while asked.took_s() < GRACE.as_secs_f64() {
-        look(child)?;
+        // What it looks at may be gone with the end that was asked for.
+        let _ = look(child);
         if child.try_wait()?.is_some() {
             return Ok(End::Asked);
         }
