@@ -69,7 +69,7 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     let (profile, _) = wired_profile(&mut bench)?;
     let line = match bench.port() {
         Port::Tcp(_) => None,
-        Port::Emulator | Port::Sim | Port::Serial(_) => LineBudget::of(&profile),
+        Port::Emulator | Port::Sim | Port::SimRtu | Port::Serial(_) => LineBudget::of(&profile),
     };
     let asked_hz = bench.link.rate_hz;
     let carried_hz = line.as_ref().map_or(asked_hz, LineBudget::rate_hz);

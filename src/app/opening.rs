@@ -18,7 +18,7 @@ use crate::drive::{
 };
 use crate::emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
-    SoftDrive, VirtualClock, spawn_as,
+    SoftDrive, VirtualClock, open_line, spawn_as,
 };
 
 /// A drive profile by its built-in name, else from a file; with its text.
@@ -129,6 +129,24 @@ pub(crate) fn in_memory(
     }
 }
 
+/// The software drive at the far end of a line in memory, which is one of Modbus RTU.
+pub(crate) fn on_a_line(
+    config: &EmulatorConfig,
+    bench: &BenchFile,
+    guise: Option<&Guise>,
+    profile: &DriveProfile,
+    time: VirtualClock,
+) -> Result<Box<dyn DriveLink>, Failure> {
+    let protocol = bench.link.protocol;
+    if protocol != Protocol::ModbusRtu {
+        return Err(Failure::usage(
+            format!("--port sim:rtu is a line of Modbus RTU, and link.protocol is {protocol}"),
+            "set link.protocol to modbus-rtu, or give --port sim:",
+        ));
+    }
+    Ok(open_line(guise, config, bench.emulator.seed, profile, time))
+}
+
 /// What an exchange of the bench's protocol takes over its line, for a drive in memory.
 fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     let mut line = config.line.clone();
@@ -180,15 +198,15 @@ pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
     profile.link.baud = bench.baud();
     profile.link.unit = bench.link.unit;
     profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
-    profile.link.emulated = bench.port() == Port::Emulator;
+    profile.link.emulated = bench.port().is_emulated();
     Ok((profile, text))
 }
 
 /// The capture of a run. Where no wire is involved there is nothing to tap.
 pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
-    if path.is_some() && *port == Port::Sim {
+    if path.is_some() && port.is_virtual() {
         return Err(Failure::usage(
-            "--tap has nothing to record: sim: is a drive in memory",
+            "--tap has nothing to record: there is no line outside this program",
             "give --port emulator, or a serial port, or tcp:HOST:PORT",
         ));
     }

@@ -168,6 +168,7 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
                 title: "Ended early",
                 reason: outcome.to_owned(),
             }),
+        last_seconds: pages::last_seconds(manifest),
         speed_loop: (!speed_loop.facts.is_empty()).then_some(&speed_loop),
     };
     report.page()

@@ -13,7 +13,8 @@ use super::failure::{Failure, LINK, USAGE};
 use super::files::Recorded;
 use super::files::{seal, sealed_name};
 use super::opening::{
-    self, Reopener, Tap, emulator_config, in_memory, now, serve, suited, tap, target, wired_profile,
+    self, Reopener, Tap, emulator_config, in_memory, now, on_a_line, serve, suited, tap, target,
+    wired_profile,
 };
 use super::output;
 use crate::bench::{
@@ -402,6 +403,7 @@ impl Rig {
             .after_seq(self.last_seq)
             .with_rest(&report.rest)
             .with_brake(self.bench.load.brake())
+            .with_watchdog(report.identity.watchdog_s)
             .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);
         let mut layout = match planned.speed {
@@ -616,12 +618,15 @@ impl Opened {
         let guise = Guise::of(profile);
         let port = bench.port();
         // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
-        let mystery = (bench.emulator.config == MYSTERY
-            && matches!(port, Port::Emulator | Port::Sim))
-        .then(|| mystery::draw(bench.emulator.seed));
+        let mystery = (bench.emulator.config == MYSTERY && port.is_emulated())
+            .then(|| mystery::draw(bench.emulator.seed));
         let mut emulator = match (&port, &mystery) {
-            (Port::Emulator | Port::Sim, Some(mystery)) => Some(mystery.config.clone()),
-            (Port::Emulator | Port::Sim, None) => Some(emulator_config(&bench.emulator.config)?),
+            (Port::Emulator | Port::Sim | Port::SimRtu, Some(mystery)) => {
+                Some(mystery.config.clone())
+            }
+            (Port::Emulator | Port::Sim | Port::SimRtu, None) => {
+                Some(emulator_config(&bench.emulator.config)?)
+            }
             (Port::Tcp(_) | Port::Serial(_), _) if !options.mystery => None,
             (Port::Tcp(_) | Port::Serial(_), _) => {
                 let port = &bench.link.port;
@@ -656,6 +661,11 @@ impl Opened {
                 clock = Box::new(time.clone());
                 in_memory(config, bench, guise.as_ref(), time)
             }
+            (Port::SimRtu, Some(config)) => {
+                let time = VirtualClock::new();
+                clock = Box::new(time.clone());
+                on_a_line(config, bench, guise.as_ref(), profile, time)?
+            }
             (Port::Emulator, Some(config)) => {
                 let (protocol, mut served) = (profile.link.protocol, config.clone());
                 served.line.baud = bench.baud();
@@ -668,12 +678,12 @@ impl Opened {
                 open(&address)?
             }
             (Port::Tcp(_) | Port::Serial(_), _) => open(&address)?,
-            (Port::Sim | Port::Emulator, None) => {
+            (Port::Sim | Port::SimRtu | Port::Emulator, None) => {
                 let headline = "an emulator was asked for and not configured";
                 return Err(Failure::internal(headline));
             }
         };
-        let reopener = if port == Port::Sim {
+        let reopener = if port.is_virtual() {
             None
         } else {
             let target = target(&address, bench)?;

@@ -72,8 +72,9 @@ pub(crate) fn far_end(port: &str, profile: &DriveProfile) -> Result<FarEnd, Fail
         "a serial port, tcp:HOST:PORT or emulator; `drivebench ports` lists what is plugged in";
     let unknown = || Failure::usage(format!("--port {port:?} is not a port"), ALLOWED);
     let (address, server) = match Port::parse(port).ok_or_else(unknown)? {
-        Port::Sim => {
-            let headline = "--port sim: is a drive in memory, and there is no line to look at";
+        Port::Sim | Port::SimRtu => {
+            let headline =
+                format!("--port {port} is a drive in memory, and there is no line to look at");
             return Err(Failure::usage(headline, ALLOWED));
         }
         Port::Emulator => {
@@ -124,7 +125,7 @@ pub(crate) fn told(
             ..Told::default()
         });
     }
-    if port == "sim:" {
+    if Port::parse(port).is_some_and(|port| port.is_virtual()) {
         return Ok(told_in_memory(profile));
     }
     let asking = Asking {

@@ -117,6 +117,8 @@ pub enum Port {
     Emulator,
     /// `sim:`: the software drive in memory, in virtual time.
     Sim,
+    /// `sim:rtu`: the same at the far end of a Modbus RTU line in memory, byte by byte.
+    SimRtu,
     /// `tcp:HOST:PORT`.
     Tcp(String),
     /// Anything else: path of a serial port.
@@ -129,6 +131,7 @@ impl Port {
             "" => None,
             "emulator" => Some(Self::Emulator),
             "sim:" => Some(Self::Sim),
+            "sim:rtu" => Some(Self::SimRtu),
             _ => match text.strip_prefix("tcp:") {
                 Some(address) => {
                     let (host, port) = address.rsplit_once(':')?;
@@ -139,12 +142,22 @@ impl Port {
             },
         }
     }
+
+    /// The software drive, wherever it is.
+    pub const fn is_emulated(&self) -> bool {
+        matches!(self, Self::Emulator | Self::Sim | Self::SimRtu)
+    }
+
+    /// Nothing there takes real time.
+    pub const fn is_virtual(&self) -> bool {
+        matches!(self, Self::Sim | Self::SimRtu)
+    }
 }
 
 #[derive(Clone, Debug, Deserialize, Serialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields, default)]
 pub struct EmulatorSection {
-    /// Name of an embedded emulator, or path of one. Used with the ports `emulator` and `sim:` only.
+    /// Name of an embedded emulator, or path of one. Used with the ports `emulator`, `sim:` and `sim:rtu` only.
     pub config: String,
     /// Draws the specimen within its tolerance, and the sensor noise.
     pub seed: u64,
@@ -488,7 +501,7 @@ fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError
     ConfigError::at(file, text, offset, error.to_string(), help).into()
 }
 
-const PORTS: &str = "emulator, sim:, tcp:HOST:PORT or the path of a serial port";
+const PORTS: &str = "emulator, sim:, sim:rtu, tcp:HOST:PORT or the path of a serial port";
 
 fn refusal(file: &str, key: &str, value: String, allowed: impl Into<String>) -> BenchFileError {
     BenchFileError::Value {

@@ -132,7 +132,7 @@ impl InitFile {
     pub fn next(&self, file: &str) -> Vec<String> {
         let consent = match self.bench.port() {
             Port::Tcp(_) | Port::Serial(_) => "--hardware --headless",
-            Port::Emulator | Port::Sim => "--headless",
+            Port::Emulator | Port::Sim | Port::SimRtu => "--headless",
         };
         let mut next = Vec::new();
         if self.purpose == InitUse::Voltages {

@@ -372,7 +372,7 @@ pub(super) fn open_line(
 pub(super) struct LiveArguments {
     /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
     pub(super) bench: Option<PathBuf>,
-    /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time) or emulator; overrides the bench file
+    /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time), sim:rtu (the same over Modbus RTU) or emulator; overrides the bench file
     #[arg(long, value_name = "PORT")]
     pub(super) port: Option<String>,
     /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
@@ -496,7 +496,7 @@ impl LiveArguments {
         if let Some(port) = &self.port {
             if Port::parse(port).is_none() {
                 let headline = format!("--port {port:?} is not a port");
-                let help = "a serial port, tcp:HOST:PORT, sim: or emulator";
+                let help = "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator";
                 return Err(Failure::usage(headline, help));
             }
             bench.link.port.clone_from(port);

@@ -80,7 +80,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if Port::parse(&arguments.port).is_none() {
         return Err(Failure::usage(
             format!("--port {:?} is not a port", arguments.port),
-            "a serial port, tcp:HOST:PORT, sim: or emulator; `drivebench ports` lists what is plugged in",
+            "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator; `drivebench ports` lists what is plugged in",
         ));
     }
     let (mut profile, _) = opening::profile(&arguments.drive)?;

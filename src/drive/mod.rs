@@ -9,7 +9,8 @@
 //!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
-//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps)
+//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
+//!                  +-- virtual_line.rs (a line in memory: the same bytes without the waiting)
 //!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
 //!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: who is it, and is its profile right?)
 //!                  +-- timeline.rs (drive time in seconds since connect)
@@ -53,8 +54,8 @@ mod tap;
 pub mod timeline;
 mod timing;
 mod transaction;
-#[cfg(test)]
 pub(crate) mod virtual_line;
+mod waiting;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
@@ -83,3 +84,4 @@ pub use tap::TapFile;
 pub use timeline::signed_difference;
 pub use timing::standard_gap_s;
 pub use transaction::{CutIn, LineCounts};
+pub use virtual_line::VirtualClock;

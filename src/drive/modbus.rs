@@ -23,7 +23,6 @@ use firmware_protocol::registers::{
     IDENTITY_WORDS, SEQUENCE_ECHO, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
-use tokio::runtime::Runtime;
 use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, Request, Response, Slave};
@@ -42,6 +41,7 @@ use super::reply_filter::{Port, ReplyFilter, now};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, out_of_step, restless};
+use super::waiting::Waiting;
 use crate::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
@@ -69,10 +69,10 @@ pub(super) const TELEMETRY_BYTES: usize = REPLY_BYTES + 2 * TELEMETRY_WORDS;
 /// A drive behind Modbus RTU or TCP.
 pub struct ModbusLink {
     core: LinkCore,
-    // The order matters: what uses the runtime goes before it.
+    // The order matters: what uses the runtime that waits goes before it.
     context: Context,
     filter: ReplyFilter,
-    runtime: Runtime,
+    waiting: Waiting,
     kind: FrameKind,
     unit: u8,
     proof: Proof,
@@ -131,10 +131,10 @@ impl<'a> Question<'a> {
 }
 
 impl ModbusLink {
-    /// A link over a port that was opened within `runtime`.
+    /// A link over a port that was opened within the runtime that waits for it.
     pub(super) fn new(
         name: String,
-        runtime: Runtime,
+        waiting: Waiting,
         port: Box<dyn Port>,
         kind: FrameKind,
         unit: u8,
@@ -151,7 +151,7 @@ impl ModbusLink {
             core: LinkCore::new(name, timing, epoch),
             context: attach(&filter, kind, unit),
             filter,
-            runtime,
+            waiting,
             kind,
             unit,
             retries: 0,
@@ -308,8 +308,8 @@ impl ModbusLink {
         self.core.live()?;
         let last = self.filter.inner().reception.last_activity;
         wait_until(last + self.core.timing.gap());
-        let strays = self.runtime.block_on(self.filter.begin());
-        self.judge(strays).map(drop)
+        let strays = self.waiting.at_once(self.filter.begin());
+        self.judge(strays.unwrap_or(Ok(0))).map(drop)
     }
 
     /// What came while nothing was outstanding.
@@ -333,8 +333,8 @@ impl ModbusLink {
                 return Err(self.unproven());
             }
             let look = self.core.bound.next_look(now, until);
-            let came = self.runtime.block_on(self.filter.listen_until(look));
-            if self.judge(came)? > 0 {
+            let came = self.waiting.until(look, self.filter.listen());
+            if self.judge(came.unwrap_or(Ok(0)))? > 0 {
                 return Ok(false);
             }
         }
@@ -418,36 +418,35 @@ impl ModbusLink {
             is_probe,
             ..
         } = question;
-        let (context, bound) = (&mut self.context, &self.core.bound);
-        let reply = self.runtime.block_on(async {
-            let mut call = std::pin::pin!(context.call(request));
+        let reply = {
+            let bound = &self.core.bound;
+            let mut call = std::pin::pin!(self.context.call(request));
             loop {
-                let now = now();
                 let look = if is_probe {
-                    bound.next_look(now, deadline)
+                    bound.next_look(now(), deadline)
                 } else {
                     deadline
                 };
-                match tokio::time::timeout_at(look.into(), call.as_mut()).await {
-                    Err(_) if look < deadline && !bound.is_over(look) => {}
+                match self.waiting.until(look, call.as_mut()) {
+                    None if look < deadline && !bound.is_over(look) => {}
                     reply => break reply,
                 }
             }
-        });
+        };
         let received = now();
         let waited = received.saturating_duration_since(sent);
         let result = match reply {
-            Ok(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Ok(Ok(Err(code))) => Err(LinkError::Exception {
+            Some(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
+            Some(Ok(Err(code))) => Err(LinkError::Exception {
                 link: self.core.name.clone(),
                 request: what.to_owned(),
                 code: code.into(),
                 name: exception_name(code.into()),
             }),
-            Ok(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
-            Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
+            Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
+            Some(Err(Error::Transport(error))) => Err(self.broken(&error)),
             // No reply in time: what came instead tells the class.
-            Err(_) => {
+            None => {
                 let left = self.filter.inner().reception.leftover();
                 let of = |at| format!("{what} of unit {}{at}", self.unit);
                 let what = self.at.as_ref().map_or_else(|| what.to_owned(), of);

@@ -20,6 +20,7 @@ use super::settings::{LinkSettings, Protocol};
 use super::stream::StreamLink;
 use super::tap::{TapFile, TappedPort};
 use super::timing::LineTiming;
+use super::waiting::Waiting;
 
 /// Where the drive is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -127,14 +128,18 @@ pub fn open_tapped(
     if profile.registers.is_none() && profile.link.protocol == Protocol::Stream {
         return Ok(Box::new(open_stream(target, profile, epoch, tap)?));
     }
-    let link = open_modbus(target, profile, epoch, tap)?;
-    Ok(match &profile.registers {
+    Ok(dressed(open_modbus(target, profile, epoch, tap)?, profile))
+}
+
+/// A Modbus link as the profile speaks over it.
+pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn DriveLink> {
+    match &profile.registers {
         Some(map) => {
             let bus = ModbusBus::new(link, map).emulated(profile.link.emulated);
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
         None => Box::new(link),
-    })
+    }
 }
 
 /// Opens a Modbus link: RTU over a serial port, TCP over the network. The profile's protocol is not asked.
@@ -196,8 +201,9 @@ pub(super) fn open_line(
         None => port,
     };
     let unit = unit.unwrap_or(settings.unit);
+    let waiting = Waiting::Real(runtime);
     Ok(ModbusLink::new(
-        name, runtime, port, kind, unit, timing, epoch,
+        name, waiting, port, kind, unit, timing, epoch,
     ))
 }
 

@@ -19,6 +19,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::reply::{Echo, FrameKind};
 use super::transaction::Reception;
+use super::waiting::virtual_now;
 
 /// Anything that carries bytes.
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -62,15 +63,14 @@ impl ReplyFilter {
         self.inner().reception.expected.echo = Some(echo);
     }
 
-    /// Listens until this instant, or until something comes: how many bytes.
-    pub(super) async fn listen_until(&self, at: Instant) -> io::Result<usize> {
+    /// Listens until something comes: how many bytes.
+    pub(super) async fn listen(&self) -> io::Result<usize> {
         // When the time is over this is looked at once more: nothing new must not count as something.
-        let byte = poll_fn(|cx| match self.inner().discard(cx) {
+        poll_fn(|cx| match self.inner().discard(cx) {
             Ok(0) => Poll::Pending,
             result => Poll::Ready(result),
-        });
-        let came = tokio::time::timeout_at(at.into(), byte).await;
-        came.unwrap_or(Ok(0))
+        })
+        .await
     }
 
     /// Lets go of the port: a device that was unplugged keeps its number for as long as somebody holds it.
@@ -190,6 +190,5 @@ impl fmt::Debug for ReplyFilter {
     reason = "this file owns the clock of the line's silence"
 )]
 pub(super) fn now() -> Instant {
-    // The runtime's clock is the system's; a test that pauses the one pauses the other.
-    tokio::time::Instant::now().into_std()
+    virtual_now().unwrap_or_else(Instant::now)
 }

@@ -1,64 +1,78 @@
-//! A line in memory on a clock that stands still while anything works and jumps when all wait; and a drive with a register
-//! map of its own at its far end, for the tests of whoever uses drives.
+//! A line in memory, in virtual time: every byte of a Modbus RTU link, and none of the waiting.
+//!
+//! ```text
+//! VirtualLink [ ModbusLink (codec, proof, deadlines) ] --bytes--> VirtualPort --bytes--> FarEnd (drive and wire)
+//!      '-- VirtualClock: what the link waits for passes on it            '-- what comes back, and when
+//! ```
 
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::runtime::{Builder, Handle, Runtime};
-use tokio::time::Sleep;
 
-use super::link::DriveLink;
-use super::modbus::{ModbusBus, ModbusLink};
+use super::burst::{Burst, Capture};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+use super::modbus::ModbusLink;
+use super::open::dressed;
 use super::port::TimedPort;
 use super::profile::DriveProfile;
-use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
 use super::reply_filter::now;
-use super::settings::LinkSettings;
 use super::timing::LineTiming;
+use super::transaction::{CutIn, LineCounts};
+use super::waiting::{InVirtualTime, Waiting, expect_at, skip_to};
+use super::{CommandTimes, LinkSettings};
+use crate::sample::{Command, Demand, Sample};
 
-std::thread_local! {
-    static PAUSED: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+/// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct VirtualClock {
+    time: Arc<AtomicU64>,
+    /// Part of it in which the host was suspended and only the drive lived.
+    slept: Arc<AtomicU64>,
 }
 
-/// Works on a clock that is paused, within the runtime that it gets.
-pub(super) fn paused<R>(work: impl FnOnce(Runtime) -> R) -> R {
-    PAUSED.set(true);
-    let runtime = Builder::new_current_thread()
-        .enable_time()
-        .start_paused(true)
-        .build();
-    let runtime = runtime.unwrap();
-    let handle = runtime.handle().clone();
-    let _entered = handle.enter();
-    work(runtime)
+impl VirtualClock {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    pub fn set_time_s(&self, time_s: f64) {
+        self.time.store(time_s.to_bits(), Ordering::Release);
+    }
+
+    pub fn time_s(&self) -> f64 {
+        f64::from_bits(self.time.load(Ordering::Acquire))
+    }
+
+    /// Suspends the host for so long, as a laptop whose lid is closed: time goes on for the drive, and not for the host.
+    pub fn suspend_s(&self, seconds: f64) {
+        self.set_time_s(self.time_s() + seconds);
+        let slept_s = self.slept_s() + seconds;
+        self.slept.store(slept_s.to_bits(), Ordering::Release);
+    }
+
+    /// For how long the host was suspended so far, s.
+    pub fn slept_s(&self) -> f64 {
+        f64::from_bits(self.slept.load(Ordering::Acquire))
+    }
 }
 
-/// A Modbus link over a line in memory.
+/// A Modbus link over a line in memory; the thread has to be in virtual time.
 pub(super) fn modbus_link<D: Device + 'static>(
-    runtime: Runtime,
+    name: &str,
     settings: &LinkSettings,
     device: &Arc<Mutex<D>>,
 ) -> ModbusLink {
     let timing = LineTiming::serial(settings, settings.baud, true);
     let port = Box::new(VirtualPort::new(Arc::clone(device)));
-    let (name, kind) = ("virtual".to_owned(), FrameKind::Rtu);
-    ModbusLink::new(name, runtime, port, kind, settings.unit, timing, now())
-}
-
-/// On a thread with a paused clock: sets it forward.
-pub(super) fn skip_to(at: Instant) -> bool {
-    let paused = PAUSED.get();
-    if paused {
-        let left = at.saturating_duration_since(now());
-        Handle::current().block_on(tokio::time::advance(left));
-    }
-    paused
+    let (name, kind, unit) = (name.to_owned(), FrameKind::Rtu, settings.unit);
+    ModbusLink::new(name, Waiting::Virtual, port, kind, unit, timing, now())
 }
 
 /// What hangs at the far end: hears bytes, and says when which bytes come back.
@@ -72,7 +86,6 @@ pub(super) struct VirtualPort<D> {
     /// What is under way, by arrival and order.
     coming: BTreeMap<(Instant, u64), Vec<u8>>,
     count: u64,
-    sleep: Option<Pin<Box<Sleep>>>,
 }
 
 impl<D: Device> VirtualPort<D> {
@@ -81,12 +94,12 @@ impl<D: Device> VirtualPort<D> {
             device,
             coming: BTreeMap::new(),
             count: 0,
-            sleep: None,
         }
     }
 
     fn send(&mut self, bytes: &[u8]) {
-        for (delay, reply) in self.device.lock().unwrap().hear(bytes) {
+        let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        for (delay, reply) in device.hear(bytes) {
             self.count += 1;
             self.coming.insert((now() + delay, self.count), reply);
         }
@@ -117,25 +130,16 @@ impl<D: Device> VirtualPort<D> {
 impl<D: Device> AsyncRead for VirtualPort<D> {
     fn poll_read(
         mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
+        _: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        loop {
-            let bytes = self.arrived(buffer.remaining());
-            if !bytes.is_empty() {
-                buffer.put_slice(&bytes);
-                return Poll::Ready(Ok(()));
-            }
-            let Some(at) = self.next() else {
-                return Poll::Pending;
-            };
-            let mut sleep = Box::pin(tokio::time::sleep_until(at.into()));
-            let ready = sleep.as_mut().poll(cx);
-            self.sleep = Some(sleep);
-            if ready.is_pending() {
-                return Poll::Pending;
-            }
+        let bytes = self.arrived(buffer.remaining());
+        if bytes.is_empty() {
+            expect_at(self.next());
+            return Poll::Pending;
         }
+        buffer.put_slice(&bytes);
+        Poll::Ready(Ok(()))
     }
 }
 
@@ -190,36 +194,181 @@ impl LineTime {
         now().saturating_duration_since(self.0).as_secs_f64()
     }
 
+    #[cfg(test)]
     pub(crate) fn skip_to_s(self, time_s: f64) {
         // A nanosecond more, so that a wait never ends early.
         skip_to(self.0 + Duration::from_secs_f64(time_s) + Duration::from_nanos(1));
     }
 }
 
-struct Far<F>(LineTime, Arc<Mutex<F>>);
+struct Far<F: ?Sized>(LineTime, Arc<Mutex<F>>);
 
-impl<F: FarEnd> Device for Far<F> {
+impl<F: FarEnd + ?Sized> Device for Far<F> {
     fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
         let now_s = self.0.now_s();
-        let sent = self.1.lock().unwrap().hear(now_s, bytes);
-        let sent = sent.into_iter();
+        let mut far = self.1.lock().unwrap_or_else(PoisonError::into_inner);
+        let sent = far.hear(now_s, bytes).into_iter();
         sent.map(|(at_s, bytes)| (Duration::from_secs_f64((at_s - now_s).max(0.0)), bytes))
             .collect()
     }
 }
 
+/// A link over a line in memory. What it waits for passes on `clock`, which says when each of its calls begins.
+pub(crate) struct VirtualLink {
+    link: Box<dyn DriveLink>,
+    clock: VirtualClock,
+    /// Zero of the clock.
+    origin: Instant,
+}
+
+impl VirtualLink {
+    /// Modbus RTU to what hangs at the far end, as the profile has it.
+    pub(crate) fn open(
+        name: &str,
+        profile: &DriveProfile,
+        clock: VirtualClock,
+        far: impl FarEnd + 'static,
+    ) -> Self {
+        let origin = now();
+        let _virtual = InVirtualTime::at(origin);
+        let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
+        let link = modbus_link(name, &profile.link, &Arc::new(Mutex::new(far)));
+        Self {
+            link: dressed(link, profile),
+            clock,
+            origin,
+        }
+    }
+
+    fn within<R>(&mut self, work: impl FnOnce(&mut (dyn DriveLink + 'static)) -> R) -> R {
+        let begun_s = self.clock.time_s();
+        let _virtual = InVirtualTime::at(self.origin + Duration::from_secs_f64(begun_s));
+        let result = work(self.link.as_mut());
+        self.clock
+            .set_time_s(LineTime(self.origin).now_s().max(begun_s));
+        result
+    }
+
+    fn with_burst<R>(
+        &mut self,
+        work: impl FnOnce(&mut dyn Burst) -> Result<R, LinkError>,
+    ) -> Result<R, LinkError> {
+        let gone = LinkError::Gone(self.name().0, "it records nothing by itself".to_owned());
+        self.within(|link| link.burst().map_or(Err(gone), work))
+    }
+}
+
+impl DriveLink for VirtualLink {
+    fn name(&self) -> LinkName {
+        self.link.name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.within(|link| link.identify())
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.within(|link| link.exchange(command))
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.within(|link| link.bound(left_s));
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.link.cut_in()
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.within(|link| link.stop())
+    }
+
+    fn recognise(&mut self) -> Result<Identity, LinkError> {
+        self.within(|link| link.recognise())
+    }
+
+    fn found(&self) -> Option<Sample> {
+        self.link.found()
+    }
+
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        self.within(|link| link.compare_set_points())
+    }
+
+    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.within(|link| link.bring_to_rest())
+    }
+
+    fn has_sent_command(&self) -> bool {
+        self.link.has_sent_command()
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.link.confirms_stop()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.link.command_times()
+    }
+
+    fn close(&mut self) {
+        self.link.close();
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.link.shortest_cycle_s()
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        self.link.round_trips()
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        self.link.line()
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        let has_one = self.link.burst().is_some();
+        has_one.then_some(self as &mut dyn Burst)
+    }
+
+    fn zero(&self) -> Demand {
+        self.link.zero()
+    }
+}
+
+impl Burst for VirtualLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.with_burst(|burst| burst.arm())
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        self.with_burst(|burst| burst.fetch())
+    }
+}
+
+/// Works in virtual time.
+#[cfg(test)]
+pub(super) fn paused<R>(work: impl FnOnce() -> R) -> R {
+    let _virtual = InVirtualTime::at(now());
+    work()
+}
+
 /// Works with the drive of this profile; every wait of the calling thread is virtual meanwhile.
+#[cfg(test)]
 pub(crate) fn on_a_line<F: FarEnd + 'static, R>(
     profile: &DriveProfile,
     far: Arc<Mutex<F>>,
     work: impl FnOnce(&mut dyn DriveLink, LineTime) -> R,
 ) -> R {
-    paused(|runtime| {
+    paused(|| {
         let time = LineTime(now());
         let far = Arc::new(Mutex::new(Far(time, far)));
-        let link = modbus_link(runtime, &profile.link, &far);
-        let map = profile.registers.clone().unwrap();
-        let mut link = ProfiledLink::new(Arc::clone(&map), ModbusBus::new(link, &map));
-        work(&mut link, time)
+        let link = modbus_link("virtual", &profile.link, &far);
+        work(dressed(link, profile).as_mut(), time)
     })
 }

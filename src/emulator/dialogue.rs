@@ -15,7 +15,7 @@ pub const UNIT: u8 = 1;
 pub(super) struct Unframeable;
 
 /// What answers: the drive in its own language or in the guise of another.
-pub(super) trait Answering {
+pub(super) trait Answering: Send {
     /// The motor and what drives it, whatever the guise.
     fn soft(&self) -> &SoftDrive;
 

@@ -163,7 +163,7 @@ pub(super) struct Journaled {
     drive: Box<dyn Answering>,
     journal: Journal,
     /// Drive time by the clock, s.
-    clock: Box<dyn Fn() -> f64>,
+    clock: Box<dyn Fn() -> f64 + Send>,
 }
 
 impl Journaled {
@@ -172,7 +172,7 @@ impl Journaled {
         drive: Box<dyn Answering>,
         mut journal: Journal,
         origin_s: f64,
-        clock: Box<dyn Fn() -> f64>,
+        clock: Box<dyn Fn() -> f64 + Send>,
     ) -> Self {
         journal.origin_s = origin_s;
         Self {

@@ -1,8 +1,5 @@
 //! The drive in memory: a [`DriveLink`] in virtual time, through the real register codec.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use firmware_protocol::modbus::RegisterBank;
 use firmware_protocol::registers::{
     CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
@@ -16,44 +13,10 @@ use super::pace::Pace;
 use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::timeline::{self, Timeline};
 use crate::drive::{
-    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, exception_name,
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, VirtualClock, exception_name,
     signed_difference, stop_confirmed,
 };
 use crate::sample::{Command, Demand, Sample};
-
-/// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
-#[derive(Clone, Debug, Default)]
-pub struct VirtualClock {
-    time: Arc<AtomicU64>,
-    /// Part of it in which the host was suspended and only the drive lived.
-    slept: Arc<AtomicU64>,
-}
-
-impl VirtualClock {
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    pub fn set_time_s(&self, time_s: f64) {
-        self.time.store(time_s.to_bits(), Ordering::Release);
-    }
-
-    pub fn time_s(&self) -> f64 {
-        f64::from_bits(self.time.load(Ordering::Acquire))
-    }
-
-    /// Suspends the host for so long, as a laptop whose lid is closed: time goes on for the drive, and not for the host.
-    pub fn suspend_s(&self, seconds: f64) {
-        self.set_time_s(self.time_s() + seconds);
-        let slept_s = self.slept_s() + seconds;
-        self.slept.store(slept_s.to_bits(), Ordering::Release);
-    }
-
-    /// For how long the host was suspended so far, s.
-    pub fn slept_s(&self) -> f64 {
-        f64::from_bits(self.slept.load(Ordering::Acquire))
-    }
-}
 
 /// How long request and reply are under way, s.
 #[derive(Clone, Copy, Debug, PartialEq)]

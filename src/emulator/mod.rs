@@ -5,7 +5,7 @@
 //!                                   ^ pure function of drive time
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
-//!   memory.rs  virtual time --------+
+//!   memory.rs, line.rs  virtual time, without bytes and with them
 //!   journal.rs what the motor does, row by row, for whoever judges a host
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
@@ -15,6 +15,7 @@ mod dialogue;
 mod drive;
 mod foreign;
 mod journal;
+mod line;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -25,6 +26,7 @@ mod session;
 mod tcp;
 pub mod truth;
 
+pub use crate::drive::VirtualClock;
 pub use config::{
     BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
     OutputOff,
@@ -33,7 +35,8 @@ pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
 pub use journal::{Journal, JournalRow};
-pub use memory::{Latency, MemoryLink, VirtualClock};
+pub use line::open_line;
+pub use memory::{Latency, MemoryLink};
 #[cfg(target_os = "linux")]
 pub(crate) use pty::PtyPort;
 pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

@@ -70,6 +70,12 @@ pub enum RecordingError {
     Quote { file: String, line: usize },
     #[error("{file}: line {line}: the text is not UTF-8")]
     NotUtf8 { file: String, line: usize },
+    #[error("{file}: line {line} is longer than {most} bytes, the most that a row may have")]
+    LineTooLong {
+        file: String,
+        line: usize,
+        most: u64,
+    },
     #[error("{file}: the file is empty (a header row and data rows are needed)")]
     Empty { file: String },
     #[error("{file}: a header but no data row")]
@@ -108,6 +114,7 @@ impl RecordingError {
             }
             .into(),
             Self::Quote { .. } => "a quoted cell must begin and end on one line, with nothing but its separator behind it".into(),
+            Self::LineTooLong { .. } => "rows end with a line feed; is this a text file?".into(),
             Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()

@@ -46,6 +46,12 @@ pub struct Manifest {
     pub carried: BTreeMap<String, String>,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
+    /// How soon the run was stopped: cause, times, requests; null where the output was never on.
+    #[serde(skip_serializing_if = "Value::is_null")]
+    pub stop: Value,
+    /// The rows of `samples.csv` that hold the last seconds of a run that tripped or lost its drive; null for any other.
+    #[serde(skip_serializing_if = "Value::is_null")]
+    pub trip: Value,
     /// How a drive that was lost was found again; null where none was.
     #[serde(skip_serializing_if = "Value::is_null")]
     pub reopened: Value,

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
-//! * Every line reaches the file in one write, so that a killed program loses at most the row in flight.
+//! * Every line reaches the file in one write, with those that came together with it, so that a killed program loses at most
+//!   the rows in flight.
 //! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
 
 mod column_map;
@@ -34,6 +35,6 @@ pub use manifest::Manifest;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
-pub use recorder::{Kept, KeptSamples, Recorder};
+pub use recorder::{Kept, KeptLogs, Recorder};
 pub use row_order::{CommandRow, RowOrder};
 pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};

@@ -207,7 +207,7 @@ impl Called {
     /// before it.
     pub fn new(bench: &BenchFile, file: Option<&str>, words: String) -> Self {
         let line = match bench.port() {
-            Port::Sim => None,
+            Port::Sim | Port::SimRtu => None,
             Port::Emulator | Port::Tcp(_) | Port::Serial(_) => Some(format!(
                 "--port {} --drive {}",
                 bench.link.port, bench.drive.profile

@@ -20,8 +20,8 @@ use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step, StepOutcome, Verb,
-    Verdict, find, reference,
+    Act, Action, CASE, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step, StepOutcome,
+    Verb, Verdict, find, is_written, reference,
 };
 
 /// Attempts at a case in which this machine stood still.
@@ -542,6 +542,9 @@ impl<'a> Progress<'a> {
             match value {
                 toml::Value::Boolean(true) => words.push(name),
                 toml::Value::Boolean(false) => {}
+                toml::Value::String(text) if is_written(key) => {
+                    words.extend([name, self.folder.join(text).display().to_string()]);
+                }
                 toml::Value::String(text) => words.extend([name, self.resolved(text)?]),
                 other => words.extend([name, other.to_string()]),
             }
@@ -560,6 +563,9 @@ impl<'a> Progress<'a> {
         let Some((name, rest)) = reference(text) else {
             return Ok(text.to_owned());
         };
+        if name == CASE {
+            return Ok(format!("{}{rest}", self.folder.display()));
+        }
         let run = self.left.get(name).and_then(|left| left.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))

@@ -80,7 +80,7 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
             let headline = format!("case {:?}: {port:?} is not a port", case.name);
             return Err(Failure::usage(
                 headline,
-                "a serial port, tcp:HOST:PORT, sim: or emulator",
+                "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator",
             ));
         }
         for repeat in 0..case.repeat {
@@ -133,8 +133,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
             output::refuse_existing(path, option)?;
         }
     }
-    let is_real =
-        |job: &Job<'_>| !matches!(Port::parse(&job.port), Some(Port::Sim | Port::Emulator));
+    let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
     if !request.hardware && jobs.iter().any(is_real) {
         consent(jobs.iter().filter(|job| is_real(job)).count())?;
     }
@@ -151,7 +150,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     let (in_memory, on_a_line): (Vec<_>, Vec<_>) = jobs
         .iter()
         .enumerate()
-        .partition(|(_, job)| matches!(Port::parse(&job.port), Some(Port::Sim)));
+        .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
     let (by_themselves, on_a_line): (Vec<_>, Vec<_>) = on_a_line
         .into_iter()
         .partition(|(_, job)| job.case.has_own_drive());
@@ -235,7 +234,7 @@ fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
     if hardware && wants_emulator {
         return Some("it sets up the software drive, and this one is real".to_owned());
     }
-    let is_in_memory = matches!(Port::parse(&job.port), Some(Port::Sim));
+    let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();
     (is_in_memory && wants_line)
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())

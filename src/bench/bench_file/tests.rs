@@ -130,6 +130,7 @@ fn ports_have_one_text_form_each() {
     let serial = Some(Port::Serial("/dev/ttyUSB0".to_owned()));
     for (text, port) in [
         ("sim:", Some(Port::Sim)),
+        ("sim:rtu", Some(Port::SimRtu)),
         ("tcp:h:502", tcp("h:502")),
         ("tcp:[::1]:502", tcp("[::1]:502")),
         ("tcp:502", None),

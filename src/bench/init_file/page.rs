@@ -125,6 +125,7 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
         (_, reason) if !reason.is_empty() => reason,
         (Port::Emulator, _) => "the software drive behind a pseudo-terminal, in real time",
         (Port::Sim, _) => "the software drive in memory, in virtual time",
+        (Port::SimRtu, _) => "the software drive on a line in memory, in virtual time",
         (Port::Tcp(_) | Port::Serial(_), _) => "as given with --port",
     };
     page.value("port", &format!("{:?}", bench.link.port), reason);

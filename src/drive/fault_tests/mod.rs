@@ -136,7 +136,7 @@ fn virtually(
     count: u64,
     seed: u64,
 ) -> Outcome {
-    paused(|runtime| {
+    paused(|| {
         let settings = DriveProfile::named("own").unwrap().link;
         let timing = LineTiming::serial(&settings, settings.baud, language == Language::Rtu);
         let times = Times {
@@ -145,15 +145,15 @@ fn virtually(
         };
         let device = Stranger::new(language, faults, per_mille, times, seed);
         let device = Arc::new(Mutex::new(device));
-        let (mut line, _runtime) = match language {
+        let mut line = match language {
             Language::Rtu => {
-                let link = modbus_link(runtime, &settings, &device);
-                (Line::Modbus(Box::new(link)), None)
+                let link = modbus_link("virtual", &settings, &device);
+                Line::Modbus(Box::new(link))
             }
             Language::Stream => {
                 let port = Box::new(VirtualPort::new(Arc::clone(&device)));
                 let link = StreamLink::new("virtual".to_owned(), port, timing, now());
-                (Line::Stream(Box::new(link)), Some(runtime))
+                Line::Stream(Box::new(link))
             }
         };
         exchanges(&mut line, &device, count, true)

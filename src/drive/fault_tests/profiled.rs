@@ -23,7 +23,7 @@ fn map(resync: &str) -> RegisterMap {
 }
 
 fn on_a_bus(resync: &str, faults: &[Fault], count: u64, seed: u64) -> Outcome {
-    paused(|runtime| {
+    paused(|| {
         let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
         settings.deadline_ms = Some(12.0);
         let timing = LineTiming::serial(&settings, settings.baud, true);
@@ -34,7 +34,7 @@ fn on_a_bus(resync: &str, faults: &[Fault], count: u64, seed: u64) -> Outcome {
         let per_mille = if faults.is_empty() { 0 } else { PER_MILLE };
         let device = Stranger::new(Language::Rtu, faults, per_mille, times, seed);
         let device = Arc::new(Mutex::new(device));
-        let link = modbus_link(runtime, &settings, &device);
+        let link = modbus_link("virtual", &settings, &device);
         let mut bus = ModbusBus::new(link, &map(resync));
         let mut outcome = Outcome::default();
         for turn in 1..=count {

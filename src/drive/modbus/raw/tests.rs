@@ -89,7 +89,7 @@ fn with_client(
     fault: impl FnMut(usize) -> Fault + Send + 'static,
     work: impl FnOnce(&mut RawClient),
 ) -> Vec<Vec<u8>> {
-    paused(|runtime| {
+    paused(|| {
         let (heard, asked, pending) = (Vec::new(), Vec::new(), Vec::new());
         let unit = Arc::new(Mutex::new(Unit {
             manners,
@@ -99,7 +99,7 @@ fn with_client(
             pending,
         }));
         let timeout = Duration::from_millis(timeout_ms);
-        let link = modbus_link(runtime, &settings(timeout).link(), &unit);
+        let link = modbus_link("virtual", &settings(timeout).link(), &unit);
         let mut client = RawClient::over(link, timeout, String::new());
         work(&mut client);
         let counters = client.counters();
