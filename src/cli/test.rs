@@ -125,6 +125,15 @@ fn text(outcome: &SuiteOutcome) -> String {
         outcome.skipped,
         outcome.took_s
     )];
+    if !outcome.confusion.is_empty() {
+        lines.push("hidden, and what was named for it in how many answers:".to_owned());
+    }
+    let width = outcome.confusion.rows.iter().map(String::len).max();
+    for (hidden, named) in outcome.confusion.named() {
+        let named = named.iter().map(|(name, count)| format!("{name} {count}"));
+        let named = named.collect::<Vec<_>>().join(", ");
+        lines.push(format!("  {hidden:<0$}  {named}", width.unwrap_or(0)));
+    }
     let wrong = outcome.cases.iter().filter_map(|case| match &case.verdict {
         Verdict::Failed(reason) | Verdict::Error(reason) => {
             Some(format!("{}: {reason}", case.name))

@@ -215,6 +215,18 @@ impl Answering for Journaled {
         answer
     }
 
+    fn running_s(&self) -> Option<f64> {
+        self.drive.running_s()
+    }
+
+    fn is_powered(&self) -> bool {
+        self.drive.is_powered()
+    }
+
+    fn foreign_write(&self) -> Vec<u8> {
+        self.drive.foreign_write()
+    }
+
     fn asked_by(&mut self, session: u64) {
         self.journal.host = Some(session);
     }

@@ -22,6 +22,7 @@ use super::pace::Pace;
 use super::pty::{Claim, PtyPort};
 use super::session::Port;
 use super::session::{Commander, Counters, FarEnd, Session, Turn};
+use super::spoiler::Spoiler;
 use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
 use crate::drive::Protocol;
@@ -274,6 +275,7 @@ struct Server<'a> {
     unit: u8,
     link: Protocol,
     drive: Box<dyn Answering>,
+    spoiler: Spoiler,
     start: Instant,
     stop: &'a AtomicBool,
     counters: &'a Counters,
@@ -292,9 +294,11 @@ impl<'a> Server<'a> {
             Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
             None => Box::new(SoftDrive::new(config, seed)),
         };
+        let unit = guise.map_or(UNIT, |guise| guise.unit);
         Self {
             line: guise.map_or(&config.line, |guise| &guise.line),
-            unit: guise.map_or(UNIT, |guise| guise.unit),
+            unit,
+            spoiler: Spoiler::new(&config.faulty, link, unit, seed),
             link,
             drive,
             start: now(),
@@ -381,6 +385,7 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut commander,
+            spoiler: &mut self.spoiler,
         };
         let mut hosts: Vec<(TcpPort, Session)> = Vec::new();
         while !far.stop.load(Ordering::Relaxed) {
@@ -424,6 +429,7 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut Commander::default(),
+            spoiler: &mut self.spoiler,
         };
         Session::new(Dialogue::new(self.link, self.unit), pace, &far).serve(port, &mut far)
     }

@@ -37,4 +37,4 @@ pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 pub use parquet::parquet;
 pub use recorder::{Kept, KeptLogs, Recorder};
 pub use row_order::{CommandRow, RowOrder};
-pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};
+pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, read_text, resolved, utc_stamp};

@@ -14,6 +14,8 @@ mod witness;
 
 mod burst;
 mod c_slave;
+mod commission;
+mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;
@@ -26,4 +28,3 @@ mod speed;
 mod suite_host;
 mod tools;
 mod ways_out;
-mod whole_loop;

@@ -20,8 +20,8 @@ use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, CASE, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step, StepOutcome,
-    Verb, Verdict, find, is_written, reference,
+    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step,
+    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
 /// Attempts at a case in which this machine stood still.
@@ -89,6 +89,7 @@ struct Progress<'a> {
     stood_still_s: f64,
     /// A command lost its link, or tripped, before anything could be done to it, as one does that stood still itself.
     is_early: bool,
+    answers: Vec<Answered>,
 }
 
 impl Progress<'_> {
@@ -151,6 +152,7 @@ fn attempt(
         drive: None,
         stood_still_s: 0.0,
         is_early: false,
+        answers: Vec::new(),
     };
     let made = fs::create_dir_all(folder)
         .map_err(|error| Ended::error(format!("cannot create {}: {error}", folder.display())));
@@ -172,6 +174,7 @@ fn attempt(
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
+        answers: progress.answers,
     };
     (outcome, disturbance)
 }
@@ -463,6 +466,7 @@ impl<'a> Progress<'a> {
             figures.insert("took_s".to_owned(), done.took_s.into());
             figures.insert("error".to_owned(), error.into());
         }
+        self.answers.extend(answered(&result));
         let recorded = match verb {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
@@ -503,7 +507,10 @@ impl<'a> Progress<'a> {
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
         }
-        if !verb.is_live() && verb != Verb::Plan {
+        if verb == Verb::Probe {
+            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+        }
+        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
             let run = match given("run") {
                 Some(run) => Some(self.resolved(run)?),
                 None => self.last_run().map(|run| run.display().to_string()),
@@ -616,7 +623,7 @@ impl<'a> Progress<'a> {
                 let found = find(&left.result, key);
                 Check {
                     key: key.clone(),
-                    value: found.as_ref().and_then(Value::as_f64),
+                    value: found.as_ref().and_then(figure),
                     failure: limit.fails(found.as_ref()),
                 }
             })

@@ -9,6 +9,7 @@
 //! with a drive of their own, which mostly wait.
 
 mod case;
+pub(crate) mod golden;
 mod host;
 mod line;
 mod own_drive;
@@ -269,6 +270,9 @@ fn write_results(
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
     let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
     if let Some(path) = &request.junit {
         files.push((path.clone(), junit::document(outcome)));
     }

@@ -8,6 +8,7 @@
 //! Pure: which process does a step, and in which folder, is the driver's concern. The motor is stopped by the guard of the
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
+pub mod golden;
 mod host;
 pub mod junit;
 mod limit;
@@ -23,9 +24,11 @@ use toml::Spanned;
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
 pub use host::{Act, HostAct};
-pub use limit::{Limit, entry, find};
+pub use limit::{Limit, answered, entry, figure, find};
 pub use motor::{MotorFigures, figures};
-pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+pub use outcome::{
+    Answered, CaseOutcome, Check, Confusion, Spread, StepOutcome, SuiteOutcome, Verdict,
+};
 
 /// A suite file.
 #[derive(Clone, Debug, PartialEq)]
@@ -148,6 +151,7 @@ impl SignalLimit {
 /// The verbs of steps and the commands that they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verb {
+    Probe,
     Connect,
     Plan,
     Commission,
@@ -161,7 +165,8 @@ pub enum Verb {
 
 impl Verb {
     /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 9] = [
+    pub const ALL: [(Self, &'static str, &'static str); 10] = [
+        (Self::Probe, "probe", "probe"),
         (Self::Connect, "connect", "run"),
         (Self::Plan, "plan", "plan"),
         (Self::Commission, "commission", "commission"),
@@ -245,6 +250,7 @@ struct StepKeys {
     name: Option<String>,
     timeout_s: Option<f64>,
     status: Option<Statuses>,
+    probe: Option<Spanned<toml::Table>>,
     host: Option<HostAct>,
     connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
@@ -265,6 +271,7 @@ struct StepKeys {
 impl StepKeys {
     fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
         let table = match verb {
+            Verb::Probe => &mut self.probe,
             Verb::Connect => &mut self.connect,
             Verb::Plan => &mut self.plan,
             Verb::Commission => &mut self.commission,
