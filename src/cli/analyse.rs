@@ -57,12 +57,6 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
-    let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let jobs = arguments.jobs.map_or(cores, NonZeroUsize::get);
-    // Where this is not the first to ask, the threads are as they are; rows do not depend on them.
-    let _ = rayon::ThreadPoolBuilder::new()
-        .num_threads(jobs)
-        .build_global();
     let shown = progress::begin("analyse");
     let words = format!(
         "{:?} {:?} {}",
@@ -82,7 +76,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         },
         resume: arguments.resume,
         shard: arguments.shard,
-        jobs,
+        jobs: arguments.jobs,
         load: &|path| arguments.map.load(path),
         analysis: analysis_of(&words, model),
     })?;
