@@ -1,13 +1,16 @@
-//! What it costs to name the missing effect: whole diagnoses of 12 s at 1 kHz with a second run of the same length held
-//! out.
+//! What one fit costs, and what it costs to name the missing effect: whole diagnoses of 12 s at 1 kHz with a second run of
+//! the same length held out.
 
 mod common;
 
 use std::hint::black_box;
 use std::time::Duration;
 
+use common::records;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drivebench::diagnosis::{Evidence, diagnose};
+use drivebench::identification::noise::NoiseFloor;
+use drivebench::identification::{output_error, start};
 use drivebench::plant::{Model, Motor};
 
 /// Name of the case, a model for the truth, and the two runs that it gives.
@@ -19,15 +22,15 @@ fn cases() -> [(&'static str, Evidence); 2] {
     for active in &mut rubbing.effects {
         active.values = vec![Some(0.1), Some(12.0)];
     }
-    let evidence = |run, truth: &Model| Evidence::new(run, Some(common::record(truth, 2)), None);
+    let evidence = |run, truth: &Model| Evidence::new(run, Some(records::record(truth, 2)), None);
     [
         (
             "nothing_missing",
-            evidence(common::run_of_12_s(), &baseline),
+            evidence(records::run_of_12_s(), &baseline),
         ),
         (
             "stribeck_missing",
-            evidence(common::record(&rubbing, 1), &rubbing),
+            evidence(records::record(&rubbing, 1), &rubbing),
         ),
     ]
 }
@@ -57,9 +60,22 @@ fn diagnosed(criterion: &mut Criterion) {
     group.finish();
 }
 
+fn fit(criterion: &mut Criterion) {
+    let run = records::run_of_12_s();
+    let noise = NoiseFloor::from_standstill(&run).expect("the run begins with a standstill");
+    let start = start::complete(&Model::baseline(Motor::new("unknown")), &run)
+        .expect("a rich run gives a start");
+    let mut group = criterion.benchmark_group("fit");
+    group.sample_size(20);
+    group.bench_function("output_error", |bencher| {
+        bencher.iter(|| output_error::fit(black_box(std::slice::from_ref(&start)), &run, &noise));
+    });
+    group.finish();
+}
+
 criterion_group! {
     name = benches;
     config = common::settings();
-    targets = diagnosed
+    targets = fit, diagnosed
 }
 criterion_main!(benches);

@@ -37,6 +37,7 @@ fn page(run: &Run) -> String {
         parameters: &[],
         timing: &Vec::new(),
         early_end: None,
+        last_seconds: None,
         speed_loop: None,
     };
     let html = report.html();

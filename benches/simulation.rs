@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::records;
 use criterion::{Criterion, criterion_group, criterion_main};
 use drivebench::plant::effect::CATALOGUE;
 use drivebench::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
@@ -17,7 +18,7 @@ fn free_run(criterion: &mut Criterion, name: &str, model: &Model, run: &Scenario
 }
 
 fn simulation(criterion: &mut Criterion) {
-    let run = common::run_of_12_s();
+    let run = records::run_of_12_s();
     let baseline = Model::baseline(Motor::zk_22fc());
     free_run(criterion, "baseline", &baseline, &run);
     for effect in CATALOGUE {

@@ -25,7 +25,6 @@ rls/guarded_2 | 20 | the same, 2 parameters
 rls/plain_4 | - | plain reference form, 4 parameters, one update
 rls/plain_2 | - | the same, 2 parameters
 online/push | - | on-line identification (schemes 2 and 3), one sample
-replay/rows | - | replay of a `samples.csv`, one row
 fit/output_error | - | output-error fit of five parameters, 12 s at 1 kHz
 control/pi | 200 | speed controller, one cycle: PI
 control/pi_with_feed_forward | 1000 | the same with feed-forward
@@ -33,6 +32,10 @@ control/addc | 200 | ADDC, with its identification
 control/mrac | 1000 | MRAC
 control/paper_b | 1000 | paper B
 control/load_observer | 1000 | Kalman filter with load torque, feedback and integral
+recording/row_out | 1000 | a row of twelve columns for `samples.csv`, as a run writes it
+recording/run_out | 1000 | a row of a run of eight columns, written as a whole file
+recording/run_in | 500 | a row of twelve columns of a `samples.csv`, read
+recording/replay | 1000 | the same, read and through the on-line estimators (schemes 2 and 3); asserted: the memory does not grow
 session/addc | 5000 | whole cycle of a session: guard, on-line identification, ADDC, record, snapshot
 diagnose/nothing_missing | 500e6 | `diagnose` with a second run of 12 s, nothing missing
 diagnose/stribeck_missing | 500e6 | the same, one effect missing
@@ -42,6 +45,11 @@ screen/frame_80x24 | 1666e3 | a frame of the screen of a run, 80x24; 30 a second
 screen/frame_200x50 | 1666e3 | the same, 200x50
 free_run/baseline | 0.5e6 | free run of the baseline, 12 s at 1 kHz
 free_run/baseline_stamped_commands | - | the same, every command applied at an instant of its own";
+
+/// The heading of what others need for the same.
+const BESIDE: &str = "## Beside others\n\n\
+`.ci/performance/run.sh` measures all of this page and does the same work with others, in turn, in one run: the ratio of a\n\
+round is taken before the median, so that a machine that becomes slower makes both slower.\n\n";
 
 /// Effects with a second mass take four states.
 const TWO_MASS: [&str; 2] = ["elastic_coupling", "backlash"];
@@ -129,10 +137,10 @@ fn table(measurements: &Path, before: &str) -> String {
         "# Benchmarks\n\n\
          `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
          latest measurements, and leaves what was not measured anew on this machine as it is. Single figures: `cargo bench\n\
-         --bench estimation -- rls`.\n\n\
+         --bench hot_paths -- rls`.\n\n\
          Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
          and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
-         parameters: a hand-written C loop 19 and 9.5 ns, padasip in Python 6,900 ns, the computer of paper A 8 and 3 ms.\n\n\
+         parameters took the computer of paper A 8 and 3 ms.\n\n\
          | what | asked | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
         machine()
     );
@@ -166,6 +174,15 @@ fn table(measurements: &Path, before: &str) -> String {
         };
         let _ = writeln!(out, "{line}");
     }
+    let _ = write!(out, "\n{BESIDE}");
+    let peers = fs::read_to_string(measurements.join("peers.md")).ok();
+    let kept = before.split_once(BESIDE).filter(|_| is_same);
+    out.push_str(
+        peers
+            .as_deref()
+            .or(kept.map(|(_, kept)| kept))
+            .unwrap_or("Not measured on this machine.\n"),
+    );
     out
 }
 

@@ -5,7 +5,7 @@ use super::identify::{Answer, is_usable};
 use super::output::{fitted, quoted};
 use super::run::Whole;
 use super::speed::SpeedResult;
-use crate::bench::{Outcome, RunSummary, Tracking};
+use crate::bench::{Outcome, RunSummary, Stop, Tracking};
 use crate::identification::nameplate::Comparison;
 use crate::identification::repeat::Repeated;
 use crate::plant::Model;
@@ -79,7 +79,17 @@ fn account(summary: &RunSummary, rate: &str) -> Card {
     let sentence = format!(
         "{rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
     );
-    Card::new(tone, &outcome.replace('_', " "), &sentence)
+    let mut card = Card::new(tone, &outcome.replace('_', " "), &sentence);
+    let is_plain =
+        |stop: &&Stop| summary.outcome == Outcome::Done && stop.confirmed_after_ms.is_some();
+    let stop = summary.stop.as_ref().filter(|stop| !is_plain(stop));
+    card.say("stopped", stop.map(Stop::sentence), 1);
+    let last = summary.last_seconds.map(|last| {
+        let (from, to) = (last.from_row, last.to_row);
+        format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
+    });
+    card.say("last 2 s", last, 1);
+    card
 }
 
 /// What was found by `scheme`, and whether the plate fits.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-use super::export::parquet;
+use super::export::samples_as_parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
@@ -16,8 +16,8 @@ use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
-    ColumnMap, Kept, KeptSamples, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder,
-    open_run, run_from_memory, write_run,
+    self, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError, RunFile,
+    RunFolder, open_run, run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
 use crate::sample::ParameterEstimate;
@@ -49,7 +49,7 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     let cannot = |error| format!("{}: cannot read: {error}", path.display());
-    std::fs::read_to_string(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
+    recording::read_text(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
 }
 
 /// What may have been meant by what is no file that can be read.
@@ -133,9 +133,10 @@ pub struct Recorded {
     /// Where the burst of the drive's own recorder is.
     pub(crate) capture: Option<PathBuf>,
     /// `None` when the rows are not needed any more.
-    samples: Option<KeptSamples>,
-    /// Why the record on the disk is not whole.
+    logs: Option<KeptLogs>,
+    /// Why the record on the disk is not whole, and the folder where the whole of it is then, where there is one.
     unkept: Option<String>,
+    rescued: Option<String>,
 }
 
 /// `result.json`: what a command has to say, and what the live estimators said.
@@ -159,14 +160,35 @@ impl Recorded {
             online,
             manifest,
             capture: None,
-            samples: Some(kept.samples),
+            logs: Some(kept.logs),
             unkept: None,
+            rescued: None,
         };
         if let Some(error) = &kept.error {
             recorded.note(&error.to_string());
+            recorded.rescue();
         }
         recorded.link_latest();
         recorded
+    }
+
+    /// What the disk does not take goes to the place for temporary files, which is often on another one.
+    fn rescue(&mut self) {
+        let place = std::env::temp_dir();
+        let logs = self.logs.as_ref();
+        match logs.and_then(|logs| logs.rescue(&place, &self.manifest)) {
+            Some(Ok(folder)) => {
+                let folder = folder.path().display();
+                output::message(&format!("the whole record is in {folder}"));
+                self.rescued = Some(folder.to_string());
+            }
+            Some(Err(error)) => {
+                output::message(&format!("the record is not rescued either: {error}"))
+            }
+            None => {
+                output::message("the record is not whole in memory either: what is missing is lost")
+            }
+        }
     }
 
     /// The newest run is `latest` beside it; where there can be no link, that is told once.
@@ -192,7 +214,7 @@ impl Recorded {
             Some(reason) => Err(Failure::internal(reason.clone())),
         };
         from_disk.or_else(|failure| {
-            let Some(samples) = self.samples.as_ref().and_then(KeptSamples::text) else {
+            let Some(samples) = self.logs.as_ref().and_then(KeptLogs::samples) else {
                 return Err(failure);
             };
             let (folder, reason) = (path.display(), failure.headline());
@@ -211,7 +233,7 @@ impl Recorded {
 
     /// The rows are not needed any more; what they were for is done.
     pub(crate) fn forget(&mut self) {
-        self.samples = None;
+        self.logs = None;
     }
 
     /// Writes `result.json`; a disk that does not take it is told of and no end.
@@ -256,11 +278,11 @@ impl Recorded {
 
     /// Keeps the samples as columns beside them, as far as the run came.
     pub(crate) fn keep_parquet(&mut self) {
-        let recorded = self.samples.as_ref().and_then(KeptSamples::text);
+        let recorded = self.logs.as_ref().and_then(KeptLogs::samples);
         let columns = recorded
             .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
             .map_err(|error| error.to_string())
-            .and_then(|table| parquet(&table));
+            .and_then(|table| samples_as_parquet(&table));
         match columns {
             Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
             Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),
@@ -284,9 +306,12 @@ impl Recorded {
         let reason = self.unkept.as_ref()?;
         let folder = self.folder.path().display();
         let headline = format!("the record could not be kept: {reason}");
-        let help = format!(
-            "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
-        );
+        let help = match &self.rescued {
+            Some(rescued) => format!("the result is printed, and the whole record is in {rescued}"),
+            None => format!(
+                "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+            ),
+        };
         Some(Failure::with_help(INTERNAL, headline, help))
     }
 

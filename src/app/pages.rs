@@ -9,15 +9,17 @@ use super::failure::Failure;
 use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
-use crate::bench::Plan;
+use crate::bench::{self, BenchFile, Plan, Stop};
 use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
 use crate::recording::{LoadedRun, Manifest, RunFile};
 use crate::report::{
-    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, LastSeconds, RunReport,
+    SpeedLoop, Target,
 };
+use crate::sample::Channel;
 use crate::workflow::CommissionResult;
 
 /// Writes the page of one run into its folder; where there is none that is said.
@@ -54,9 +56,34 @@ fn run(
         parameters: &recorded.summary.estimates,
         timing: &timing(manifest),
         early_end: ended.map(|(.., page)| page),
+        last_seconds: last_seconds(manifest),
         speed_loop,
     };
     Ok(report.html())
+}
+
+/// The last seconds of a run that tripped or lost its drive, with the limits of its bench file.
+pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
+    let slice: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
+    let text = manifest.configs.get("bench");
+    let bench = text.and_then(|text| BenchFile::parse("bench", text).ok());
+    let limits = bench.map(|bench| bench.limits());
+    let limits = limits.into_iter().flat_map(|limits| {
+        [
+            (Channel::Current, Some(limits.current_a)),
+            (Channel::Speed, Some(limits.speed_rad_s)),
+            (Channel::Voltage, Some(limits.voltage_v)),
+            (Channel::Bus, limits.bus_max_v),
+        ]
+    });
+    Some(LastSeconds {
+        time_s: slice.time_s,
+        rows: slice.from_row.saturating_sub(1)..slice.to_row,
+        limits: limits
+            .filter_map(|(channel, limit)| Some((channel, limit?)))
+            .collect(),
+        stop: stop(manifest).map(|stop| stop.sentence()),
+    })
 }
 
 /// The free runs of the models before and after, where the run that shows them has a voltage.
@@ -273,7 +300,12 @@ pub(crate) fn table(value: &Value) -> Facts {
         .collect()
 }
 
-/// Rate and lateness of a run.
+/// How the run was stopped, where its output was on.
+pub(crate) fn stop(manifest: &Manifest) -> Option<Stop> {
+    serde_json::from_value(manifest.stop.clone()).ok()
+}
+
+/// Rate and lateness of a run, and how it was stopped.
 pub(crate) fn timing(manifest: &Manifest) -> Facts {
     let hz = |period_s: f64| 1.0 / period_s;
     let achieved = manifest.period_achieved_s.map(hz);
@@ -287,6 +319,7 @@ pub(crate) fn timing(manifest: &Manifest) -> Facts {
             let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
             fact("lateness, median and 99 %", lateness)
         }),
+        stop(manifest).map(|stop| fact("stop", stop.sentence())),
     ];
     facts.into_iter().flatten().collect()
 }

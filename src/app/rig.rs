@@ -393,6 +393,7 @@ impl Rig {
             .after_seq(self.last_seq)
             .with_rest(&report.rest)
             .with_brake(self.bench.load.brake())
+            .with_watchdog(report.identity.watchdog_s)
             .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);
         let mut layout = match planned.speed {

@@ -32,6 +32,7 @@ mod runner;
 mod session;
 mod snapshot;
 mod speed;
+mod stop;
 #[cfg(test)]
 mod testing;
 mod timing;
@@ -72,5 +73,6 @@ pub use speed::{
     SpeedReport, SpeedSection, StepFigures, Tracking, check_kinship, measure_delay,
     timing as loop_timing,
 };
+pub use stop::{LastSeconds, Stop};
 pub use timing::Timing;
 pub use trip::{Trip, TripKind};

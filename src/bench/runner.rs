@@ -24,6 +24,7 @@ use super::reopen::{Reopened, RunEnd};
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
+use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
@@ -81,6 +82,11 @@ pub struct RunSummary {
     pub notices: Vec<Notice>,
     /// Why zero output could not be confirmed at the very end, if it could not.
     pub stop_error: Option<String>,
+    /// How soon it stopped, where its output was on.
+    pub stop: Option<Stop>,
+    /// Where in the record the last seconds before a trip are, and what came after it.
+    #[serde(rename = "trip", skip_serializing_if = "Option::is_none")]
+    pub last_seconds: Option<LastSeconds>,
     /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
     /// How the drive was got back, where it was lost.
@@ -132,6 +138,8 @@ impl RunSummary {
             Outcome::LinkLost { reason } => format!("link lost: {reason}"),
             Outcome::NotStarted { reason } => format!("not started: {reason}"),
         });
+        manifest.stop = serde_json::to_value(&self.stop).unwrap_or(Value::Null);
+        manifest.trip = serde_json::to_value(self.last_seconds).unwrap_or(Value::Null);
         if let Some(reopened) = &self.reopened {
             manifest.reopened = serde_json::to_value(reopened).unwrap_or(Value::Null);
         }
@@ -175,6 +183,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         slept_s: bench.clock.slept_s(),
         record_news: 0,
         watch: LineWatch::new(options.rate_hz),
+        stop: StopWatch::default(),
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -213,6 +222,7 @@ struct Runner<'a> {
     /// News of the record that were told.
     record_news: usize,
     watch: LineWatch,
+    stop: StopWatch,
 }
 
 impl Runner<'_> {
@@ -260,12 +270,15 @@ impl Runner<'_> {
             cycle += 1;
         }
         // Whatever the session knows: the last word to the drive is zero output.
+        let told_s = clock.now_s();
         let stopped = self.link.0.stop();
+        self.note_last_stop(told_s, clock.now_s(), stopped.is_ok());
         if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());
         let waiting = self.recorder.flush();
+        self.stop.rows(waiting.iter().map(|row| row.time_s));
         if let Some(estimator) = self.estimator.as_mut() {
             for row in waiting {
                 estimator.push(row);
@@ -282,6 +295,8 @@ impl Runner<'_> {
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
         self.tell_record(now_s);
+        let stop = self.stop.stop(cause(&outcome), self.session.watchdog_s());
+        self.tell_stop(now_s, &outcome, stop.as_ref());
         self.publish(
             now_s,
             options.rate_hz,
@@ -289,7 +304,6 @@ impl Runner<'_> {
         );
         let recorder = self.recorder.status();
         RunSummary {
-            outcome,
             rows: recorder.rows as u64,
             duration_s: now_s - begin_s,
             timing: self.punctuality.timing(options.rate_hz),
@@ -301,10 +315,47 @@ impl Runner<'_> {
             speed: self.session.report(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
+            stop,
+            last_seconds: match &outcome {
+                Outcome::Tripped(_) | Outcome::LinkLost { .. } => self.stop.last_seconds(),
+                _ => None,
+            },
             recorder_error: recorder.error,
             reopened: None,
             end: self.end,
+            outcome,
         }
+    }
+
+    /// The stop with which every run ends: a routine where the drive has said before that its output is off.
+    fn note_last_stop(&mut self, told_s: f64, now_s: f64, is_ok: bool) {
+        self.stop
+            .asked(told_s, is_ok || self.link.0.has_sent_command());
+        match is_ok {
+            // Who does not tell whether the output is off has not confirmed that it is.
+            true if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
+            true => {}
+            false => self.stop.withdraw(),
+        }
+    }
+
+    /// How the stop went: in the record, and for whoever wants to know because the run did not simply go to its end.
+    fn tell_stop(&mut self, now_s: f64, outcome: &Outcome, stop: Option<&Stop>) {
+        let Some(stop) = stop else { return };
+        let event = Event::new(now_s + self.end.drive_minus_host_s, None, "stop");
+        let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
+        self.recorder
+            .event(event.with("host_time_s", now_s).with("stop", detail));
+        let level = match (stop.confirmed_after_ms, outcome) {
+            (_, Outcome::Done) => return,
+            (Some(_), _) => Level::Info,
+            // What that means, and whether it is an error, has been told with the link's last word.
+            (None, _) => Level::Warning,
+        };
+        self.act_on_notice(Notice {
+            level,
+            text: stop.sentence(),
+        });
     }
 
     /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
@@ -357,7 +408,14 @@ impl Runner<'_> {
                 break;
             };
             let mut actions = std::mem::take(&mut self.actions);
-            self.session.step(clock.now_s(), input, &mut actions);
+            let now_s = clock.now_s();
+            self.session.step(now_s, input, &mut actions);
+            let phase = self.session.phase();
+            let offset_s = self.end.drive_minus_host_s;
+            self.stop.phase(now_s, phase, offset_s);
+            if self.session.has_stopped() {
+                self.stop.confirmed(now_s);
+            }
             for action in actions.drain(..) {
                 self.act(clock, action);
             }
@@ -371,6 +429,7 @@ impl Runner<'_> {
             Action::ArmBurst => self.arm_burst(),
             Action::Row(sample) => {
                 let rows = self.recorder.row(&sample);
+                self.stop.rows(rows.iter().map(|row| row.time_s));
                 if let Some(estimator) = self.estimator.as_mut() {
                     for row in rows {
                         estimator.push(row);
@@ -402,6 +461,10 @@ impl Runner<'_> {
         self.link.0.bound(left_s);
         let answer = self.link.0.exchange(command);
         let now_s = clock.now_s();
+        if command.demand == Demand::Stop {
+            // What stops a motor waits for no silence of the line: it goes out as soon as it is handed over.
+            self.stop.asked(sent_s, self.link.0.has_sent_command());
+        }
         if is_recorded && self.link.0.has_sent_command() {
             let row = CommandRow {
                 command,
@@ -547,6 +610,17 @@ impl Runner<'_> {
                 (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
             }
         });
+    }
+}
+
+/// What the output had to go off for.
+fn cause(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Done => "the end of the sequence".to_owned(),
+        Outcome::Stopped => "the request to stop".to_owned(),
+        Outcome::Interrupted => "the interruption".to_owned(),
+        Outcome::Tripped(trip) => trip.kind.name().to_owned(),
+        Outcome::LinkLost { reason } | Outcome::NotStarted { reason } => reason.clone(),
     }
 }
 

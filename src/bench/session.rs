@@ -26,7 +26,7 @@ use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// A drive that is to stop and says nothing at all is given up after this, s: there is no ramp to wait for.
+/// A drive that is to stop and says nothing at all is given up after this, s.
 const STOP_SILENCE_S: f64 = 1.0;
 /// After the output has reached zero the shaft is given this long to come to rest under braking, s.
 const COME_TO_REST_S: f64 = 2.0;
@@ -45,6 +45,8 @@ struct DriveWord {
     heard_s: f64,
     /// It was seen to run, or does not tell whether it does.
     has_run: bool,
+    /// Of its watchdog, s.
+    watchdog_s: Option<f64>,
     /// The user waived its watchdog: nothing is known of what it does when nobody talks to it.
     is_unwatched: bool,
     stop: StopRequest,
@@ -67,6 +69,7 @@ impl Default for DriveWord {
             stop_time_s: CommandTimes::default().stop_s,
             heard_s: 0.0,
             has_run: false,
+            watchdog_s: None,
             is_unwatched: false,
             stop: StopRequest::NotSent,
         }
@@ -249,11 +252,29 @@ impl Session {
         self
     }
 
-    /// For a drive that does not tell whether its output is off: a stop that it took is then not said to be confirmed.
+    /// For a drive that does not tell whether its output is off: a stop that it took is not said to be confirmed.
     #[must_use]
     pub const fn telling_stop(mut self, tells: bool) -> Self {
         self.word.tells_stop = tells;
         self
+    }
+
+    /// For a drive that stops by itself after so long without a command, s.
+    #[must_use]
+    pub const fn with_watchdog(mut self, watchdog_s: Option<f64>) -> Self {
+        self.word.watchdog_s = watchdog_s;
+        self
+    }
+
+    /// `None` where nothing is known of a watchdog, or the user waived it.
+    pub fn watchdog_s(&self) -> Option<f64> {
+        let is_on = |time_s: &f64| *time_s > 0.0 && !self.word.is_unwatched;
+        self.word.watchdog_s.filter(is_on)
+    }
+
+    /// Whether it is over, by the drive's own word.
+    pub fn has_stopped(&self) -> bool {
+        self.phase.is_final() && self.word.tells_stop && self.word.stop == StopRequest::Sent
     }
 
     /// For a drive that may take so long to run and to stop.
@@ -481,8 +502,8 @@ impl Session {
         self.word.heard_s = self.now_s;
         self.word.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
-            let value = sample.get(channel).filter(|value| value.abs() >= level)?;
-            Some((channel, value, level))
+            let value = sample.get(channel)?;
+            (value.abs() >= level).then_some((channel, value, level))
         });
         self.drive = Some(sample);
         if let Some(trip) = trip {
@@ -662,12 +683,11 @@ impl Session {
         let begins = order.held_since_s.is_none();
         let since_s = *order.held_since_s.get_or_insert(self.now_s);
         let release_s = order.brake.release_s;
-        let open = self.now_s - since_s >= release_s;
         if begins {
             let detail = json!({ "brake": "releases", "seconds": release_s });
             self.event("brake", detail);
         }
-        open
+        self.now_s - since_s >= release_s
     }
 
     /// Whether the output may go off: the shaft has rested for as long as the brake takes to close.
@@ -735,8 +755,8 @@ impl Session {
 
     fn finish_if_late(&mut self) {
         let waited_s = self.now_s - self.stopping_since_s;
-        let silent_s = self.now_s - self.word.heard_s;
-        if waited_s > self.word.stop_time_s || waited_s.min(silent_s) > STOP_SILENCE_S {
+        let unheard_s = waited_s.min(self.now_s - self.word.heard_s);
+        if waited_s > self.word.stop_time_s || unheard_s > STOP_SILENCE_S {
             self.finish(false);
         }
     }
@@ -766,8 +786,7 @@ impl Session {
         self.actions.push(Action::Finished(outcome));
     }
 
-    /// What is to be said after the link's own last stop, and how that failed, where it did or the session ended without
-    /// the drive's word.
+    /// What is to be said after the link's own last stop, where that failed or the session ended without the drive's word.
     pub fn last_word(&self, failed: Option<&LinkError>) -> Option<Notice> {
         // A drive that had stopped by its own word may have been switched on by what was under way.
         if self.word.stop != StopRequest::Unconfirmed && failed.is_none() {
@@ -790,13 +809,14 @@ impl Session {
                 let why = ", which was not seen to run; see that the shaft stands still";
                 (Level::Error, not(why))
             }
-            Some(_) if self.word.is_unwatched => {
-                let why = ", whose watchdog was waived: the motor may still turn";
-                (Level::Error, not(why))
-            }
+            Some(_) if self.word.is_unwatched => (
+                Level::Error,
+                not(", whose watchdog was waived: the motor may still turn"),
+            ),
             Some(_) => {
-                let why = ": its watchdog must have stopped the motor";
-                (Level::Error, not(why))
+                let time = self.watchdog_s().map(|time_s| format!(" of {time_s} s"));
+                let (time, acted) = (time.unwrap_or_default(), "must have stopped the motor");
+                (Level::Error, not(&format!(": its watchdog{time} {acted}")))
             }
         };
         Some(Notice { level, text })

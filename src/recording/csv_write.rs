@@ -7,6 +7,28 @@ use crate::sample::{Channel, Run};
 /// Said of a command where a limit of the drive held the output, so that the motor had another voltage.
 pub(super) const LIMITED: &str = "limited";
 
+/// What stands in a column of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColumnKind {
+    Quantity,
+    /// A whole number.
+    Count,
+    Word,
+    /// UTC as `2026-01-31T23:59:59Z`.
+    Instant,
+}
+
+impl ColumnKind {
+    /// Of a column of `samples.csv`.
+    pub fn of_samples(name: &str) -> Self {
+        match name {
+            "seq" => Self::Count,
+            "status" | "quality" => Self::Word,
+            _ => Self::Quantity,
+        }
+    }
+}
+
 /// One line of `samples.csv` before it is text.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
@@ -112,51 +134,50 @@ impl Layout {
         if self.exchange {
             names.extend(["status", "quality"]);
         }
-        csv_text(|csv| csv.write_record(names))
+        names.join(",") + "\n"
+    }
+
+    /// Puts the row with its line feed behind what is there.
+    pub fn push_line(&self, row: &Row, text: &mut String) {
+        push_number(text, row.time_s);
+        if self.host_time {
+            text.push(',');
+            push_number(text, row.host_time_s.unwrap_or(f64::NAN));
+        }
+        if self.exchange {
+            text.push(',');
+            if let Some(seq) = row.seq {
+                let _ = write!(text, "{seq}");
+            }
+        }
+        for channel in &self.channels {
+            text.push(',');
+            push_number(text, row.get(*channel).unwrap_or(f64::NAN));
+        }
+        if self.exchange {
+            text.push(',');
+            push_cell(text, &row.status);
+            text.push(',');
+            push_cell(text, &row.quality);
+        }
+        text.push('\n');
     }
 
     /// The row with its line feed.
     pub fn line(&self, row: &Row) -> String {
-        csv_text(|csv| self.write(row, csv, &mut String::new()))
-    }
-
-    /// Writes the row; `scratch` is room for a number.
-    fn write(
-        &self,
-        row: &Row,
-        csv: &mut csv::Writer<&mut Vec<u8>>,
-        scratch: &mut String,
-    ) -> csv::Result<()> {
-        let mut number = |value: Option<f64>, csv: &mut csv::Writer<_>| {
-            scratch.clear();
-            push_number(scratch, value.unwrap_or(f64::NAN));
-            csv.write_field(&*scratch)
-        };
-        number(Some(row.time_s), csv)?;
-        if self.host_time {
-            number(row.host_time_s, csv)?;
-        }
-        if self.exchange {
-            csv.write_field(row.seq.map_or_else(String::new, |seq| seq.to_string()))?;
-        }
-        for channel in &self.channels {
-            number(row.get(*channel), csv)?;
-        }
-        if self.exchange {
-            csv.write_field(&row.status)?;
-            csv.write_field(&row.quality)?;
-        }
-        csv.write_record(None::<&[u8]>)
+        let mut text = String::new();
+        self.push_line(row, &mut text);
+        text
     }
 }
 
-/// What is written into memory, as CSV.
-fn csv_text(write: impl FnOnce(&mut csv::Writer<&mut Vec<u8>>) -> csv::Result<()>) -> String {
-    let mut bytes = Vec::new();
-    let mut csv = csv::WriterBuilder::new().from_writer(&mut bytes);
-    write(&mut csv).expect("memory takes every row");
-    drop(csv);
-    String::from_utf8(bytes).expect("the cells are text")
+/// Words as a cell: quoted where it has to be.
+fn push_cell(text: &mut String, words: &str) {
+    if words.contains([',', '"', '\n', '\r']) {
+        let _ = write!(text, "\"{}\"", words.replace('"', "\"\""));
+    } else {
+        text.push_str(words);
+    }
 }
 
 /// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
@@ -168,36 +189,30 @@ pub fn number_text(value: f64) -> String {
 
 /// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
 fn push_number(text: &mut String, value: f64) {
-    let value = value + 0.0; // turns -0 into 0
-    let _ = if !value.is_finite() {
-        Ok(())
-    } else if value != 0.0 && !(1e-5..1e16).contains(&value.abs()) {
-        write!(text, "{value:e}")
-    } else {
-        write!(text, "{value}")
-    };
+    if !value.is_finite() {
+        return;
+    }
+    let mut buffer = ryu::Buffer::new();
+    // + 0.0 turns -0 into 0
+    let digits = buffer.format_finite(value + 0.0);
+    text.push_str(digits.strip_suffix(".0").unwrap_or(digits));
 }
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
 pub fn write_run(run: &Run) -> String {
     let all = Channel::ALL.into_iter();
-    let there: Vec<Channel> = all
-        .filter(|channel| run.column(*channel).is_some())
-        .collect();
-    let layout = Layout::plain(&there);
-    let rows = csv_text(|csv| {
-        let mut scratch = String::new();
-        for (index, time_s) in run.time_s().iter().enumerate() {
-            let mut row = Row::at(*time_s);
-            for channel in &there {
-                let cell = run.column(*channel).map(|column| column[index]);
-                row.set(*channel, cell);
-            }
-            layout.write(&row, csv, &mut scratch)?;
+    let there = all.filter_map(|channel| Some((channel, run.column(channel)?)));
+    let (channels, columns): (Vec<Channel>, Vec<&[f64]>) = there.unzip();
+    let mut text = Layout::plain(&channels).header();
+    for (row, time_s) in run.time_s().iter().enumerate() {
+        push_number(&mut text, *time_s);
+        for column in &columns {
+            text.push(',');
+            push_number(&mut text, column[row]);
         }
-        Ok(())
-    });
-    layout.header() + &rows
+        text.push('\n');
+    }
+    text
 }
 
 #[cfg(test)]
@@ -230,9 +245,23 @@ mod tests {
             (1e-9, "1e-9"),
             (1e300, "1e300"),
             (f64::NAN, ""),
+            (1e-5, "0.00001"),
+            (9.9e-6, "9.9e-6"),
+            (9.5e15, "9500000000000000"),
+            (-1.25e16, "-1.25e16"),
+            (5e-324, "5e-324"),
         ] {
             assert_eq!(number_text(value), text);
         }
+    }
+
+    #[test]
+    fn words_that_would_be_more_than_one_cell_are_quoted() {
+        let layout = Layout::of_drive(&[Channel::Speed]).without_host_time();
+        let mut row = Row::at(0.0);
+        row.status = "a,b".to_owned();
+        row.quality = "say \"x\"".to_owned();
+        assert_eq!(layout.line(&row), "0,,,\"a,b\",\"say \"\"x\"\"\"\n");
     }
 
     #[test]

@@ -155,7 +155,7 @@ impl Room {
 /// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
 const MOST_NEWS: usize = 20;
 
-/// Lines into a sink: one write call each. What the sink does not take waits and goes first the next time. Of what it has
+/// Lines into a sink: whole lines in each write call. What the sink does not take waits and goes first the next time. Of what it has
 /// taken the newest part is kept as well; the rest is read back from the sink where it is needed again.
 #[derive(Debug)]
 pub(super) struct Lines<S> {
@@ -185,6 +185,12 @@ impl<S: Durable> Lines<S> {
     }
 
     pub(super) fn push(&mut self, line: &str) -> io::Result<()> {
+        self.keep(line);
+        self.drain()
+    }
+
+    /// Takes a line, to be written with the next `drain`.
+    fn keep(&mut self, line: &str) {
         if self.text.len().saturating_add(line.len()) > self.room.taken {
             self.leave_to_the_sink();
         }
@@ -193,7 +199,6 @@ impl<S: Durable> Lines<S> {
         } else {
             self.text.extend_from_slice(line.as_bytes());
         }
-        self.drain()
     }
 
     /// Takes the older half of what is written out of memory, in whole lines.
@@ -294,6 +299,8 @@ fn lines_in(text: &[u8]) -> usize {
 /// Makes lines of rows and writes them; the one path of the threaded and the in-memory recorder.
 pub(super) struct Journal<S> {
     layout: Layout,
+    /// Room for the row that is made.
+    line: String,
     samples: Lines<S>,
     events: Lines<S>,
     sync_every_rows: usize,
@@ -314,6 +321,7 @@ impl<S: Durable> Journal<S> {
         sync_every_rows: usize,
     ) -> Self {
         let mut journal = Self {
+            line: String::new(),
             samples,
             events,
             sync_every_rows: sync_every_rows.max(1),
@@ -386,9 +394,9 @@ impl<S: Durable> Journal<S> {
         self.unsynced.as_deref()
     }
 
-    /// The log of the rows, when nothing comes any more.
-    pub(super) fn into_samples(self) -> Lines<S> {
-        self.samples
+    /// The whole of both logs; `None` where that is not to be had any more.
+    pub(super) fn texts(&self) -> [Option<Vec<u8>>; 2] {
+        [self.samples.whole(), self.events.whole()]
     }
 
     /// A sentence for the person at the bench.
@@ -407,16 +415,20 @@ impl<S: Durable> Journal<S> {
     }
 
     pub(super) fn rows(&mut self, rows: &[Row]) {
+        let lost = self.samples.lost;
         for row in rows {
-            let lost = self.samples.lost;
-            let result = self.samples.push(&self.layout.line(row));
-            self.note(result);
-            if lost == 0 && self.samples.lost > 0 {
-                self.tell_loss("rows", self.samples.room.all);
-            }
-            self.status.rows += 1;
-            self.unsynced_rows += 1;
+            self.line.clear();
+            self.layout.push_line(row, &mut self.line);
+            self.samples.keep(&self.line);
         }
+        // What came together is written together.
+        let result = self.samples.drain();
+        self.note(result);
+        if lost == 0 && self.samples.lost > 0 {
+            self.tell_loss("rows", self.samples.room.all);
+        }
+        self.status.rows += rows.len();
+        self.unsynced_rows += rows.len();
         if self.unsynced_rows >= self.sync_every_rows {
             self.unsynced_rows = 0;
             let synced = self.samples.sink.sync();

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
-//! * Every line reaches the file in one write, so that a killed program loses at most the row in flight.
+//! * Every line reaches the file in one write, with those that came together with it, so that a killed program loses at most
+//!   the rows in flight.
 //! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
 
 mod column_map;
@@ -27,13 +28,13 @@ mod run_folder;
 
 pub use column_map::{ColumnMap, Factor, Mapping};
 pub use csv_read::{CsvRows, ReadOptions, read_csv};
-pub use csv_write::{Layout, Row, number_text, write_run};
+pub use csv_write::{ColumnKind, Layout, Row, number_text, write_run};
 pub use error::{RecordingError, RowProblem};
 pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
-pub use manifest::Manifest;
+pub use manifest::{Machine, Manifest};
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
-pub use recorder::{Kept, KeptSamples, Recorder};
+pub use recorder::{Kept, KeptLogs, Recorder};
 pub use row_order::{CommandRow, RowOrder};
-pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};
+pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, read_text, resolved, utc_stamp};

@@ -29,7 +29,7 @@ enum Message {
 
 /// Writes a run folder. Rows travel over an unbounded channel: none is dropped, none waits for the disk.
 ///
-/// Each row is one write call of a whole line; events are synced one by one, samples every so many rows. At least once a
+/// Every write call is of whole lines, those of the rows that came together; events are synced one by one, samples every so many rows. At least once a
 /// second the folder is looked for: one that is gone is made again with all that the memory still has of the run. Dropped
 /// without [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
 pub struct Recorder {
@@ -40,25 +40,47 @@ pub struct Recorder {
     status: Arc<Mutex<RecorderStatus>>,
 }
 
-/// The samples of a run that was recorded, wherever its folder is by now.
-#[derive(Debug)]
-pub struct KeptSamples(Option<Lines<Log>>);
+/// The logs of a run that was recorded, wherever its folder is by now.
+pub struct KeptLogs(Option<Journal<Log>>);
 
-impl KeptSamples {
+impl KeptLogs {
     /// The text of `samples.csv`: read back from the file, which stays open, and what was still in memory. `None` where
     /// that is not all of it.
-    pub fn text(&self) -> Option<Vec<u8>> {
-        self.0.as_ref()?.whole()
+    pub fn samples(&self) -> Option<Vec<u8>> {
+        let [samples, _] = self.0.as_ref()?.texts();
+        samples
+    }
+
+    /// Makes a run folder of them in another place, for a disk that does not take them; `None` where they are not whole.
+    pub fn rescue(
+        &self,
+        root: &Path,
+        manifest: &Manifest,
+    ) -> Option<Result<RunFolder, RecordingError>> {
+        let [samples, events] = self.0.as_ref()?.texts();
+        let (samples, events) = (samples?, events?);
+        let write = || {
+            let folder = RunFolder::create(root, &manifest.stamp, &manifest.name)?;
+            let (mut to_samples, mut to_events) = folder.create_logs()?;
+            let written = to_samples.write_all(&samples);
+            let written = written.and_then(|()| to_events.write_all(&events));
+            let written = written
+                .and_then(|()| to_samples.sync())
+                .and_then(|()| to_events.sync());
+            written.map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
+            folder.write_manifest(manifest)?;
+            Ok(folder)
+        };
+        Some(write())
     }
 }
 
 /// What is left of a run that was recorded.
-#[derive(Debug)]
 pub struct Kept {
     /// Where the record is: not where it began, where that is gone.
     pub folder: RunFolder,
     pub status: RecorderStatus,
-    pub samples: KeptSamples,
+    pub logs: KeptLogs,
     /// Why the record on the disk is not whole, where it is not: its manifest goes on saying that the run is not finished.
     pub error: Option<RecordingError>,
 }
@@ -133,7 +155,7 @@ impl Recorder {
             return Kept {
                 folder: self.folder.clone(),
                 status: self.status(),
-                samples: KeptSamples(None),
+                logs: KeptLogs(None),
                 error: Some(RecordingError::WriterGone {
                     path: self.folder.path().display().to_string(),
                 }),
@@ -143,7 +165,7 @@ impl Recorder {
         Kept {
             folder: writer.folder,
             status: writer.journal.status(),
-            samples: KeptSamples(Some(writer.journal.into_samples())),
+            logs: KeptLogs(Some(writer.journal)),
             error,
         }
     }

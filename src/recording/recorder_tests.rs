@@ -1,6 +1,7 @@
 use std::fs;
 
 use super::*;
+use crate::recording::csv_read::whole_rows;
 use crate::recording::{MemoryRecorder, open_run, run_from_memory};
 use crate::sample::{Applied, Channel, Command, Demand, Origin};
 
@@ -166,7 +167,7 @@ fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
         assert!(samples.len() > 2 * Room::SAMPLES.taken);
         assert_eq!(read(kept.folder.samples()), samples);
         assert_eq!(read(kept.folder.events()), events);
-        assert_eq!(kept.samples.text(), Some(samples.into_bytes()));
+        assert_eq!(kept.logs.samples(), Some(samples.into_bytes()));
     }
 }
 
@@ -195,12 +196,117 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     assert!(news.contains("cannot be made again"), "{news:?}");
     let kept = disk.finish(&manifest());
     let is_io = matches!(kept.error, Some(RecordingError::Io { .. }));
-    assert!(is_io, "{kept:?}");
-    let samples = kept.samples.text().unwrap();
+    assert!(is_io, "{:?}", kept.error);
+    let samples = kept.logs.samples().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
+    // Another place takes all of it.
+    let rescued = kept.logs.rescue(&root.path().join("other"), &manifest());
+    let rescued = rescued.unwrap().unwrap();
+    let (samples_csv, events_jsonl) = expected(30);
+    assert_eq!(read(rescued.samples()), samples_csv);
+    assert_eq!(read(rescued.events()), events_jsonl);
     let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
     assert_eq!(run.run.rows(), 60);
     assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
+}
+
+/// What a power cut may leave of a log of a thousand rows: all whole rows come to the bit, the torn one is told, and nothing
+/// is invented. Reading takes exactly the bytes that `whole_rows` tells, which is asked at every byte; what comes of so many
+/// bytes is looked at once for each of these lengths, and with a part of the next row behind them.
+#[test]
+fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
+    let (samples, _) = expected(500);
+    let bytes = samples.as_bytes();
+    let ends: Vec<usize> = samples.match_indices('\n').map(|(at, _)| at + 1).collect();
+    assert_eq!(ends.len(), 1001);
+    let mut before = 0;
+    for cut in 0..=bytes.len() {
+        if ends.contains(&cut) {
+            before = cut;
+        }
+        let (length, is_torn) = whole_rows(&mut std::io::Cursor::new(&bytes[..cut])).unwrap();
+        assert_eq!(
+            (length, is_torn),
+            (before as u64, before != cut),
+            "cut at byte {cut}"
+        );
+    }
+    let folder = std::path::Path::new("r");
+    let read = |cut: usize| run_from_memory(folder, &bytes[..cut], &manifest());
+    let all = read(bytes.len()).unwrap().run;
+    let channels = [Channel::VoltageCmd, Channel::Current, Channel::Speed];
+    for (rows, pair) in ends.windows(2).enumerate() {
+        for cut in [pair[0], pair[0] + 1, pair[1] - 1] {
+            let torn = usize::from(cut != pair[0]);
+            let loaded = match read(cut) {
+                // The header alone is no run, and says so.
+                Err(RecordingError::NoRows { .. }) if rows == 0 => continue,
+                loaded => loaded.unwrap(),
+            };
+            let run = loaded.run;
+            assert_eq!(
+                (run.rows(), run.rows_dropped),
+                (rows, torn),
+                "cut at byte {cut}"
+            );
+            assert_eq!(loaded.warnings.len(), torn, "{:?}", loaded.warnings);
+            assert_eq!(run.time_s(), &all.time_s()[..rows]);
+            for channel in channels {
+                let bits = |run: &crate::sample::Run| -> Option<Vec<u64>> {
+                    let cells = run.column(channel)?.get(..rows)?;
+                    Some(cells.iter().map(|cell| cell.to_bits()).collect())
+                };
+                let missing = vec![f64::NAN.to_bits(); rows];
+                assert_eq!(bits(&run).unwrap_or(missing), bits(&all).unwrap());
+            }
+        }
+    }
+    assert!(
+        read(ends[0] - 1).is_err(),
+        "a header that is torn names no columns"
+    );
+}
+
+/// The manifest is replaced whole or not at all; of a disk that breaks this too the samples come all the same.
+#[test]
+fn a_folder_whose_manifest_is_cut_at_any_byte_still_gives_its_rows() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 3);
+    let kept = disk.finish(&manifest());
+    let path = kept.folder.path().join("manifest.json");
+    let text = read(path.clone());
+    for cut in 0..text.len() {
+        fs::write(&path, &text[..cut]).unwrap();
+        let loaded = open_run(kept.folder.path(), None).unwrap();
+        assert_eq!(loaded.run.rows(), 6);
+        // Only its line feed may be missing.
+        let is_whole = cut == text.len() - 1;
+        assert_eq!(
+            loaded.warnings.is_empty(),
+            is_whole,
+            "{:?}",
+            loaded.warnings
+        );
+        assert_eq!(loaded.manifest.is_some(), is_whole);
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
+    let root = tempfile::tempdir().unwrap();
+    let file = root.path().join("file");
+    fs::write(&file, "no folder").unwrap();
+    for place in [
+        &file,
+        std::path::Path::new("/proc"),
+        std::path::Path::new("/dev/null"),
+    ] {
+        let error = RunFolder::create(place, "20260131T000000Z", "test").unwrap_err();
+        assert!(matches!(error, RecordingError::Io { .. }), "{error}");
+        assert!(error.help().contains("permissions"), "{}", error.help());
+    }
+    assert_eq!(read(file), "no folder");
 }
 
 const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";

@@ -32,7 +32,7 @@ pub use commission::CommissionReport;
 pub use comparison::{ComparisonReport, SignalFigures};
 pub use findings::effect_picture;
 pub use page::{Page, Tone};
-pub use run::{EarlyEnd, RunReport, SpeedLoop};
+pub use run::{EarlyEnd, LastSeconds, RunReport, SpeedLoop};
 pub use traces::ConfirmRun;
 
 /// Stands on every page and at the end of every text.

@@ -1,5 +1,7 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
+use std::ops::Range;
+
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
 use super::{Context, Facts, tables};
@@ -21,8 +23,23 @@ pub struct RunReport<'a> {
     pub timing: &'a Facts,
     /// Why the run did not go to its end, if it did not.
     pub early_end: Option<EarlyEnd>,
+    /// What came last, where it ended by a trip or a lost link.
+    pub last_seconds: Option<LastSeconds>,
     /// How the speed loop did, where there was one.
     pub speed_loop: Option<&'a SpeedLoop>,
+}
+
+/// The last seconds of a run that tripped.
+#[derive(Clone, Debug)]
+pub struct LastSeconds {
+    /// When it was decided that the output has to be off, on the samples' time axis, s.
+    pub time_s: f64,
+    /// Of the record, counted from 0.
+    pub rows: Range<usize>,
+    /// Magnitudes that must not be exceeded.
+    pub limits: Vec<(Channel, f64)>,
+    /// How the drive was stopped.
+    pub stop: Option<String>,
 }
 
 /// An end before that of the sequence.
@@ -87,11 +104,14 @@ impl RunReport<'_> {
             stacked(
                 "recorded signals over time",
                 TIME,
-                &panels(run),
+                &panels(run, time_s.first().copied().unwrap_or(0.0)),
                 MOST_POINTS,
             ),
             "Time counts from the start of the run. A line is broken where samples are missing.",
         );
+        if let Some(last) = &self.last_seconds {
+            last_seconds(&mut page, run, last);
+        }
         if let Some(speed_loop) = self.speed_loop {
             page.section("Speed loop");
             page.facts(speed_loop.facts.clone());
@@ -159,9 +179,63 @@ const fn origin(origin: Origin) -> &'static str {
     }
 }
 
+/// The stretch in which it came to the trip, every sample of it, and how near the limits were.
+fn last_seconds(page: &mut Page, run: &Run, last: &LastSeconds) {
+    let rows = last.rows.start..last.rows.end.min(run.rows());
+    let Some(part) = part(run, rows.clone()).filter(|part| part.rows() > 0) else {
+        return;
+    };
+    page.section("The last seconds");
+    page.figure(
+        stacked(
+            "recorded signals before the trip and until the end",
+            TIME,
+            &panels(&part, last.time_s),
+            MOST_POINTS,
+        ),
+        format!(
+            "Rows {} to {} of samples.csv, which has every sample. Time counts from the decision that the output has to be off.",
+            rows.start + 1,
+            rows.end
+        ),
+    );
+    page.list(last.stop.iter().cloned().collect::<Vec<_>>());
+    let extreme = |channel: Channel| {
+        let values = part.points(channel).map(|(_, value)| value.abs());
+        values.fold(f64::NAN, f64::max)
+    };
+    page.table(
+        Table::of(
+            last.limits
+                .iter()
+                .filter(|(channel, _)| !extreme(*channel).is_nan()),
+        )
+        .column("limit of", |(channel, _)| channel.name())
+        .column("unit", |(channel, _)| channel.unit())
+        .column("limit", |(_, limit)| significant(*limit, 4))
+        .column("largest magnitude", |(channel, _)| {
+            significant(extreme(*channel), 4)
+        })
+        .column("share of the limit", |(channel, limit)| {
+            format!("{} %", significant(100.0 * extreme(*channel) / limit, 3))
+        }),
+    );
+}
+
+/// Some rows of a run.
+fn part(run: &Run, rows: Range<usize>) -> Option<Run> {
+    let mut part = Run::new(run.name.clone(), run.time_s().get(rows.clone())?.to_vec()).ok()?;
+    for channel in Channel::ALL {
+        if let Some(column) = run.column(channel) {
+            let values = column[rows.clone()].to_vec();
+            part.set_column(channel, values, run.origin(channel)).ok()?;
+        }
+    }
+    Some(part)
+}
+
 /// One panel per quantity; a command shares the panel of what it commands.
-fn panels(run: &Run) -> [Panel; 7] {
-    let start_s = run.time_s().first().copied().unwrap_or(0.0);
+fn panels(run: &Run, start_s: f64) -> [Panel; 7] {
     let time_s: Vec<f64> = run.time_s().iter().map(|time| time - start_s).collect();
     let end_s = time_s.last().copied().unwrap_or(0.0);
     let groups: [&[Channel]; 7] = [
@@ -224,6 +298,12 @@ mod tests {
                 title: "Safety trip",
                 reason: "current 31.0 A is above the limit of 30 A".to_owned(),
             }),
+            last_seconds: Some(LastSeconds {
+                time_s: 0.4,
+                rows: 30..50,
+                limits: vec![(Channel::Speed, 50.0), (Channel::Current, 30.0)],
+                stop: Some("stop sent 0.1 ms after over-current".to_owned()),
+            }),
             speed_loop: None,
         };
         let text = report.text();
@@ -232,6 +312,9 @@ mod tests {
             text.contains("| current | A     | measured | n/a"),
             "{text}"
         );
+        assert!(text.contains("Rows 31 to 50 of samples.csv"), "{text}");
+        assert!(text.contains("stop sent 0.1 ms"), "{text}");
+        assert!(text.contains("| 98.0 %"), "{text}");
         let html = report.html();
         assert!(!html.contains("NaN") && !html.contains(">inf"));
         // The lost sample cuts the speed's line in two.

@@ -266,6 +266,7 @@ fn the_page_of_a_run_is_whole() {
         parameters: &[resistance],
         timing: &vec![("period asked".into(), "4 ms".into())],
         early_end: None,
+        last_seconds: None,
         speed_loop: None,
     };
     let html = report.html();

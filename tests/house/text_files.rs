@@ -5,10 +5,12 @@ use drivebench::drive::DriveProfile;
 use drivebench::emulator::EmulatorConfig;
 use drivebench::plant::ModelFile;
 use drivebench::recording::{ReadOptions, read_csv};
+use drivebench::workflow::suite::Suite;
 use proptest::prelude::*;
 
 const BENCH: &str = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
 const EMULATOR: &str = include_str!("../../bench-configs/emulators/example.toml");
+const SUITE: &str = include_str!("../../bench-configs/suites/acceptance.toml");
 const OWN: &str = include_str!("../../bench-configs/drives/own.toml");
 const FOREIGN: &str = include_str!("../../bench-configs/drives/epulse50-dc.toml");
 const MODEL: &str = "[motor]\nname = \"m\"\nresistance_ohm = 1.1\ninductance_h = 0.0099\nback_emf_v_s_per_rad = 0.35\n\
@@ -48,6 +50,13 @@ fn told<T, E: std::fmt::Display>(file: &str, read: Result<T, E>) {
     }
 }
 
+/// Options of commands that the suite gives to its steps.
+fn options() -> Vec<String> {
+    ["run-seed", "holdout", "controller"]
+        .map(str::to_owned)
+        .into()
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -70,6 +79,11 @@ proptest! {
     #[test]
     fn a_spoilt_model_is_read_or_refused(text in spoilt(MODEL)) {
         told("model.toml", ModelFile::parse("model.toml", &text));
+    }
+
+    #[test]
+    fn a_spoilt_suite_is_read_or_refused(text in spoilt(SUITE)) {
+        told("suite.toml", Suite::parse("suite.toml", &text, |_| options()));
     }
 
     #[test]

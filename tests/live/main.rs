@@ -14,6 +14,8 @@ mod witness;
 
 mod burst;
 mod c_slave;
+mod commission;
+mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;
@@ -25,4 +27,3 @@ mod screen;
 mod speed;
 mod tools;
 mod ways_out;
-mod whole_loop;

@@ -7,6 +7,7 @@
 //!
 //! What only happens to a process (a signal that kills it, a file that cannot be written) has its trials in real time.
 
+mod endurance;
 mod hidden;
 #[path = "../../../tests/witness/mod.rs"]
 mod witness;
@@ -34,8 +35,11 @@ use crate::identification::online::OnlineConfig;
 use crate::plant::Model;
 use crate::recording::MemoryRecorder;
 use crate::sample::{Origin, ParameterEstimate, Run};
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use witness::codec::{self, Request};
 use witness::drive::{BENCH, Drive, PROFILE};
-use witness::fault::{Act, Class, Fault, Host, Subject, Way};
+use witness::fault::{Act, Class, FAULTS, Fault, Host, Subject, Way};
 use witness::trials;
 
 /// Seeds of each trial: when the fault comes, which replies it hits, what the sensors' noise is.
@@ -46,6 +50,10 @@ const AGAIN_S: f64 = 0.05;
 const STOPPED_S: f64 = 1.0;
 /// The drive is watched for so long after the end, s.
 const AFTER_S: f64 = 0.7;
+/// The control word of the witness's map, its bit with which the output is on, and its set-point.
+const CONTROL_WORD: u16 = 200;
+const RUN_BIT: u16 = 0x02;
+const SET_POINT: u16 = 201;
 /// Standard deviations within which a parameter has to be, of some thousand.
 const SIGMAS: f64 = 4.5;
 
@@ -60,11 +68,31 @@ struct Surroundings {
     again: bool,
     /// The process is stopped from its next wait on.
     stops: bool,
+    /// When it was told what: whether the output is to be zero.
+    told: Vec<(f64, bool)>,
 }
 
 impl FarEnd for Surroundings {
     fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
         let sent = self.drive.hear(now_s, bytes);
+        let request = codec::request(bytes).and_then(Result::ok);
+        if let Some((
+            _,
+            Request::Write {
+                address, values, ..
+            },
+            _,
+        )) = request
+        {
+            for (at, word) in (address..).zip(values) {
+                let is_off = match at {
+                    CONTROL_WORD => word & RUN_BIT == 0,
+                    SET_POINT => word == 0,
+                    _ => continue,
+                };
+                self.told.push((now_s, is_off));
+            }
+        }
         self.look(now_s);
         sent
     }
@@ -85,6 +113,7 @@ impl Surroundings {
             done_s: None,
             again: false,
             stops: false,
+            told: Vec::new(),
         }
     }
 
@@ -406,4 +435,65 @@ fn every_way_out_ends_at_zero() {
 #[test]
 fn whatever_the_drive_does_it_ends_at_zero() {
     expect(Subject::Drive);
+}
+
+/// Trials of the stop; rates of the run, Hz: at 80 Hz the line is busy for half of a cycle.
+const STOPS: u64 = 1000;
+const RATES_HZ: std::ops::Range<f64> = 25.0..80.0;
+/// Buckets of the histogram, ms.
+const BUCKET_MS: f64 = 10.0;
+
+/// From when the fault could be seen until a stop was on the line, and what is allowed, s; and the fault.
+fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    // The link lives, and the fault has a first instant at which it can be seen.
+    let is_live = |fault: &&Fault| {
+        let is_dead = matches!(fault.act, Act::PowerLost(_) | Act::Dead(_) | Act::Unplugged);
+        fault.class == Class::Cut(0.0) && !is_dead
+    };
+    let faults: Vec<&'static Fault> = FAULTS.iter().filter(is_live).collect();
+    let fault = faults[random.random_range(0..faults.len())];
+    let rate_hz = random.random_range(RATES_HZ);
+    let bench = BENCH.replace("rate_hz = 50.0", &format!("rate_hz = {rate_hz:.2}"));
+    let trial = trial_of(&bench, Drive::new(fault.act, seed), None, Way::Run);
+    let seen_s = trial.drive.drive.seen_s();
+    let seen_s = seen_s.unwrap_or_else(|| panic!("{fault}, seed {seed}: {}", trial.said));
+    let told = &trial.drive.told;
+    let on = told.iter().rposition(|(_, is_off)| !is_off).unwrap_or(0);
+    // From here on it was told nothing else.
+    let stop_s = told[on..].iter().find(|(_, is_off)| *is_off);
+    let latency_s = stop_s.map(|(stop_s, _)| (stop_s - seen_s).max(0.0));
+    let allowed_s = (3.0 / rate_hz).max(0.1) + 1.0 / rate_hz;
+    (fault.name, latency_s.unwrap_or(f64::INFINITY), allowed_s)
+}
+
+#[test]
+fn with_a_live_link_the_stop_is_on_the_line_in_time_in_all_of_a_thousand_trials() {
+    let seeds: Vec<u64> = (0..STOPS).collect();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let done = trials::at_once(cores, &seeds, |seed| stop_latency(*seed));
+    let mut counts = std::collections::BTreeMap::new();
+    let mut worst = 0.0_f64;
+    for (fault, latency_s, allowed_s) in &done {
+        assert!(
+            latency_s <= allowed_s,
+            "{fault}: {latency_s:.4} s, allowed {allowed_s:.4} s"
+        );
+        worst = worst.max(latency_s / allowed_s);
+        let bucket = crate::bench::timing::whole(1e3 * latency_s / BUCKET_MS);
+        *counts.entry(bucket).or_insert(0_u64) += 1;
+    }
+    let mut text = format!(
+        "worst {:.0} % of what is allowed; ms, trials:",
+        100.0 * worst
+    );
+    for (bucket, count) in counts {
+        let _ = write!(
+            text,
+            " {:.0}-{:.0} {count},",
+            BUCKET_MS * bucket as f64,
+            BUCKET_MS * (bucket + 1) as f64
+        );
+    }
+    println!("{text}");
 }

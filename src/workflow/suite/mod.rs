@@ -8,6 +8,7 @@
 //! Pure: which process does a step, and in which folder, is the driver's concern. The motor is stopped by the guard of the
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
+pub mod golden;
 pub mod junit;
 mod limit;
 pub mod open_metrics;
@@ -20,8 +21,11 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
-pub use limit::{Limit, entry, find};
-pub use outcome::{CaseOutcome, Check, Spread, StepOutcome, SuiteOutcome, Verdict};
+pub use limit::{Limit, answered, entry, figure, find};
+pub use outcome::{
+    Answered, CaseOutcome, Check, Confusion, IdentifiedStep, Spread, StepOutcome, SuiteOutcome,
+    Verdict,
+};
 
 /// A suite file.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +62,8 @@ pub enum Need {
     Line,
     /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
     Emulator,
+    /// An earlier run of the same machine, given by `--baseline`.
+    Baseline,
 }
 
 /// One step of a case.
@@ -131,6 +137,7 @@ impl SignalLimit {
 /// The verbs of steps and the commands that they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verb {
+    Probe,
     Plan,
     Commission,
     Excite,
@@ -143,7 +150,8 @@ pub enum Verb {
 
 impl Verb {
     /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 8] = [
+    pub const ALL: [(Self, &'static str, &'static str); 9] = [
+        (Self::Probe, "probe", "probe"),
         (Self::Plan, "plan", "plan"),
         (Self::Commission, "commission", "commission"),
         (Self::Excite, "excite", "run"),
@@ -170,7 +178,7 @@ impl Verb {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SuiteKeys {
-    name: String,
+    name: Spanned<String>,
     #[serde(default)]
     defaults: Defaults,
     #[serde(rename = "case")]
@@ -223,6 +231,7 @@ struct StepKeys {
     name: Option<String>,
     timeout_s: Option<f64>,
     status: Option<Statuses>,
+    probe: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
     excite: Option<Spanned<toml::Table>>,
@@ -241,6 +250,7 @@ struct StepKeys {
 impl StepKeys {
     fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
         let table = match verb {
+            Verb::Probe => &mut self.probe,
             Verb::Plan => &mut self.plan,
             Verb::Commission => &mut self.commission,
             Verb::Excite => &mut self.excite,
@@ -261,12 +271,21 @@ enum Statuses {
     Any(Vec<u8>),
 }
 
+/// By which options refer to the folder of the case, as in `"@case/model.toml"`.
+pub const CASE: &str = "case";
 /// Most repeats of a case.
 const MOST_REPEATS: u64 = 10_000;
 /// Longest time for a step, s: a day.
 const MOST_S: f64 = 86_400.0;
 /// Time for a step where the file gives none, s.
 const TIMEOUT_S: f64 = 300.0;
+/// Options that the driver gives by what stands in the case and on its own command line: which motor turns, and where files
+/// are made, is not for a step to say.
+const GIVEN: [&str; 8] = [
+    "port", "emulator", "seed", "out", "hardware", "headless", "json", "screen",
+];
+/// Options that name a file to be written; a suite writes nowhere but into the folder of its case.
+const WRITTEN: [&str; 5] = ["tap", "output", "html", "next-bench", "load-torque"];
 
 impl Suite {
     /// Reads a suite. `options_of` gives the long names of the options that the command of a verb has.
@@ -279,10 +298,27 @@ impl Suite {
         let error = |offset: usize, what: String, help: &str| {
             ConfigError::at(file, text, offset, what, help)
         };
+        if !is_printable(keys.name.get_ref()) {
+            let what = format!("name = {:?} is not allowed", keys.name.get_ref());
+            let help = "allowed: up to 200 characters that can be printed";
+            return Err(error(keys.name.span().start, what, help));
+        }
         let mut cases: Vec<Case> = Vec::new();
         for case in keys.cases {
             let at = case.name.span().start;
             let name = case.name.into_inner();
+            if let Some(word) = [&name]
+                .into_iter()
+                .chain(&case.tags)
+                .find(|word| !is_printable(word))
+            {
+                let what = format!("{word:?} is not allowed as a name or a tag");
+                return Err(error(
+                    at,
+                    what,
+                    "allowed: up to 200 characters that can be printed",
+                ));
+            }
             if cases.iter().any(|other| other.name == name) {
                 let what = format!("two cases are named {name:?}");
                 return Err(error(at, what, "each needs a name of its own"));
@@ -328,7 +364,7 @@ impl Suite {
             });
         }
         Ok(Self {
-            name: keys.name,
+            name: keys.name.into_inner(),
             cases,
         })
     }
@@ -344,6 +380,13 @@ fn read_step(
 ) -> Result<Step, StepError> {
     let at = step.span().start;
     let mut keys = step.into_inner();
+    if let Some(name) = &keys.name
+        && (!is_file_name(name) || name == CASE)
+    {
+        let what = format!("as = {name:?} is not allowed");
+        let help = "allowed: letters, digits, -, _ and dots, not at the beginning, and not \"case\"; files are named by it".to_owned();
+        return Err((at, what, help));
+    }
     let mut found: Vec<(&'static str, Action)> = Vec::new();
     let has_status = keys.status.is_some();
     let statuses = match keys.status.take() {
@@ -411,8 +454,22 @@ fn read_options(
             let help = help_for_unknown(key, names.iter().map(String::as_str));
             return Err((at, what, help));
         }
+        let option = key.replace('_', "-");
+        if GIVEN.contains(&option.as_str()) {
+            let what = format!("{word} does not take `{key}`");
+            let help =
+                "the case says port, emulator and seed; the rest the command line of the suite"
+                    .to_owned();
+            return Err((at, what, help));
+        }
+        if is_written(key) && !value.as_str().is_some_and(is_file_name) {
+            let what = format!("{key} = {value} is not allowed");
+            let help =
+                "allowed: the name of a file, which is made in the folder of the case".to_owned();
+            return Err((at, what, help));
+        }
         for name in references(value) {
-            if !before.iter().any(|step| step.name == name) {
+            if name != CASE && !before.iter().any(|step| step.name == name) {
                 let what = format!("{key} = \"@{name}\": no earlier step is named {name:?}");
                 return Err((at, what, help_for_name(name, before)));
             }
@@ -463,6 +520,22 @@ fn help_for_name(name: &str, before: &[Step]) -> String {
     }
 }
 
+/// Whether an option names a file that its command writes.
+pub fn is_written(key: &str) -> bool {
+    WRITTEN.contains(&key.replace('_', "-").as_str())
+}
+
+/// Whether a file in a folder may have this name, and needs no quotes in a shell.
+fn is_file_name(name: &str) -> bool {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    (1..=100).contains(&name.len()) && !name.starts_with(['.', '-']) && name.chars().all(is_plain)
+}
+
+/// Whether a name shows on a terminal as what it is.
+fn is_printable(name: &str) -> bool {
+    (1..=200).contains(&name.chars().count()) && !name.chars().any(char::is_control)
+}
+
 /// Names of steps in a value: `"@fit"`, `"@fit/model.toml"`.
 pub fn references(value: &toml::Value) -> Vec<&str> {
     match value {
@@ -484,9 +557,11 @@ mod tests {
     use super::*;
 
     fn options_of(_: Verb) -> Vec<String> {
-        ["run-seed", "escalate", "holdout", "model", "require"]
-            .map(String::from)
-            .into()
+        [
+            "run-seed", "escalate", "holdout", "model", "require", "out", "tap",
+        ]
+        .map(String::from)
+        .into()
     }
 
     fn parse(text: &str) -> Result<Suite, ConfigError> {
@@ -562,6 +637,27 @@ timeout_s = 9.0
                 "[1.0, 1.3]",
                 "[1.3, 1.0]",
                 "resistance_ohm: [1.3, 1] has its larger end first",
+            ),
+            (
+                "name = \"acceptance\"",
+                "name = \"\\u001b[2J\"",
+                "name = \"\\u{1b}[2J\" is not allowed",
+            ),
+            (
+                "tags = [\"smoke\"]",
+                "tags = [\"a\\u0007\"]",
+                "not allowed as a name or a tag",
+            ),
+            (
+                "as = \"fit\"",
+                "as = \"a/../b\"",
+                "as = \"a/../b\" is not allowed",
+            ),
+            ("run_seed = 2", "out = \"/\"", "excite does not take `out`"),
+            (
+                "run_seed = 2",
+                "tap = \"../line.pcap\"",
+                "tap = \"../line.pcap\" is not allowed",
             ),
             ("speed = {}", "", "the step does nothing"),
             (

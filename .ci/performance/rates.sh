@@ -2,9 +2,9 @@
 # Round trips per second beside libmodbus: ten interleaved rounds over a direct pseudo-terminal, same server, same
 # registers, same affinity. Not run by .ci/run: it measures, and needs a quiet machine.
 #
-#   .ci/interop/rates.sh PROGRAM [READS] [ROUNDS]
+#   .ci/performance/rates.sh PROGRAM [READS] [ROUNDS]
 #
-# Prints each round, then the ratios that issue 6 asks for: rate >= 0.9 of libmodbus without a gap, 99th percentile
+# Prints each round, then the ratios and what was asked: rate >= 0.9 of libmodbus without a gap, 99th percentile
 # <= 1.2 of its, and with the standard's gap of 1.75 ms within 5 % of what the gap and the exchange itself allow.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)

@@ -2,7 +2,7 @@
 # Missed cycles at 1 kHz over the stream without a pace, beside a plain C loop: interleaved rounds against the same
 # emulator. Not run by .ci/run: it measures, and needs a quiet machine.
 #
-#   .ci/interop/cycles.sh PROGRAM [SECONDS] [ROUNDS] [RATE_HZ]
+#   .ci/performance/cycles.sh PROGRAM [SECONDS] [ROUNDS] [RATE_HZ]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 root=$(realpath "$here/../..")
@@ -52,5 +52,8 @@ import sys
 rows = [[float(x) for x in line.split()] for line in open(sys.argv[1])]
 ours, plain = (sum(r[1] for r in rows) / sum(r[0] + r[1] for r in rows), sum(r[6] for r in rows) / sum(r[5] + r[6] for r in rows))
 print(f"missed: ours {100 * ours:.3f} % of the cycles, plain C {100 * plain:.3f} % (asked: no more than the plain loop)")
+ratios = sorted(r[4] / r[9] for r in rows if r[9] > 0)
+p99 = [sorted(r[k] for r in rows)[len(rows) // 2] for k in (4, 9)]
+print(f"lateness: 99 % below {p99[0]:.0f} us, plain C {p99[1]:.0f} us (median round); ratio {ratios[len(ratios) // 2]:.2f}, {ratios[0]:.2f} to {ratios[-1]:.2f} (asked at most 1.3)")
 print(f"lost: ours {sum(r[2] for r in rows):.0f}, plain C {sum(r[7] for r in rows):.0f}")
 SUM

@@ -1,0 +1,58 @@
+#!/usr/bin/env bash
+# Counts the instructions of every hot path with valgrind and compares them with those written down: a machine may be slow, but
+# it does not count wrongly. More than 5 % above what stands in instructions.txt fails.
+#
+#   .ci/performance/instructions.sh [--write]
+#
+# Counts are of one compiler: with another they are shown and not judged. What start and set-up cost falls out of the
+# difference between doing the work once and five times.
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+# shellcheck source=.ci/install.sh
+. "$here/../install.sh"
+most_percent=5
+written=$here/instructions.txt
+if ! command -v valgrind >/dev/null && ! apt_install valgrind; then
+    echo 'not checked: valgrind could not be installed'
+    exit 0
+fi
+kernel=$("$here/kernel.sh")
+compiler=$(rustc --version)
+counted() {
+    valgrind --tool=cachegrind --cache-sim=no --cachegrind-out-file=/dev/null "$kernel" "$1" "$2" 2>&1 >/dev/null |
+        sed -n 's/.*I *refs: *//p' | tr -d ,
+}
+counts=$(mktemp)
+trap 'rm -f "$counts"' EXIT
+"$kernel" | while read -r id elements; do
+    once=$(counted "$id" 1)
+    often=$(counted "$id" 5)
+    echo "$id $(((often - once) / 4 / elements))"
+done >"$counts"
+if [ "${1:-}" = --write ]; then
+    { echo "# Instructions of one element of each hot path, by $compiler; instructions.sh --write writes them anew."; cat "$counts"; } >"$written"
+    cat "$written"
+    exit 0
+fi
+judged=yes
+grep -qF "by $compiler;" "$written" || judged=no
+failed=0
+while read -r id count; do
+    before=$(sed -n "s|^$id ||p" "$written")
+    if [ -z "$before" ]; then
+        echo "FAIL $id: $count instructions, and none are written down"
+        failed=1
+    elif ((count * 100 > before * (100 + most_percent))); then
+        echo "$([ $judged = yes ] && echo FAIL || echo more) $id: $count instructions, $before are written down"
+        [ $judged = no ] || failed=1
+    elif ((count * (100 + most_percent) < before * 100)); then
+        echo "less $id: $count instructions, $before are written down: write the gain down"
+    else
+        echo "ok   $id: $count instructions"
+    fi
+done <"$counts"
+[ $judged = yes ] || echo "not judged: they were counted by another compiler than $compiler"
+if [ $failed = 1 ]; then
+    echo 'help: find what became slower, or say in the commit why it must, with .ci/performance/instructions.sh --write' >&2
+    exit 1
+fi
