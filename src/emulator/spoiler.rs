@@ -8,6 +8,7 @@ use firmware_protocol::stream;
 use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::SoftDrive;
 use super::dialogue::Answering;
 use super::fault::{FaultEntry, FaultKind, Lurking};
 use crate::drive::Protocol;
@@ -289,6 +290,10 @@ impl Spoiled<'_> {
 }
 
 impl Answering for Spoiled<'_> {
+    fn soft(&self) -> &SoftDrive {
+        self.drive.soft()
+    }
+
     fn advance_to(&mut self, time_s: f64) {
         self.drive.advance_to(time_s);
     }
