@@ -195,7 +195,7 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
 /// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.
 fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
-    let text = folder.and_then(|f| std::fs::read_to_string(f.file(RunFile::Result)).ok());
+    let text = folder.and_then(|f| read_text(&f.file(RunFile::Result)).ok());
     let result = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let result = result.unwrap_or_default();
     let kept = result["online"]["parameters"].as_object();

@@ -1,6 +1,7 @@
-//! `init`: a bench file from a drive profile, a port and a nameplate, every limit with its reason.
+//! `init`: a bench file from a drive profile, a port and a nameplate, or a suite from runs; every limit with its reason.
 //!
 //! ```text
+//! --suite RUN... -> app::suite::golden -> new suite, and the bench of the runs beside it
 //! profile, nameplate -> app::survey: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
@@ -11,36 +12,45 @@ use serde::Serialize;
 use super::failure::Failure;
 use super::{opening, output};
 use crate::app::files::read_text;
+use crate::app::suite::golden;
 use crate::app::survey::told;
 use crate::bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
 use crate::config_text::{self, ConfigError};
 use crate::drive::serial_ports::describe;
+use crate::workflow::suite::golden::GoldenLimit;
 
 /// What a bench file is called in the next steps while it has no name.
 const NAMELESS: &str = "bench.toml";
 
-/// Write a bench file for a drive and a motor, every limit with its reason
+/// Write a bench file for a drive and a motor, or a suite of bench tests from runs; every limit with its reason
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench init --drive own --port /dev/ttyUSB0 --motor bench-configs/motors/zk-22fc.toml --out bench.toml
   drivebench init --drive epulse50-dc --port /dev/ttyUSB0 --unit 3 --motor my-motor.toml > bench.toml
   drivebench init --drive own --port sim: --motor bench-configs/motors/zk-22fc.toml       to try it without a drive
   drivebench init --drive ./acme-40.toml --port /dev/ttyUSB0 --offline --motor my-motor.toml
+  drivebench init --suite runs/*-fit --out golden.toml                hold the machine to what it was found to be
 
 A nameplate is the [motor] table of a bench file, with or without the header. Name and rated values are needed; what makes
 the model of the motor may be left out where the drive takes a voltage: `drivebench run` then finds it from small steps first.
-The drive is asked for its own limits, and nothing is written to it; --offline goes without. No file is ever overwritten.")]
+The drive is asked for its own limits, and nothing is written to it; --offline goes without. No file is ever overwritten.
+
+--suite takes run folders of `commission`, `run` and `speed` that passed, of one machine on one bench. Each limit says where it
+comes from: the interval of a parameter, what the runs differ by, or the worst that was seen and a margin.")]
 pub(super) struct Arguments {
     /// Drive profile: a built-in name, or a file
-    #[arg(long, value_name = "DRIVE")]
-    drive: String,
+    #[arg(long, value_name = "DRIVE", required_unless_present = "suite")]
+    drive: Option<String>,
     /// Serial port, tcp:HOST:PORT, emulator, or sim: (in memory); written into the file, and asked for the drive's limits
-    #[arg(long, value_name = "PORT")]
-    port: String,
+    #[arg(long, value_name = "PORT", required_unless_present = "suite")]
+    port: Option<String>,
     /// Nameplate of the motor
-    #[arg(long, value_name = "NAMEPLATE")]
-    motor: PathBuf,
-    /// New bench file; without it, or with -, on stdout
+    #[arg(long, value_name = "NAMEPLATE", required_unless_present = "suite")]
+    motor: Option<PathBuf>,
+    /// Run folders: write a suite that holds the machine to what it was found to be; needs --out
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "out", conflicts_with_all = ["drive", "port", "motor", "baud", "unit", "offline"])]
+    suite: Vec<PathBuf>,
+    /// New bench file, or suite; without it, or with -, a bench file goes to stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Baud rate; without it that of the profile
@@ -72,34 +82,79 @@ struct InitResult<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    match (&arguments.drive, &arguments.port, &arguments.motor) {
+        (Some(drive), Some(port), Some(motor)) => bench(arguments, drive, port, motor),
+        _ => suite(arguments),
+    }
+}
+
+/// A suite as JSON.
+#[derive(Serialize)]
+struct SuiteResult<'a> {
+    files: Vec<String>,
+    suite: &'a str,
+    limits: &'a [GoldenLimit],
+    /// The command that uses it.
+    next: String,
+}
+
+fn suite(arguments: &Arguments) -> Result<(), Failure> {
+    let out = arguments.out.as_deref().unwrap_or(Path::new("suite.toml"));
+    let written = golden::write(&arguments.suite, out)?;
+    let result = SuiteResult {
+        files: written
+            .files
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect(),
+        suite: &written.golden.text,
+        limits: &written.golden.limits,
+        next: format!(
+            "drivebench test {}",
+            output::quoted_word(&out.display().to_string())
+        ),
+    };
+    output::result(&result, arguments.json, |result| {
+        let limits = result.limits.iter().map(|own| {
+            format!(
+                "  {:<10} {} = {}\n      {}",
+                own.case, own.key, own.limit, own.reason
+            )
+        });
+        let limits = limits.collect::<Vec<_>>().join("\n");
+        format!(
+            "{}: {} limits\n{limits}\nnext:\n  {}",
+            result.files.join(", "),
+            result.limits.len(),
+            result.next
+        )
+    })
+}
+
+fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result<(), Failure> {
     let out = arguments.out.as_deref();
     let out = out.filter(|path| *path != Path::new("-"));
     if let Some(path) = out {
         output::refuse_existing(path, "--out")?;
     }
-    if Port::parse(&arguments.port).is_none() {
+    if Port::parse(port).is_none() {
         return Err(Failure::usage(
-            format!("--port {:?} is not a port", arguments.port),
+            format!("--port {port:?} is not a port"),
             "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator; `drivebench ports` lists what is plugged in",
         ));
     }
-    let (mut profile, _) = opening::profile(&arguments.drive)?;
+    let (mut profile, _) = opening::profile(drive)?;
     profile.link.baud = arguments.baud.unwrap_or(profile.link.baud);
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
-    let motor_file = arguments.motor.display().to_string();
-    let motor = nameplate(&motor_file, &read_text(&arguments.motor)?)?;
-    let told = told(
-        &arguments.port,
-        &arguments.drive,
-        arguments.offline,
-        &profile,
-    )?;
-    let port = stable_name(&arguments.port);
+    let motor_file = motor.display().to_string();
+    let motor = nameplate(&motor_file, &read_text(motor)?)?;
+    let told = told(port, drive, arguments.offline, &profile)?;
+    let stable = stable_name(port);
     let request = InitRequest {
         profile: &profile,
-        drive: &arguments.drive,
-        port: port.as_deref().unwrap_or(&arguments.port),
-        port_reason: if port.is_some() {
+        drive,
+        port: stable.as_deref().unwrap_or(port),
+        port_reason: if stable.is_some() {
             "the stable name of the port that was given: another adapter gets another one"
         } else {
             ""

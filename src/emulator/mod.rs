@@ -3,16 +3,20 @@
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
+//!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs, line.rs  virtual time, without bytes and with them
+//!   journal.rs what the motor does, row by row, for whoever judges a host
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
 mod config;
 mod dialogue;
 mod drive;
+mod fault;
 mod foreign;
+mod journal;
 mod line;
 mod memory;
 pub mod mystery;
@@ -21,6 +25,7 @@ mod pace;
 mod pty;
 mod server;
 mod session;
+mod spoiler;
 mod tcp;
 pub mod truth;
 
@@ -31,7 +36,12 @@ pub use config::{
 };
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
+pub use fault::{FaultEntry, FaultKind};
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
+pub use journal::{Journal, JournalRow};
 pub use line::open_line;
 pub use memory::{Latency, MemoryLink};
-pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+#[cfg(target_os = "linux")]
+pub(crate) use pty::PtyPort;
+pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+pub(crate) use session::Port;

@@ -202,3 +202,253 @@ fn shipped_suites_are_read_and_listed() {
         assert!(listed.stdout.lines().count() > 3, "{}", listed.stdout);
     }
 }
+
+/// A script with python3, its output for a person; nothing where it, or a module that it cannot do without, is missing.
+fn python(module: &str, arguments: &[&Path]) -> Option<String> {
+    let run = |words: &[&Path]| {
+        let mut python = std::process::Command::new("python3");
+        python.arg("-B").args(words).env("DRIVEBENCH", BINARY);
+        python.current_dir(env!("CARGO_MANIFEST_DIR")).output()
+    };
+    let import = format!("import {module}");
+    let asked = run(&[Path::new("-c"), Path::new(&import)]);
+    if !asked.is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: python3 with {module} is not installed");
+        return None;
+    }
+    let output = run(arguments).unwrap();
+    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let text = said(&output.stdout) + &said(&output.stderr);
+    assert!(output.status.success(), "{text}");
+    eprintln!("{text}");
+    Some(text)
+}
+
+#[test]
+fn what_a_suite_writes_is_read_by_its_readers_whatever_its_cases_are_called() {
+    const HOSTILE: &str =
+        r#""]]> & <x> \u0001\u007f\u0085 'q' \\ \"d\" \U0001F680\n\t\uFFFE {a=\"b\"} # EOF""#;
+    let desk = Desk::new();
+    let text = format!(
+        "{}[[case]]\nname = {HOSTILE}\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ rows = [1, 1e9] }}\n\
+         [[case]]\nname = \"not kept\"\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ bench = {HOSTILE} }}\n",
+        suite("[0.9, 1.3]")
+    );
+    let done = tested(&desk, &text, "").expect(1);
+    let result = desk.put("result.json", &done.stdout);
+    let [script, junit, metrics] = [
+        ".ci/interop/suite_peer.py".into(),
+        desk.path("j.xml"),
+        desk.path("m.txt"),
+    ];
+    if let Some(said) = python("json", &[&script, &junit, &metrics, &result]) {
+        has(&said, &["5 cases by the rules of the schema"]);
+    }
+}
+
+#[test]
+fn the_example_for_pytest_makes_each_case_a_test() {
+    let words = [
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "examples/pytest",
+    ];
+    if let Some(said) = python("pytest", &words.map(Path::new)) {
+        has(&said, &["2 passed, 1 skipped"]);
+    }
+}
+
+#[test]
+fn answers_about_known_machines_make_a_confusion_matrix() {
+    let desk = Desk::new();
+    let text = "name = \"answers\"\n[defaults]\nemulator = \"zk-22fc-plain\"\n\
+                [[case]]\nname = \"nothing\"\nrepeat = 2\n[[case.step]]\ncommission = {}\n\
+                [[case]]\nname = \"fan\"\n[[case.step]]\n\
+                fault = { hidden = [{ id = \"quadratic_load\", quadratic_n_m_s2_per_rad2 = 1.8e-6 }] }\n\
+                [[case.step]]\ncommission = {}\n[[case.step]]\nassert = { missing = \"none\" }\n";
+    let file = desk.put("suite.toml", text);
+    let [metrics, out] = ["m.txt", "out"].map(|name| desk.path(name));
+    let done = call("test {} --metrics {} --out {}", &[&file, &metrics, &out]).expect(1);
+    has(
+        &done.stdout,
+        &[
+            "(nothing)       (none) 2",
+            "quadratic_load  quadratic_load 1",
+        ],
+    );
+    let folder = only_folder(&out);
+    let result = read_json(folder.join("result.json"));
+    assert_eq!(
+        result["confusion"]["rows"],
+        json!(["(nothing)", "quadratic_load"])
+    );
+    assert_eq!(
+        fs::read_to_string(folder.join("confusion.csv")).unwrap(),
+        "hidden,quadratic_load,(none)\n(nothing),0,2\nquadratic_load,1,0\n"
+    );
+    has(
+        &fs::read_to_string(&metrics).unwrap(),
+        &["hidden=\"quadratic_load\",named=\"quadratic_load\"} 1"],
+    );
+}
+
+/// A machine without tolerance, so that a seed draws its noise alone.
+fn exact(desk: &Desk) -> PathBuf {
+    desk.put(
+        "machine.toml",
+        &PLAIN.replace("tolerance = 0.1", "tolerance = 0.0"),
+    )
+}
+
+/// The suite that `init` writes from these runs, with other seeds, on a machine in which one thing is changed.
+fn held_to(desk: &Desk, golden: &Path, from: &str, to: &str) -> Done {
+    let text = fs::read_to_string(golden).unwrap();
+    let machine = fs::read_to_string(desk.path("golden-emulator.toml")).unwrap();
+    assert!(
+        machine.contains(from) && text.contains("seed = 1\n"),
+        "{machine}\n{text}"
+    );
+    desk.put("golden-emulator.toml", &machine.replace(from, to));
+    let other = desk.put(
+        "other.toml",
+        &text.replace("seed = 1\n", "seed = 500\nrepeat = 3\n"),
+    );
+    let done = call("test {} --out {}", &[&other, &desk.path("out")]);
+    desk.put("golden-emulator.toml", &machine);
+    done
+}
+
+#[test]
+fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_that_changed() {
+    let desk = Desk::new();
+    let machine = exact(&desk);
+    let done = desk.simulate(
+        "commission --headless",
+        "--emulator {} --seed 1",
+        &[&machine],
+    );
+    let found = done.expect(0).json();
+    let folders: Vec<PathBuf> = (0..4)
+        .map(|run| PathBuf::from(word(&found, &format!("/runs/{run}/folder"))))
+        .collect();
+    let golden = desk.path("golden.toml");
+    let done = call(
+        "init --out {} --suite {} {} {} {}",
+        &[&golden, &folders[0], &folders[1], &folders[2], &folders[3]],
+    );
+    let done = done.expect(0);
+    has(
+        &done.stdout,
+        &[
+            "golden-bench.toml",
+            "resistance_ohm = [1.0",
+            "noise floors, and a quarter more",
+        ],
+    );
+    held_to(&desk, &golden, "hidden = []", "hidden = []").expect(0);
+    for (from, to, key) in [
+        (
+            "load_torque_n_m = 0.455",
+            "load_torque_n_m = 0.50",
+            "load_torque_n_m: 0.5",
+        ),
+        (
+            "inertia_kg_m2 = 0.0045",
+            "inertia_kg_m2 = 0.0048",
+            "inertia_kg_m2: 0.0048",
+        ),
+        (
+            "hidden = []",
+            "hidden = [{ id = \"quadratic_load\", quadratic_n_m_s2_per_rad2 = 1.8e-6 }]",
+            "missing: quadratic_load, has to be none",
+        ),
+    ] {
+        let done = held_to(&desk, &golden, from, to).expect(1);
+        has(&done.stderr, &[key, "3 of 3 cases did not pass"]);
+    }
+    // Nothing is overwritten.
+    call("init --out {} --suite {}", &[&golden, &folders[0]]).fails(2, &["exists already"]);
+}
+
+#[test]
+fn a_suite_from_runs_and_a_speed_loop_holds_both() {
+    let desk = Desk::new();
+    let machine = exact(&desk);
+    let mut folders = Vec::new();
+    for command in ["run --headless", "speed --headless"] {
+        let found = desk.simulate(command, "--emulator {} --seed 1 --run-seed 4", &[&machine]);
+        let found = if command.starts_with("run") {
+            found
+        } else {
+            desk.simulate(command, "--emulator {} --seed 1", &[&machine])
+        };
+        folders.push(PathBuf::from(word(&found.expect(0).json(), "/folder")));
+    }
+    let golden = desk.path("golden.toml");
+    let found = json_of(
+        "init --json --out {} --suite {} {}",
+        &[&golden, &folders[0], &folders[1]],
+    );
+    has(
+        word(&found, "/suite"),
+        &[
+            "excite = { run_seed = 4 }",
+            "speed = {}",
+            "loop.steps.1.overshoot_percent",
+        ],
+    );
+    held_to(&desk, &golden, "hidden = []", "hidden = []").expect(0);
+}
+
+#[test]
+fn a_run_that_says_nothing_of_a_whole_machine_is_no_golden_one() {
+    let desk = Desk::new();
+    let run = &Runs::plain().fit;
+    let copy = |name: &str, from: &str, to: &str| {
+        let folder = desk.path(name);
+        fs::create_dir(&folder).unwrap();
+        for file in ["manifest.json", "result.json"] {
+            fs::copy(run.join(file), folder.join(file)).unwrap();
+        }
+        let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
+        assert!(manifest.contains(from), "{manifest}");
+        fs::write(folder.join("manifest.json"), manifest.replace(from, to)).unwrap();
+        folder
+    };
+    let out = desk.path("golden.toml");
+    for (from, to, words) in [
+        (
+            "\"finished\": true",
+            "\"finished\": false",
+            "the record is not whole",
+        ),
+        (
+            "\"outcome\": \"passed\"",
+            "\"outcome\": \"safety trip: over-speed\"",
+            "safety trip: over-speed",
+        ),
+    ] {
+        let folder = copy(&words.replace(' ', "-"), from, to);
+        call("init --out {} --suite {}", &[&out, &folder]).fails(2, &[words]);
+    }
+    let other = copy("other", "rate_hz = 100", "rate_hz = 50");
+    call("init --out {} --suite {} {}", &[&out, run, &other]).fails(2, &["differ in their bench"]);
+    refusals("init --suite runs/x", &[]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn shipped_suites_try_every_hidden_effect_and_every_profile() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/suites");
+    let diagnosis = fs::read_to_string(root.join("diagnosis.toml")).unwrap();
+    for id in drivebench::emulator::truth::effect::HiddenEffect::ids() {
+        has(&diagnosis, &[&format!("id = \"{id}\"")]);
+    }
+    let profiles = fs::read_to_string(root.join("profiles.toml")).unwrap();
+    for name in drivebench::drive::DriveProfile::names() {
+        has(&profiles, &[&format!("drive = \"{name}\"")]);
+    }
+}

@@ -199,6 +199,17 @@ pub(crate) fn in_real_time<T>(mut attempt: impl FnMut() -> (Done, T)) -> (Done, 
     attempt()
 }
 
+/// The same for each at once: what waits for time to pass need not wait for its neighbours too. A few, so that a busy
+/// machine carries them.
+#[track_caller]
+pub(crate) fn at_once<T: Send>(all: impl IntoIterator<Item = T>, work: impl Fn(T) + Sync) {
+    std::thread::scope(|scope| {
+        for one in all {
+            scope.spawn(|| work(one));
+        }
+    });
+}
+
 /// What something gives, and the longest time for which it or a child of ours was kept waiting meanwhile, s.
 fn watched<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let (over, is_over) = std::sync::mpsc::channel::<()>();

@@ -69,7 +69,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
 
 #[test]
 fn a_burst_is_fetched_over_every_wire() {
-    for protocol in ["modbus-rtu", "stream", "modbus-tcp"] {
+    at_once(["modbus-rtu", "stream", "modbus-tcp"], |protocol| {
         let text = bench(protocol);
         let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
         // Slow and patient: what is asked here is not how punctual this machine is.
@@ -86,7 +86,7 @@ fn a_burst_is_fetched_over_every_wire() {
         let done = done.expect(0);
         let (rows, ..) = capture(&desk.run());
         assert_eq!(rows, 4095, "{protocol}: {}", done.stderr);
-    }
+    });
 }
 
 #[test]

@@ -14,6 +14,7 @@ mod witness;
 
 mod burst;
 mod c_slave;
+mod commission;
 mod endurance;
 mod fault_trials;
 mod init;
@@ -24,6 +25,6 @@ mod reopen;
 mod run;
 mod screen;
 mod speed;
+mod suite_host;
 mod tools;
 mod ways_out;
-mod whole_loop;

@@ -204,16 +204,19 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
     assert_eq!(done.json()["reopened"]["ending"], "interrupted");
     assert!(lab.event("reopened")["downtime_s"].as_f64() < Some(8.0));
 
-    for (option, ending) in [("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")] {
-        let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
-        drop(drive);
-        let done = run.end().expect(3);
-        let told = done.json();
-        assert_eq!(
-            told["reopened"]["ending"].as_str().unwrap_or_default(),
-            ending
-        );
-    }
+    at_once(
+        [("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")],
+        |(option, ending)| {
+            let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
+            drop(drive);
+            let done = run.end().expect(3);
+            let told = done.json();
+            assert_eq!(
+                told["reopened"]["ending"].as_str().unwrap_or_default(),
+                ending
+            );
+        },
+    );
 }
 
 #[test]

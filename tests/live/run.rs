@@ -140,7 +140,7 @@ fn a_unit_that_is_not_there_is_status_3_soon() {
 
 #[test]
 fn a_second_host_on_the_same_port_is_status_3_and_the_first_goes_on() {
-    for protocol in ["modbus-rtu", "stream"] {
+    at_once(["modbus-rtu", "stream"], |protocol| {
         let lab = Lab::new(protocol);
         let mut first = lab.until_turning(protocol);
         let other = Desk::new();
@@ -152,7 +152,7 @@ fn a_second_host_on_the_same_port_is_status_3_and_the_first_goes_on() {
         assert!(still.is_none(), "{protocol}: the first run ended");
         first.signal(Signal::SIGTERM);
         first.end().expect(130);
-    }
+    });
 }
 
 #[test]

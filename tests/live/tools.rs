@@ -219,6 +219,8 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     let file = drive.desk.path("stream.pcap");
     // It ends at the watchdog check or before; what was said until then is in the capture.
     let text = BENCH.replace("protocol = \"modbus-rtu\"", "protocol = \"stream\"");
+    let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
+    let text = format!("{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n");
     let bench = drive.desk.put("bench.toml", &text);
     let arguments = "run {} --headless --out {} --tap {} --port {}";
     let address = PathBuf::from(&drive.emulator.address);

@@ -2,7 +2,6 @@
 //! It was told to stop, and its watchdog did not have to act.
 
 use std::process::{Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use nix::sys::termios::{FlowArg, tcflow};
@@ -12,8 +11,6 @@ use crate::kit::process::{RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
 struct Lab {
-    /// One run after the other: each wants its deadlines kept.
-    _turn: MutexGuard<'static, ()>,
     desk: Desk,
     drive: Emulator,
 }
@@ -24,8 +21,6 @@ impl Lab {
     }
 
     fn with(steps: &str) -> Self {
-        static TURN: Mutex<()> = Mutex::new(());
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let desk = Desk::new();
         let bench = BENCH
             .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
@@ -40,11 +35,7 @@ impl Lab {
         let drive = PLAIN.replace("watchdog_ms = 500", "watchdog_ms = 1000");
         let config = desk.put("drive.toml", &drive);
         let drive = Emulator::on("modbus-rtu", &desk.path("drive"), "{}", &[&config]);
-        Self {
-            _turn: turn,
-            desk,
-            drive,
-        }
+        Self { desk, drive }
     }
 
     fn path(&self) -> &Path {
@@ -102,7 +93,7 @@ impl Lab {
 
 #[test]
 fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
-    for command in ["run", "commission", "speed"] {
+    at_once(["run", "commission", "speed"], |command| {
         let lab = Lab::new();
         let session = lab.on_screen(command);
         let status = session.close();
@@ -112,7 +103,7 @@ fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
             let manifest = lab.desk.read("manifest.json");
             has(&manifest, &["\"interrupted\"", "\"finished\": true"]);
         }
-    }
+    });
 }
 
 /// A terminal that takes nothing for a while, as one behind a slow line: the bench goes on, row by row.
@@ -156,20 +147,22 @@ fn commands(lab: &Lab) -> Vec<f64> {
 
 #[test]
 fn signals_on_the_screen_stop_the_motor_first_and_are_status_130() {
-    for signal in [Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1] {
-        let lab = Lab::new();
-        let mut session = lab.on_screen("run");
-        session.signal(signal);
-        assert_eq!(session.end(), 130, "{signal}: {}", session.text());
-        session.expect_terminal_as_it_was();
-        lab.expect_stopped(signal.as_str());
-    }
+    at_once(
+        [Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1],
+        |signal| {
+            let lab = Lab::new();
+            let mut session = lab.on_screen("run");
+            session.signal(signal);
+            assert_eq!(session.end(), 130, "{signal}: {}", session.text());
+            session.expect_terminal_as_it_was();
+            lab.expect_stopped(signal.as_str());
+        },
+    );
 }
 
 #[test]
 fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
-    let lab = Lab::new();
-    for signal in [
+    let signals = [
         Signal::SIGQUIT,
         Signal::SIGUSR1,
         Signal::SIGUSR2,
@@ -178,7 +171,9 @@ fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
         Signal::SIGTSTP,
         #[cfg(target_os = "linux")]
         Signal::SIGPWR,
-    ] {
+    ];
+    at_once(signals, |signal| {
+        let lab = Lab::new();
         let run = lab.headless();
         // As the terminal of a background job asks it to halt.
         run.signal(Signal::SIGTTOU);
@@ -186,8 +181,7 @@ fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
         run.signal(signal);
         run.end().fails(130, &["stopped before"]);
         lab.expect_stopped(signal.as_str());
-        fs::remove_dir_all(lab.desk.out()).unwrap();
-    }
+    });
 }
 
 /// Whatever it would like to say: nobody reads it any more, and that neither ends the program nor holds it up.

@@ -2,11 +2,18 @@
 //!
 //! ```text
 //! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
+//!            host.rs acts on a command, line.rs fails between it and own_drive.rs, a software drive in a process of its own
 //! ```
 //!
-//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
+//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other, but for cases
+//! with a drive of their own, which mostly wait.
 
+pub(crate) mod baseline;
 mod case;
+pub(crate) mod golden;
+mod host;
+mod line;
+mod own_drive;
 mod process;
 
 use std::collections::VecDeque;
@@ -23,8 +30,12 @@ use crate::recording::utc_stamp;
 use crate::workflow::suite::{
     Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
+use baseline::Baseline;
 use case::Bench;
 use process::Watch;
+
+/// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
+const OWN_DRIVES_AT_ONCE: usize = 3;
 
 /// What is asked of a suite.
 pub(crate) struct SuiteRequest {
@@ -40,6 +51,9 @@ pub(crate) struct SuiteRequest {
     pub(crate) keep: bool,
     pub(crate) junit: Option<PathBuf>,
     pub(crate) metrics: Option<PathBuf>,
+    /// Earlier runs or results that the steps are compared with.
+    pub(crate) baseline: Vec<PathBuf>,
+    pub(crate) any_machine: bool,
 }
 
 /// One case with one of its seeds.
@@ -129,6 +143,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     if !request.hardware && jobs.iter().any(is_real) {
         consent(jobs.iter().filter(|job| is_real(job)).count())?;
     }
+    let baseline = Baseline::read(&request.baseline, request.any_machine)?;
     let program = std::env::current_exe()
         .map_err(|error| Failure::internal(format!("cannot find this program itself: {error}")))?;
     let stop = signals::flag()?;
@@ -143,8 +158,15 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         .iter()
         .enumerate()
         .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
+    let (by_themselves, on_a_line): (Vec<_>, Vec<_>) = on_a_line
+        .into_iter()
+        .partition(|(_, job)| job.case.has_own_drive());
     // Real time first and alone: what is done beside it would make its cycles late.
-    for (part, at_once) in [(on_a_line, 1), (in_memory, cores)] {
+    for (part, at_once) in [
+        (by_themselves, OWN_DRIVES_AT_ONCE),
+        (on_a_line, 1),
+        (in_memory, cores),
+    ] {
         let queue = Mutex::new(VecDeque::from(part));
         let done = Mutex::new(&mut outcomes);
         std::thread::scope(|scope| {
@@ -158,6 +180,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
                             hardware: is_real(job),
                             threads: (cores / at_once).max(1),
                             stop: &stop,
+                            baseline: baseline.as_ref(),
                         };
                         let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
                         output::message(&line(&outcome, job.case.repeat));
@@ -199,26 +222,32 @@ fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
     if bench.stop.load(Ordering::Acquire) {
         return CaseOutcome::skipped(job.case, job.seed, "interrupted");
     }
-    if let Some(reason) = unfit(job, bench.hardware) {
+    if let Some(reason) = unfit(job, bench) {
         return CaseOutcome::skipped(job.case, job.seed, reason);
     }
     case::carry_out(bench, job.case, job.seed, folder)
 }
 
 /// Why a case cannot be done on this bench.
-fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
+fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     let case = job.case;
     let has_fault = case
         .steps
         .iter()
         .any(|step| matches!(step.action, Action::Fault(_)));
-    let wants_emulator =
-        case.needs.contains(&Need::Emulator) || case.emulator.is_some() || has_fault;
-    if hardware && wants_emulator {
+    let wants_emulator = case.needs.contains(&Need::Emulator)
+        || case.emulator.is_some()
+        || has_fault
+        || case.has_own_drive();
+    if bench.hardware && wants_emulator {
         return Some("it sets up the software drive, and this one is real".to_owned());
     }
+    if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
+        return Some("it compares with an earlier run, and there is no --baseline".to_owned());
+    }
     let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
-    (is_in_memory && case.needs.contains(&Need::Line))
+    let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();
+    (is_in_memory && wants_line)
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
 
@@ -251,6 +280,9 @@ fn write_results(
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
     let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
     if let Some(path) = &request.junit {
         files.push((path.clone(), junit::document(outcome)));
     }

@@ -1,4 +1,5 @@
-//! `JUnit` XML of a suite, in the form that the common schema (Jenkins, `GitHub` and `GitLab` readers) takes.
+//! `JUnit` XML of a suite, in the form that the common schema (Jenkins, `GitHub` and `GitLab` readers) takes. The root has no
+//! count of skipped cases: the schema gives it none.
 
 use std::fmt::Write as _;
 
@@ -8,11 +9,10 @@ use super::{CaseOutcome, SuiteOutcome, Verdict};
 pub fn document(outcome: &SuiteOutcome) -> String {
     let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let counts = format!(
-        "tests=\"{}\" failures=\"{}\" errors=\"{}\" skipped=\"{}\" time=\"{:.3}\"",
+        "tests=\"{}\" failures=\"{}\" errors=\"{}\" time=\"{:.3}\"",
         outcome.cases.len(),
         outcome.failed,
         outcome.errors,
-        outcome.skipped,
         outcome.took_s
     );
     let name = escaped(&outcome.suite);
@@ -21,7 +21,8 @@ pub fn document(outcome: &SuiteOutcome) -> String {
     let _ = writeln!(text, "<testsuites name=\"{name}\" {counts}>");
     let _ = writeln!(
         text,
-        "  <testsuite name=\"{name}\" {counts} timestamp=\"{stamp}\" hostname=\"{}\">",
+        "  <testsuite name=\"{name}\" {counts} skipped=\"{}\" timestamp=\"{stamp}\" hostname=\"{}\">",
+        outcome.skipped,
         escaped(&outcome.machine)
     );
     for case in &outcome.cases {
@@ -70,7 +71,7 @@ fn with_details(element: &str, kind: &str, reason: &str, case: &CaseOutcome) -> 
     )
 }
 
-/// Text as XML holds it: characters that it has no place for are left out.
+/// Text as XML holds it, in an attribute and between tags; characters that it has no place for are left out.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -79,10 +80,71 @@ fn escaped(text: &str) -> String {
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
-            '\n' | '\t' => escaped.push(letter),
-            letter if letter < ' ' || matches!(letter, '\u{fffe}' | '\u{ffff}') => {}
+            // An attribute would turn them into blanks.
+            '\n' => escaped.push_str("&#10;"),
+            '\t' => escaped.push_str("&#9;"),
+            letter if letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}') => {}
             letter => escaped.push(letter),
         }
     }
     escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The first attribute of this name behind `from`, read as XML does.
+    fn attribute(text: &str, from: &str, name: &str) -> String {
+        let (_, rest) = text.split_once(from).unwrap();
+        let (_, rest) = rest.split_once(&format!(" {name}=\"")).unwrap();
+        let (value, _) = rest.split_once('"').unwrap();
+        assert!(
+            value.chars().all(|letter| !letter.is_control()),
+            "{value:?}"
+        );
+        [
+            ("&lt;", "<"),
+            ("&gt;", ">"),
+            ("&quot;", "\""),
+            ("&#10;", "\n"),
+            ("&#9;", "\t"),
+            ("&amp;", "&"),
+        ]
+        .iter()
+        .fold(value.to_owned(), |value, (entity, letter)| {
+            value.replace(entity, letter)
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn a_case_may_be_called_anything(name in any::<String>(), reason in "[\\PC<>&\"'\\]\n\t\u{0}-\u{1f}\u{fffe}]{0,40}") {
+            let kept = |text: &str| -> String {
+                let holds = |letter: &char| matches!(letter, '\n' | '\t') || !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
+                text.chars().filter(holds).collect()
+            };
+            let case = CaseOutcome {
+                name: name.clone(),
+                seed: 7,
+                tags: Vec::new(),
+                verdict: Verdict::Failed(reason.clone()),
+                took_s: 1.0,
+                status: Some(1),
+                evidence: Some("]]>".to_owned()),
+                steps: Vec::new(),
+                attempts: 1,
+                answers: Vec::new(),
+            };
+            let outcome = SuiteOutcome::of(&name, "2026-01-02T03:04:05Z".to_owned(), String::new(), 1.0, vec![case]);
+            let text = document(&outcome);
+            // The head, four elements with their ends, and nothing that a name has opened.
+            prop_assert_eq!(text.matches('<').count(), 9);
+            prop_assert_eq!(attribute(&text, "<testcase", "name"), kept(&format!("{name} [seed 7]")));
+            prop_assert_eq!(attribute(&text, "<failure", "message"), kept(&reason));
+            prop_assert_eq!(attribute(&text, "<testsuites", "name"), kept(&name));
+        }
+    }
 }

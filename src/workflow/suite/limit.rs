@@ -4,13 +4,17 @@
 //! [1.0, 1.3]                          within, both ends included
 //! "< 1.5", "<= 1.5", "> 0", ">= 0"     beyond one bound
 //! 1.1, "none", true                   equal; for a list of words: exactly this one, or empty for "none"
-//! "~ locked"                          a text that has this in it, capitals aside
+//! ["cogging", "supply_sag"]           a list of exactly these words, in any order
+//! "~ locked"                          a text, or a word of a list, that has this in it, capitals aside
 //! { value = 1.1, within = 0.05 }      absolute tolerance
 //! { value = 1.1, within_percent = 5 } relative tolerance
 //! ```
+//!
+//! The figure of a list is the number of its entries.
 
 use serde_json::Value;
 
+use super::Answered;
 use crate::text::number::significant;
 
 /// What a figure or a word has to be.
@@ -30,7 +34,9 @@ pub enum Limit {
         or_equal: bool,
     },
     Word(String),
-    /// A text with this in it, in small letters.
+    /// A list of these words, in their order.
+    Words(Vec<String>),
+    /// A text, or a list of words one of them, with this in it, in small letters.
     Has(String),
     Flag(bool),
     /// A list without an entry, or a key without a value.
@@ -38,7 +44,7 @@ pub enum Limit {
 }
 
 /// Words for what a limit may look like.
-const FORMS: &str = "[least, most], \"< 1.5\", a number, a word, \"~ part of a text\", true or false, { value, within } or { value, within_percent }";
+const FORMS: &str = "[least, most], \"< 1.5\", a number, a word, a list of words, \"~ part of a text\", true or false, { value, within } or { value, within_percent }";
 
 impl Limit {
     /// A limit as the suite file writes it; the error says what is wrong and what is allowed.
@@ -47,6 +53,14 @@ impl Limit {
         match value {
             toml::Value::Boolean(flag) => Ok(Self::Flag(*flag)),
             toml::Value::String(text) => Self::parse_text(text),
+            toml::Value::Array(words)
+                if words.iter().all(toml::Value::is_str) && words.len() > 1 =>
+            {
+                let words = words.iter().filter_map(toml::Value::as_str);
+                let mut words: Vec<String> = words.map(str::to_owned).collect();
+                words.sort();
+                Ok(Self::Words(words))
+            }
             toml::Value::Array(ends) => match ends.iter().map(number).collect::<Vec<_>>()[..] {
                 [Some(least), Some(most)] if least <= most => Ok(Self::Within { least, most }),
                 [Some(least), Some(most)] => {
@@ -135,11 +149,20 @@ impl Limit {
             (Self::Nothing, Some(Value::String(word))) => word == "none",
             (Self::Word(word), Some(Value::String(found))) => word == found,
             (Self::Has(part), Some(Value::String(found))) => found.to_lowercase().contains(part),
+            (Self::Has(part), Some(Value::Array(list))) => {
+                let mut words = list.iter().filter_map(Value::as_str);
+                words.any(|word| word.to_lowercase().contains(part))
+            }
             (Self::Word(word), Some(Value::Array(list))) => {
                 matches!(&list[..], [Value::String(only)] if only == word)
             }
+            (Self::Words(words), Some(Value::Array(list))) => {
+                let mut found: Vec<&str> = list.iter().filter_map(Value::as_str).collect();
+                found.sort_unstable();
+                found.len() == list.len() && found == *words
+            }
             (Self::Flag(flag), Some(Value::Bool(found))) => flag == found,
-            (limit, Some(found)) => found.as_f64().is_some_and(|figure| limit.holds(figure)),
+            (limit, Some(found)) => figure(found).is_some_and(|figure| limit.holds(figure)),
             (_, None) => false,
         };
         (!holds).then(|| format!("{said}, has to be {self}"))
@@ -150,7 +173,7 @@ impl Limit {
             Self::Within { least, most } => (least..=most).contains(&figure),
             Self::Below { bound, or_equal } => figure < bound || or_equal && figure <= bound,
             Self::Above { bound, or_equal } => figure > bound || or_equal && figure >= bound,
-            Self::Word(_) | Self::Has(_) | Self::Flag(_) | Self::Nothing => false,
+            Self::Word(_) | Self::Words(_) | Self::Has(_) | Self::Flag(_) | Self::Nothing => false,
         }
     }
 }
@@ -168,6 +191,7 @@ impl std::fmt::Display for Limit {
             Self::Below { bound, or_equal } => write!(f, "<{} {bound}", equal(*or_equal)),
             Self::Above { bound, or_equal } => write!(f, ">{} {bound}", equal(*or_equal)),
             Self::Word(word) => write!(f, "{word}"),
+            Self::Words(words) => write!(f, "{}", words.join(", ")),
             Self::Has(part) => write!(f, "a text with {part:?}"),
             Self::Flag(flag) => write!(f, "{flag}"),
             Self::Nothing => write!(f, "none"),
@@ -199,17 +223,31 @@ fn said(value: &Value) -> String {
     }
 }
 
-/// The value of `key` in the JSON of a command: the path that its dots name; else the parameter of that name; else what one
-/// of the short names stands for:
+/// The number in a result, or the number of entries of a list.
+pub fn figure(found: &Value) -> Option<f64> {
+    match found {
+        Value::Array(list) => Some(list.len() as f64),
+        found => found.as_f64(),
+    }
+}
+
+/// The value of `key` in the JSON of a command: the path that its dots name, in the result or in its diagnosis; else the
+/// parameter of that name; else what one of the short names stands for:
 ///
-/// * `missing`: the effects that the diagnosis named; its verdict where it named none although something is missing;
+/// * `missing`: the effects that the diagnosis named; nothing only where it says without reserve that nothing is missing; else
+///   in words what it says instead;
+/// * `not_shown`: the effects that the runs neither named nor ruled out;
 /// * `held_out_error`: with all that was found, in noise floors.
 pub fn find(result: &Value, key: &str) -> Option<Value> {
     let path = |path: &str| {
-        path.split('.').try_fold(result, |at, step| match at {
-            Value::Array(list) => step.parse::<usize>().ok().and_then(|index| list.get(index)),
-            other => other.get(step),
-        })
+        let at = |from: &'static [&str]| {
+            let steps = from.iter().copied().chain(path.split('.'));
+            steps.fold(Some(result), |at, step| match at? {
+                Value::Array(list) => step.parse::<usize>().ok().and_then(|index| list.get(index)),
+                other => other.get(step),
+            })
+        };
+        at(&[]).or_else(|| at(&["diagnosis"]))
     };
     let parameter = || {
         let lists = ["parameters", "estimates", "online"]
@@ -219,15 +257,75 @@ pub fn find(result: &Value, key: &str) -> Option<Value> {
             .into_iter()
             .find_map(|list| entry(list, key)?.get("value"))
     };
-    let first = |names: &[&str]| names.iter().find_map(|name| path(name)).cloned();
     match key {
-        "missing" => match first(&["diagnosis.verdict", "verdict"])?.as_str()? {
-            "effect" | "none" => first(&["diagnosis.effects", "effects"]),
-            verdict => Some(verdict.into()),
-        },
-        "held_out_error" => first(&["diagnosis.holdout_after", "holdout_after", "holdout_rmse"]),
+        "missing" => missing(path("verdict")?.as_str()?, &path),
+        "not_shown" => path("candidates").map(|list| not_shown(list).into()),
+        "held_out_error" => path("holdout_after")
+            .or_else(|| path("holdout_rmse"))
+            .cloned(),
         _ => path(key).or_else(parameter).cloned(),
     }
+}
+
+/// What a diagnosis says is missing. A run that excites little rules out little: that is not said to be nothing.
+fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Option<Value> {
+    let effects = path("effects").cloned();
+    let is_refuted = path("confirm.confirmed") == Some(&Value::Bool(false));
+    let is_sufficient = path("sufficient") == Some(&Value::Bool(true));
+    let not_shown = path("candidates").map_or_else(Vec::new, not_shown);
+    match verdict {
+        "effect" if is_refuted => Some(format!("{}, not confirmed", said(&effects?)).into()),
+        "effect" => effects,
+        "none" if !is_sufficient => Some("nothing that was found, with an error left".into()),
+        "none" if not_shown.is_empty() => effects,
+        "none" => {
+            let names: Vec<&str> = not_shown.iter().map(String::as_str).collect();
+            Some(
+                format!(
+                    "nothing that these runs could show ({} not ruled out)",
+                    names.join(", ")
+                )
+                .into(),
+            )
+        }
+        verdict => Some(verdict.into()),
+    }
+}
+
+/// The answer of a diagnosis beside what is hidden, where the result tells it.
+pub fn answered(result: &Value) -> Option<Answered> {
+    let hidden = words(result.pointer("/truth/effects")?);
+    let verdict = find(result, "verdict")?;
+    let missing = find(result, "missing")?;
+    let named = match (verdict.as_str()?, words(&missing)) {
+        ("effect", Some(named)) => named,
+        ("effect", None) => "(not confirmed)".to_owned(),
+        ("none", None) if missing.is_string() => "(none shown)".to_owned(),
+        (verdict, _) => format!("({verdict})"),
+    };
+    Some(Answered {
+        hidden: hidden.unwrap_or_else(|| "(nothing)".to_owned()),
+        named,
+    })
+}
+
+/// The words of a list that has any, in one order.
+fn words(list: &Value) -> Option<String> {
+    let mut words: Vec<&str> = list.as_array()?.iter().filter_map(Value::as_str).collect();
+    words.sort_unstable();
+    (!words.is_empty()).then(|| words.join(" + "))
+}
+
+/// The effects of a table of candidates that are neither named nor ruled out.
+fn not_shown(candidates: &Value) -> Vec<String> {
+    let candidates = candidates.as_array().into_iter().flatten();
+    let open = candidates.filter(|own| match own["status"].as_str() {
+        Some("supported") => false,
+        Some("ruled_out") => own.get("as_good_as").is_some_and(|other| !other.is_null()),
+        _ => true,
+    });
+    let names = open.filter_map(|own| own["effect"].as_str());
+    names.map(str::to_owned).collect()
 }
 
 /// The row of a parameter in a table of parameters, in either of its two forms.
@@ -271,6 +369,11 @@ mod tests {
             holds("\"cogging\"", &json!(["cogging"])) && holds("\"cogging\"", &json!("cogging"))
         );
         assert!(!holds("\"cogging\"", &json!(["cogging", "backlash"])));
+        let names = json!(["cogging", "backlash"]);
+        assert!(holds("\"~ back\"", &names) && !holds("\"~ sag\"", &names));
+        assert!(holds("[\"b\", \"a\"]", &json!(["a", "b"])));
+        assert!(!holds("[\"b\", \"a\"]", &json!(["a"])));
+        assert!(!holds("[\"b\", \"a\"]", &json!(["a", "b", "c"])));
         assert!(holds("\"~ Locked\"", &json!("the rotor is locked")));
         assert!(
             !holds("\"~ open\"", &json!("the rotor is locked")) && !holds("\"~ 1\"", &json!(1))
@@ -333,14 +436,78 @@ mod tests {
 
     #[test]
     fn what_no_effect_explains_is_not_nothing_missing() {
-        for (verdict, missing) in [
-            ("none", json!([])),
-            ("unexplained", json!("unexplained")),
-            ("ambiguous", json!("ambiguous")),
-        ] {
+        for verdict in ["unexplained", "ambiguous"] {
             let result = json!({ "verdict": verdict, "effects": [] });
-            assert_eq!(find(&result, "missing"), Some(missing));
+            assert_eq!(find(&result, "missing"), Some(json!(verdict)));
         }
         assert_eq!(find(&json!({ "parameters": {} }), "missing"), None);
+    }
+
+    #[test]
+    fn nothing_is_missing_only_where_that_is_said_without_reserve() {
+        let of = |status: &str, sufficient: bool| {
+            json!({ "diagnosis": {
+                "verdict": "none", "effects": [], "sufficient": sufficient,
+                "candidates": [
+                    { "effect": "cogging", "status": "ruled_out", "as_good_as": null },
+                    { "effect": "backlash", "status": status },
+                ],
+            } })
+        };
+        let none = limit("\"none\"").unwrap();
+        let judged = |result: &Value| none.fails(find(result, "missing").as_ref());
+        assert_eq!(judged(&of("ruled_out", true)), None);
+        let weak = of("not_excited", true);
+        assert_eq!(
+            judged(&weak).unwrap(),
+            "nothing that these runs could show (backlash not ruled out), has to be none"
+        );
+        assert!(judged(&of("possible", true)).is_some());
+        assert!(
+            judged(&of("ruled_out", false))
+                .unwrap()
+                .contains("an error left")
+        );
+        assert!(judged(&json!({ "verdict": "none", "effects": [] })).is_some());
+        // What it does prove can be asked for.
+        assert!(holds("\"none\"", &find(&weak, "verdict").unwrap()));
+        assert!(holds("\"<= 1\"", &find(&weak, "not_shown").unwrap()));
+        assert!(!holds("\"< 1\"", &find(&weak, "not_shown").unwrap()));
+        assert!(holds("\"backlash\"", &find(&weak, "not_shown").unwrap()));
+    }
+
+    #[test]
+    fn an_answer_is_told_where_the_truth_is() {
+        let of = |verdict: &str, effects: &[&str], hidden: &[&str]| {
+            let result = json!({
+                "diagnosis": { "verdict": verdict, "effects": effects, "sufficient": true, "candidates": [] },
+                "truth": { "effects": hidden },
+            });
+            let answered = answered(&result).unwrap();
+            format!("{}: {}", answered.hidden, answered.named)
+        };
+        assert_eq!(of("effect", &["cogging"], &["cogging"]), "cogging: cogging");
+        assert_eq!(of("effect", &["a", "b"], &["a", "c"]), "a + c: a + b");
+        assert_eq!(of("none", &[], &[]), "(nothing): (none)");
+        assert_eq!(of("unexplained", &[], &["shaker"]), "shaker: (unexplained)");
+        assert_eq!(of("ambiguous", &["a"], &["a"]), "a: (ambiguous)");
+        let untold = json!({ "diagnosis": { "verdict": "none", "effects": [] } });
+        assert_eq!(answered(&untold), None);
+        let mut weak = json!({ "verdict": "none", "effects": [], "truth": { "effects": [] } });
+        assert_eq!(answered(&weak).unwrap().named, "(none shown)");
+        weak["verdict"] = json!("effect");
+        weak["effects"] = json!(["cogging"]);
+        weak["confirm"] = json!({ "confirmed": false });
+        assert_eq!(answered(&weak).unwrap().named, "(not confirmed)");
+    }
+
+    #[test]
+    fn a_name_that_another_run_speaks_against_is_none() {
+        let of = |confirmed: bool| json!({ "verdict": "effect", "effects": ["cogging"], "sufficient": true, "confirm": { "confirmed": confirmed } });
+        assert_eq!(find(&of(true), "missing"), Some(json!(["cogging"])));
+        assert_eq!(
+            find(&of(false), "missing"),
+            Some(json!("cogging, not confirmed"))
+        );
     }
 }

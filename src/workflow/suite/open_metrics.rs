@@ -54,6 +54,18 @@ pub fn text(outcome: &SuiteOutcome) -> String {
             figure.mean
         );
     }
+    if !outcome.confusion.is_empty() {
+        text.push_str("# TYPE drivebench_diagnosis_answers gauge\n# HELP drivebench_diagnosis_answers Answers of the diagnosis by what was hidden and what was named.\n");
+    }
+    for (hidden, named) in outcome.confusion.named() {
+        for (named, count) in named {
+            let (hidden, named) = (escaped(hidden), escaped(named));
+            let _ = writeln!(
+                text,
+                "drivebench_diagnosis_answers{{suite=\"{suite}\",hidden=\"{hidden}\",named=\"{named}\"}} {count}"
+            );
+        }
+    }
     text.push_str("# EOF\n");
     text
 }

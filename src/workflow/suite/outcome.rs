@@ -1,9 +1,12 @@
 //! What came of a suite: a verdict for each case and repeat, the figures that were judged with their spread, and the exit
 //! status.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::Case;
+use crate::identification::drift::Drift;
+use crate::recording::Machine;
 
 /// How a case ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -27,6 +30,17 @@ pub struct Check {
     pub failure: Option<String>,
 }
 
+/// What a step that identifies found, for suites that are compared with this one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IdentifiedStep {
+    pub machine: Machine,
+    /// As `identify --json` has them.
+    pub parameters: Value,
+    /// What has changed since the baseline; null where there is none.
+    #[serde(skip_deserializing)]
+    pub drift: Option<Drift>,
+}
+
 /// One step of a case.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepOutcome {
@@ -36,6 +50,26 @@ pub struct StepOutcome {
     pub status: Option<u8>,
     pub took_s: f64,
     pub checks: Vec<Check>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub identified: Option<IdentifiedStep>,
+}
+
+/// One answer of the diagnosis beside what was hidden.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Answered {
+    pub hidden: String,
+    pub named: String,
+}
+
+/// What was hidden against what was named.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Confusion {
+    /// What was hidden, in the order of the cases.
+    pub rows: Vec<String>,
+    /// What was named: what is also a row, in that order, then the rest as it came.
+    pub columns: Vec<String>,
+    /// Answers, row by row.
+    pub counts: Vec<Vec<usize>>,
 }
 
 /// One case with one seed.
@@ -47,11 +81,16 @@ pub struct CaseOutcome {
     #[serde(flatten)]
     pub verdict: Verdict,
     pub took_s: f64,
+    /// More than one where this machine stood still, which says nothing of what is tested.
+    pub attempts: u32,
     /// Exit status of the step that ended it, where that was not as it should be.
     pub status: Option<u8>,
     /// Folder with what is left of it.
     pub evidence: Option<String>,
     pub steps: Vec<StepOutcome>,
+    /// Of each diagnosis of a machine whose truth is known.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub answers: Vec<Answered>,
 }
 
 /// A figure over the repeats of a case.
@@ -81,6 +120,73 @@ pub struct SuiteOutcome {
     pub skipped: usize,
     pub cases: Vec<CaseOutcome>,
     pub spread: Vec<Spread>,
+    #[serde(skip_serializing_if = "Confusion::is_empty")]
+    pub confusion: Confusion,
+}
+
+impl Confusion {
+    fn of<'a>(answers: impl Iterator<Item = &'a Answered> + Clone) -> Self {
+        let mut rows: Vec<String> = Vec::new();
+        let mut others: Vec<String> = Vec::new();
+        let note = |names: &mut Vec<String>, name: &String| {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        };
+        for answer in answers.clone() {
+            note(&mut rows, &answer.hidden);
+        }
+        for answer in answers.clone().filter(|own| !rows.contains(&own.named)) {
+            note(&mut others, &answer.named);
+        }
+        let is_named = |row: &&String| answers.clone().any(|own| own.named == **row);
+        let columns: Vec<String> = rows
+            .iter()
+            .filter(is_named)
+            .cloned()
+            .chain(others)
+            .collect();
+        let count = |row: &String, column: &String| {
+            let here = |own: &&Answered| own.hidden == *row && own.named == *column;
+            answers.clone().filter(here).count()
+        };
+        let counts = rows
+            .iter()
+            .map(|row| columns.iter().map(|column| count(row, column)).collect());
+        Self {
+            counts: counts.collect(),
+            rows,
+            columns,
+        }
+    }
+
+    pub const fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// What was hidden, and how often what was named for it: the row's own name first, then the most frequent.
+    pub fn named(&self) -> impl Iterator<Item = (&str, Vec<(&str, usize)>)> {
+        self.rows.iter().zip(&self.counts).map(|(row, counts)| {
+            let columns = self.columns.iter().map(String::as_str);
+            let mut named: Vec<(&str, usize)> = columns.zip(counts.iter().copied()).collect();
+            named.retain(|(_, count)| *count > 0);
+            named.sort_by_key(|(name, count)| (name != row, std::cmp::Reverse(*count)));
+            (row.as_str(), named)
+        })
+    }
+
+    /// As a table with a header.
+    pub fn csv(&self) -> String {
+        let line = |first: &str, cells: &mut dyn Iterator<Item = String>| {
+            let cells: Vec<String> = cells.collect();
+            format!("{first},{}\n", cells.join(","))
+        };
+        let mut text = line("hidden", &mut self.columns.iter().cloned());
+        for (row, counts) in self.rows.iter().zip(&self.counts) {
+            text.push_str(&line(row, &mut counts.iter().map(usize::to_string)));
+        }
+        text
+    }
 }
 
 impl CaseOutcome {
@@ -92,9 +198,11 @@ impl CaseOutcome {
             tags: case.tags.clone(),
             verdict: Verdict::Skipped(reason.into()),
             took_s: 0.0,
+            attempts: 0,
             status: None,
             evidence: None,
             steps: Vec::new(),
+            answers: Vec::new(),
         }
     }
 
@@ -124,6 +232,7 @@ impl SuiteOutcome {
             errors: count(|verdict| matches!(verdict, Verdict::Error(_))),
             skipped: count(|verdict| matches!(verdict, Verdict::Skipped(_))),
             spread: spread(&cases),
+            confusion: Confusion::of(cases.iter().flat_map(|case| &case.answers)),
             cases,
         }
     }
@@ -193,6 +302,7 @@ mod tests {
             tags: Vec::new(),
             verdict,
             took_s: 1.0,
+            attempts: 1,
             status,
             evidence: None,
             steps: vec![StepOutcome {
@@ -205,7 +315,9 @@ mod tests {
                     value,
                     failure: None,
                 }],
+                identified: None,
             }],
+            answers: Vec::new(),
         }
     }
 
@@ -240,5 +352,38 @@ mod tests {
         assert_eq!((a.count, a.mean, a.least, a.most), (2, 2.0, 1.0, 3.0));
         assert_eq!(a.std, Some(std::f64::consts::SQRT_2));
         assert_eq!(found[1].std, None);
+    }
+
+    #[test]
+    fn answers_are_counted_by_what_was_hidden_and_what_was_named() {
+        let mut cases = Vec::new();
+        for (hidden, named) in [
+            ("cogging", "cogging"),
+            ("backlash", "(ambiguous)"),
+            ("cogging", "torque_ripple"),
+            ("cogging", "cogging"),
+            ("torque_ripple", "torque_ripple"),
+        ] {
+            let mut one = case(hidden, Verdict::Passed, None, None);
+            let (hidden, named) = (hidden.to_owned(), named.to_owned());
+            one.answers.push(Answered { hidden, named });
+            cases.push(one);
+        }
+        let found = outcome(cases).confusion;
+        assert_eq!(
+            found.csv(),
+            "hidden,cogging,torque_ripple,(ambiguous)\ncogging,2,1,0\nbacklash,0,0,1\ntorque_ripple,0,1,0\n"
+        );
+        let rows: Vec<_> = found.named().collect();
+        assert_eq!(
+            rows[0],
+            ("cogging", vec![("cogging", 2), ("torque_ripple", 1)])
+        );
+        assert_eq!(rows[1], ("backlash", vec![("(ambiguous)", 1)]));
+        assert!(
+            outcome(vec![case("a", Verdict::Passed, None, None)])
+                .confusion
+                .is_empty()
+        );
     }
 }

@@ -62,12 +62,12 @@ fn a_machine_with_several_effects_and_late_replies_comes_to_its_floor_and_its_lo
     );
     assert_eq!(told["effects"], found["diagnosis"]["effects"]);
     let first = word(&told, "/effect").to_owned();
-    let model = desk.path("model.toml");
+    let with_it = desk.path("with-it.toml");
     let added = json_of(
         &format!(
             "add {first} --run {{}} --model baseline --holdout {{}} --confirm {{}} --output {{}} --json"
         ),
-        &[&fit, &select, &confirm, &model],
+        &[&fit, &select, &confirm, &with_it],
     );
     assert_eq!(added["accepted"], true, "{}", added["reason"]);
 
@@ -79,7 +79,12 @@ fn a_machine_with_several_effects_and_late_replies_comes_to_its_floor_and_its_lo
             Some(model) => json_of(&format!("{text} --model {{}}"), &[&bench, &out, model]),
         }
     };
-    let (plate, found) = (speed(None), speed(Some(&fit.join("model.toml"))));
+    let model = fit.join("model.toml");
+    let (plate, found) = std::thread::scope(|scope| {
+        let plate = scope.spawn(|| speed(None));
+        let found = speed(Some(&model));
+        (plate.join().unwrap(), found)
+    });
     eprintln!("tracking {} -> {}", tracking(&plate), tracking(&found));
     assert!(tracking(&found) < tracking(&plate));
 }
