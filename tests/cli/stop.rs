@@ -46,10 +46,7 @@ fn a_trip_tells_how_soon_it_stopped_and_where_its_last_seconds_are() {
 #[test]
 fn a_run_to_its_end_tells_its_stop_too_and_no_last_seconds() {
     let desk = Desk::new();
-    let done = call(
-        "run --headless --json --port sim: --out {}",
-        &[&desk.out()],
-    );
+    let done = call("run --headless --json --port sim: --out {}", &[&desk.out()]);
     let result = done.expect(0).json();
     assert_eq!(result["stop"]["cause"], "the end of the sequence");
     assert!(result["stop"]["confirmed_after_ms"].is_f64());

@@ -615,8 +615,20 @@ fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
         // What is gone was asked nothing; what only does not answer was.
-        (Some(Fault::Gone), Some(gone), "the loss of the link", false, false),
-        (Some(Fault::Timeout), Some(unanswered), "link silent", true, false),
+        (
+            Some(Fault::Gone),
+            Some(gone),
+            "the loss of the link",
+            false,
+            false,
+        ),
+        (
+            Some(Fault::Timeout),
+            Some(unanswered),
+            "link silent",
+            true,
+            false,
+        ),
     ];
     for (fault, stop_fails, cause, is_sent, is_confirmed) in cases {
         let mut drive = ScriptedDrive::new(0.01);
