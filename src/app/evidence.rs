@@ -81,7 +81,7 @@ pub(crate) struct ChosenModel {
 }
 
 /// What asks for the baseline where the run folder has a model, unless a file is called so.
-const BASELINE: &str = "baseline";
+pub(crate) const BASELINE: &str = "baseline";
 
 /// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
 pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel, Failure> {

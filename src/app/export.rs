@@ -10,7 +10,7 @@ use super::output;
 use super::tune::KeptGains;
 use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
 use crate::plant::ModelFile;
-use crate::recording::{LoadedRun, RunFolder, write_run};
+use crate::recording::{ColumnKind, LoadedRun, RunFolder, write_run};
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
 
 /// What is asked to be exported.
@@ -126,17 +126,28 @@ pub(crate) fn run_as_parquet(
                 .map_err(|error| Failure::usage(cannot(error), "check the path"))?
         }
     };
-    parquet(&table).map_err(Failure::internal)
+    samples_as_parquet(&table).map_err(Failure::internal)
+}
+
+/// The table of `samples.csv` as Parquet.
+pub(crate) fn samples_as_parquet(table: &[u8]) -> Result<Vec<u8>, String> {
+    parquet(table, ColumnKind::of_samples)
 }
 
 /// The table of a CSV as Parquet.
 #[cfg(feature = "parquet")]
-pub(crate) fn parquet(table: &[u8]) -> Result<Vec<u8>, String> {
-    crate::recording::parquet(table).map_err(|error| error.to_string())
+pub(crate) fn parquet(
+    table: impl std::io::Read,
+    kind: impl Fn(&str) -> ColumnKind,
+) -> Result<Vec<u8>, String> {
+    crate::recording::parquet(table, kind).map_err(|error| error.to_string())
 }
 
 #[cfg(not(feature = "parquet"))]
-pub(crate) fn parquet(_table: &[u8]) -> Result<Vec<u8>, String> {
+pub(crate) fn parquet(
+    _table: impl std::io::Read,
+    _kind: impl Fn(&str) -> ColumnKind,
+) -> Result<Vec<u8>, String> {
     Err(NO_PARQUET.to_owned())
 }
 

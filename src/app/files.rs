@@ -1,13 +1,12 @@
 //! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-use super::export::parquet;
+use super::export::samples_as_parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
@@ -17,8 +16,8 @@ use crate::identification::noise::FloorSource;
 use crate::identification::speed_from_angle;
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
-    ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError, RunFile, RunFolder,
-    open_run, run_from_memory, write_run,
+    self, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError, RunFile,
+    RunFolder, open_run, run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
 use crate::sample::ParameterEstimate;
@@ -48,23 +47,9 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
     Ok(ModelFile::parse(&name, &text)?)
 }
 
-/// Most bytes of a file that a person writes: no description of a bench is as long, and a stranger's must not fill the memory.
-const MOST_BYTES: u64 = 4 << 20;
-
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     let cannot = |error| format!("{}: cannot read: {error}", path.display());
-    let mut text = String::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(MOST_BYTES + 1).read_to_string(&mut text))
-        .map_err(|error| Failure::usage(cannot(error), meant(path)))?;
-    if text.len() as u64 > MOST_BYTES {
-        let headline = format!("{}: longer than {} MiB", path.display(), MOST_BYTES >> 20);
-        return Err(Failure::usage(
-            headline,
-            "give a file that describes a bench, a drive, a model or a suite",
-        ));
-    }
-    Ok(text)
+    recording::read_text(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
 }
 
 /// What may have been meant by what is no file that can be read.
@@ -297,7 +282,7 @@ impl Recorded {
         let columns = recorded
             .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
             .map_err(|error| error.to_string())
-            .and_then(|table| parquet(&table));
+            .and_then(|table| samples_as_parquet(&table));
         match columns {
             Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
             Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),

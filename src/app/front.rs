@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::bench::BenchFile;
 use crate::plant::ModelFile;
-use crate::recording::{LATEST, RunFile};
+use crate::recording::{LATEST, RunFile, read_text};
 use crate::text::shell::quoted_word;
 
 /// The commands in the order of the loop, which goes back from `add` until only noise is left.
@@ -70,7 +70,7 @@ impl Found {
             {
                 continue;
             }
-            let Ok(text) = fs::read_to_string(folder.join(&name)) else {
+            let Ok(text) = read_text(&folder.join(&name)) else {
                 continue;
             };
             if BenchFile::parse(&name, &text).is_ok() {
@@ -82,14 +82,14 @@ impl Found {
         let runs = folder.join("runs");
         for name in names(&runs) {
             let path = runs.join(&name);
-            let Ok(manifest) = fs::read_to_string(path.join(RunFile::Manifest.name())) else {
+            let Ok(manifest) = read_text(&path.join(RunFile::Manifest.name())) else {
                 continue;
             };
             if path.is_symlink() {
                 continue;
             }
             let manifest = serde_json::from_str::<serde_json::Value>(&manifest).unwrap_or_default();
-            let model = fs::read_to_string(path.join(RunFile::Model.name())).ok();
+            let model = read_text(&path.join(RunFile::Model.name())).ok();
             found.runs.push(Run {
                 model: model.and_then(|text| effects_of(RunFile::Model.name(), &text)),
                 is_finished: manifest["finished"] == true,

@@ -269,7 +269,7 @@ fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String>
         .filter(|_| !mapped)
         .ok_or("a foreign file holds no live estimates")?;
     let path = RunFolder::existing(folder).file(RunFile::Result);
-    let text = match std::fs::read_to_string(&path).ok() {
+    let text = match read_text(&path).ok() {
         Some(text) => text,
         None if rows.manifest.as_ref().is_some_and(|m| !m.finished) => {
             return Err("the run was not finished: its live estimates were never written".into());

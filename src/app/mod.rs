@@ -11,7 +11,7 @@
 //!   lines that are only looked at.
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
 //!   order of work of each command; a test of a live run gives a rig of its own.
-//! * `suite`: bench tests, each step a process of this program.
+//! * `suite`: bench tests, each step a process of this program; `analyse`: many runs as one table, a row each.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
@@ -20,6 +20,7 @@
 //!   says when it is called alone.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
+pub(crate) mod analyse;
 pub(crate) mod by_hand;
 pub(crate) mod cards;
 mod controls;

@@ -117,16 +117,22 @@ pub(crate) fn in_memory(
     bench: &BenchFile,
     guise: Option<&Guise>,
     time: VirtualClock,
-) -> Box<dyn DriveLink> {
+) -> Result<Box<dyn DriveLink>, Failure> {
+    if config.needs_line() {
+        return Err(Failure::usage(
+            "--port sim: has no line, and the emulator's [[fault]] happens on one",
+            "give --port sim:rtu, or --port emulator",
+        ));
+    }
     let seed = bench.emulator.seed;
-    if let Some(guise) = guise {
+    Ok(if let Some(guise) = guise {
         let drive = ForeignDrive::new(guise, config, seed);
         let bus = ForeignBus::new(drive, guise, time);
         Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
     } else {
         let drive = SoftDrive::new(config, seed);
         Box::new(MemoryLink::new(drive, time, latency(config, bench)))
-    }
+    })
 }
 
 /// The software drive at the far end of a line in memory, which is one of Modbus RTU.

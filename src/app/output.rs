@@ -1,5 +1,6 @@
 //! The only place that writes results to stdout and messages to stderr.
 
+use std::cell::RefCell;
 use std::fmt::{Display, Write as _};
 use std::fs::File;
 use std::io::{BufRead as _, IsTerminal, Write};
@@ -192,8 +193,35 @@ impl Drop for Held {
     }
 }
 
+thread_local! {
+    /// What this thread's messages go to instead of the terminal, where they belong to a row of a table.
+    static ASIDE: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
+}
+
+/// Does something of which the messages are not printed but handed back; nor does it move the progress line.
+pub(crate) fn aside<T>(work: impl FnOnce() -> T) -> (T, Vec<String>) {
+    ASIDE.with_borrow_mut(|aside| *aside = Some(Vec::new()));
+    let done = work();
+    let said = ASIDE.take().unwrap_or_default();
+    (done, said)
+}
+
+/// Whether this thread's messages are handed back.
+pub(crate) fn is_aside() -> bool {
+    ASIDE.with_borrow(Option::is_some)
+}
+
 /// A message for the person at the terminal, above the progress line.
 pub(crate) fn message(text: &str) {
+    let is_taken = ASIDE.with_borrow_mut(|aside| {
+        aside
+            .as_mut()
+            .map(|said| said.push(text.to_owned()))
+            .is_some()
+    });
+    if is_taken {
+        return;
+    }
     if let Some(waiting) = held().as_mut() {
         return waiting.push(text.to_owned());
     }

@@ -65,7 +65,6 @@ fn run(
 /// The last seconds of a run that tripped or lost its drive, with the limits of its bench file.
 pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
     let slice: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
-    let stop: Option<Stop> = serde_json::from_value(manifest.stop.clone()).ok();
     let text = manifest.configs.get("bench");
     let bench = text.and_then(|text| BenchFile::parse("bench", text).ok());
     let limits = bench.map(|bench| bench.limits());
@@ -83,7 +82,7 @@ pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
         limits: limits
             .filter_map(|(channel, limit)| Some((channel, limit?)))
             .collect(),
-        stop: stop.map(|stop| stop.sentence()),
+        stop: stop(manifest).map(|stop| stop.sentence()),
     })
 }
 
@@ -301,7 +300,12 @@ pub(crate) fn table(value: &Value) -> Facts {
         .collect()
 }
 
-/// Rate and lateness of a run.
+/// How the run was stopped, where its output was on.
+pub(crate) fn stop(manifest: &Manifest) -> Option<Stop> {
+    serde_json::from_value(manifest.stop.clone()).ok()
+}
+
+/// Rate and lateness of a run, and how it was stopped.
 pub(crate) fn timing(manifest: &Manifest) -> Facts {
     let hz = |period_s: f64| 1.0 / period_s;
     let achieved = manifest.period_achieved_s.map(hz);
@@ -315,6 +319,7 @@ pub(crate) fn timing(manifest: &Manifest) -> Facts {
             let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
             fact("lateness, median and 99 %", lateness)
         }),
+        stop(manifest).map(|stop| fact("stop", stop.sentence())),
     ];
     facts.into_iter().flatten().collect()
 }

@@ -171,6 +171,9 @@ impl Drop for Shown {
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
 pub(crate) fn stage(text: &str, of: usize) {
+    if output::is_aside() {
+        return;
+    }
     if let Some(work) = &mut lock().work {
         text.clone_into(&mut work.stage);
         work.stage_begun = Instant::now();

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use super::failure::Failure;
 use super::files::read_text;
 use super::{output, pages};
-use crate::bench::BenchFile;
+use crate::bench::{BenchFile, LastSeconds, Stop};
 use crate::plant::{Model, MotorKey};
 use crate::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use crate::report::page::Tone;
@@ -26,6 +26,9 @@ pub(crate) struct Reported {
     duration_s: Option<f64>,
     /// How the run ended, as its manifest says.
     outcome: Option<String>,
+    /// How it was stopped, and which rows hold the last seconds before a trip.
+    stop: Option<Stop>,
+    trip: Option<LastSeconds>,
     /// What the live estimators said at the end.
     parameters: Map<String, Value>,
     page: Option<PathBuf>,
@@ -46,6 +49,16 @@ impl Reported {
             output::lines(&mut text, "run      ", [run]);
         }
         output::lines(&mut text, "outcome  ", &self.outcome);
+        output::lines(
+            &mut text,
+            "stopped  ",
+            self.stop.as_ref().map(Stop::sentence),
+        );
+        let last = self.trip.map(|last| {
+            let (from, to) = (last.from_row, last.to_row);
+            format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
+        });
+        output::lines(&mut text, "last 2 s ", last);
         let pictures = self.pictures.iter().map(|path| path.display());
         output::lines(&mut text, "picture  ", pictures);
         match &self.page {
@@ -108,6 +121,11 @@ pub(crate) fn report(
         rows_dropped: Some(run.rows_dropped),
         duration_s: ends.map(|(first, last)| last - first),
         outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
+        stop: loaded.manifest.as_ref().and_then(pages::stop),
+        trip: loaded
+            .manifest
+            .as_ref()
+            .and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
         parameters: parameters.collect(),
         page: path,
         pictures: match pictures {
@@ -177,7 +195,7 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
 /// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.
 fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
-    let text = folder.and_then(|f| std::fs::read_to_string(f.file(RunFile::Result)).ok());
+    let text = folder.and_then(|f| read_text(&f.file(RunFile::Result)).ok());
     let result = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let result = result.unwrap_or_default();
     let kept = result["online"]["parameters"].as_object();

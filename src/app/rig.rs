@@ -649,7 +649,7 @@ impl Opened {
             (Port::Sim, Some(config)) => {
                 let time = VirtualClock::new();
                 clock = Box::new(time.clone());
-                in_memory(config, bench, guise.as_ref(), time)
+                in_memory(config, bench, guise.as_ref(), time)?
             }
             (Port::SimRtu, Some(config)) => {
                 let time = VirtualClock::new();

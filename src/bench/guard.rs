@@ -23,6 +23,8 @@ use super::trip::{Trip, TripKind};
 use crate::drive::CommandTimes;
 use crate::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
 
+/// By more than this no clock of a drive runs back that was on all the time, s.
+const RESTARTED_S: f64 = 0.1;
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
 const ALLOWED_IN_A_ROW: u32 = 3;
 /// A drive that ran and left that state by itself is given this long (one late status word), s.
@@ -333,6 +335,7 @@ impl Guard {
                     Some(self.plausibility.explained(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
+                .or_else(|| Self::switched_on_again(now_s, sample.time_s, last_s?))
                 .or_else(|| self.stuck_clock(now_s, sample.time_s, is_newer))
                 .or(doubt)
         } else {
@@ -522,6 +525,17 @@ impl Guard {
             Channel::Bus => self.limits.bus_min_v.is_some() || self.limits.bus_max_v.is_some(),
             _ => true,
         }
+    }
+
+    /// A drive whose time runs back was off in between: what it was told before is over.
+    fn switched_on_again(now_s: f64, drive_s: f64, last_s: f64) -> Option<Trip> {
+        let back_s = last_s - drive_s;
+        (back_s > RESTARTED_S).then(|| {
+            let what = format!(
+                "the drive's time ran back by {back_s:.3} s: it was switched off and on again"
+            );
+            Trip::new(TripKind::ClockStuck, now_s, (back_s, RESTARTED_S), what)
+        })
     }
 
     fn stuck_clock(&mut self, now_s: f64, drive_s: f64, advanced: bool) -> Option<Trip> {

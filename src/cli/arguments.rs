@@ -540,6 +540,16 @@ impl Waive {
     }
 }
 
+/// Part I of N of what is to be done.
+pub(super) fn shard(text: &str) -> Result<(u64, u64), String> {
+    let parts = text.split_once('/');
+    let numbers = parts.and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
+    match numbers {
+        Some((part, of)) if part >= 1 && part <= of => Ok((part, of)),
+        _ => Err("expected I/N with 1 <= I <= N, as 2/4".to_owned()),
+    }
+}
+
 /// Longest time that may be asked for, s: a day.
 const MOST_S: f64 = 86_400.0;
 

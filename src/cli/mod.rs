@@ -5,6 +5,7 @@
 //! ```
 
 mod add;
+mod analyse;
 mod arguments;
 mod compare;
 mod diagnose;
@@ -41,7 +42,8 @@ use crate::tui::{use_light, use_mouse};
 const EXIT_STATUSES: &str = "\
 Exit status:
   0    done and passed (any verdict of diagnose)
-  1    done and not accepted: --min-fit, a refused effect, a drive that is not plausible, a replay that differs
+  1    done and not accepted: --min-fit, a refused effect, a drive that is not plausible, a replay that differs, a run
+       of many that cannot be read
   2    usage or configuration, or more asked than plan or line allow
   3    link or device: no answer, another drive, a failed check, no --hardware, a locked or open motor
   4    safety trip
@@ -87,6 +89,7 @@ enum Command {
     Run(run::Arguments),
     Speed(run::SpeedArguments),
     Identify(identify::Arguments),
+    Analyse(analyse::Arguments),
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Test(test::Arguments),
@@ -143,6 +146,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => run::execute(&arguments),
         Command::Speed(arguments) => run::execute_speed(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Analyse(arguments) => analyse::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Test(arguments) => test::execute(arguments),

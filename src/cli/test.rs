@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use clap::CommandFactory as _;
 
+use super::arguments::shard;
 use super::failure::Failure;
 use super::output;
+use crate::app::suite::baseline::lines as drift_lines;
 use crate::app::suite::{self, SuiteRequest};
 use crate::workflow::suite::{Suite, SuiteOutcome, Verb, Verdict};
 
@@ -20,6 +22,7 @@ use crate::workflow::suite::{Suite, SuiteOutcome, Verb, Verdict};
   drivebench test bench-configs/suites/acceptance.toml                        the software drive, in virtual time
   drivebench test suite.toml --junit junit.xml --json > result.json           for a CI job
   drivebench test suite.toml --filter smoke --port /dev/ttyUSB0 --hardware    the same cases on the bench
+  drivebench test suite.toml --baseline suites/MARCH/result.json              what has drifted since then
   drivebench test suite.toml --shard 2/4                                      the second quarter, on one of four machines
 
 Each step is a command of this program, with the options that its --help has. The motor is stopped by the guard of that
@@ -52,6 +55,13 @@ pub(super) struct Arguments {
     /// Write the figures as OpenMetrics text
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
+    /// Compare what the steps that identify find with an earlier run of the same machine, or with result.json of an earlier
+    /// suite, and name what has drifted; may be given again
+    #[arg(long, value_name = "RUN")]
+    baseline: Vec<PathBuf>,
+    /// Compare also where the baseline is of another machine, or does not say of which
+    #[arg(long, requires = "baseline")]
+    any_machine: bool,
     /// List the cases and do nothing
     #[arg(long)]
     list: bool,
@@ -75,6 +85,8 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         keep: arguments.keep,
         junit: arguments.junit,
         metrics: arguments.metrics,
+        baseline: arguments.baseline,
+        any_machine: arguments.any_machine,
     };
     let outcome = suite::carry_out(&suite, &request)?;
     output::result(&outcome, arguments.json, text)?;
@@ -150,6 +162,11 @@ fn text(outcome: &SuiteOutcome) -> String {
     if wrong.len() > MOST_LINES {
         lines.push(format!("and {} more", wrong.len() - MOST_LINES));
     }
+    lines.extend(
+        drift_lines(outcome)
+            .iter()
+            .flat_map(|line| output::fitted(line)),
+    );
     lines.join("\n")
 }
 
@@ -161,13 +178,4 @@ fn options_of(verb: Verb) -> Vec<String> {
     options
         .filter_map(|option| option.get_long().map(str::to_owned))
         .collect()
-}
-
-fn shard(text: &str) -> Result<(u64, u64), String> {
-    let parts = text.split_once('/');
-    let numbers = parts.and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
-    match numbers {
-        Some((part, of)) if part >= 1 && part <= of => Ok((part, of)),
-        _ => Err("expected I/N with 1 <= I <= N, as 2/4".to_owned()),
-    }
 }

@@ -352,6 +352,7 @@ impl ModbusLink {
     fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
         self.listen()?;
         let (mut probes, mut begun) = (0, false);
+        let mut failed = None;
         loop {
             let is_late = |bound: &super::transaction::Bound| {
                 bound.is_set() && (probes == MOST_PROBES || bound.is_over(now()))
@@ -369,11 +370,14 @@ impl ModbusLink {
                     match self.probe(pdu) {
                         Err(error @ LinkError::Gone { .. }) => return Err(error),
                         // How it ended is known to the proof.
-                        _ => self.listen()?,
+                        probed => {
+                            failed = probed.err();
+                            self.listen()?;
+                        }
                     }
                 }
                 Step::Restless => return Err(restless(&self.core.name)),
-                Step::GiveUp => return Err(out_of_step(&self.core.name)),
+                Step::GiveUp => return Err(unprobed(&self.core.name, failed)),
             }
         }
     }
@@ -646,6 +650,18 @@ impl Burst for ModbusLink {
             Ok(samples)
         });
         capture.map(Some)
+    }
+}
+
+/// Why the line could not be proven. Where the probes got nothing, a refusal or damage, that is what is wrong with it.
+fn unprobed(name: &str, last: Option<LinkError>) -> LinkError {
+    match last {
+        Some(
+            error @ (LinkError::Timeout { .. }
+            | LinkError::Exception { .. }
+            | LinkError::Corrupt { .. }),
+        ) => error,
+        _ => out_of_step(name),
     }
 }
 

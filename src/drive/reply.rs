@@ -157,6 +157,11 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             continue;
         };
         let response = &tail[1..length - 2];
+        // Registers that are read often hold such frames by chance: all ones before zeros fit the check sum.
+        if tail[0] != unit && (tail[0] > LAST_UNIT || matches!(response, [0x80..=0xFF, 0])) {
+            at += 1;
+            continue;
+        }
         if tail[0] == unit && expected.is_met_by(pdu, response) {
             found.reply = Some((at, at + length));
             return found;
@@ -169,12 +174,17 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             found.old.extend(Code::of(FrameKind::Rtu, &tail[..length]));
         } else {
             found.foreign += 1;
-            found.foreign_writes += usize::from(writes_to(request_sent, tail));
+            // The drive's own answer to such a request, with a length that does not fit, is no other master's.
+            let is_misfit = pdu.first() == Some(&23) && response.first() == Some(&23);
+            found.foreign_writes += usize::from(!is_misfit && writes_to(request_sent, tail));
         }
         at += length;
     }
     found
 }
+
+/// Addresses of units end here; those above are reserved (MODBUS over Serial Line V1.02, 2.2).
+const LAST_UNIT: u8 = 247;
 
 /// Whether this frame, which is not ours, writes to the unit of a request, or acknowledges such a write.
 fn writes_to(request: &[u8], frame: &[u8]) -> bool {
@@ -270,6 +280,16 @@ mod tests {
         let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
         let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
         assert_eq!(writes(&[many, acknowledged].concat()), 2);
+    }
+
+    #[test]
+    fn what_fits_a_check_sum_by_chance_is_damage_and_a_misfit_no_other_masters() {
+        let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
+        let found = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
+        assert_eq!((found.reply, found.foreign), (None, 0));
+        let misfit = rtu(&command, &[&frame(1, &[23, 6, 1, 2, 3, 4, 5, 6])], false);
+        assert_eq!((misfit.reply, misfit.foreign), (None, 1));
+        assert_eq!(misfit.foreign_writes, 0);
     }
 
     fn expecting(request: &[u8], echoes: bool) -> Expected {

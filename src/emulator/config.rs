@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::fault::FaultEntry;
 use super::truth::effect::{HiddenEffect, flux_saturation};
 use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
@@ -118,6 +119,9 @@ pub struct EmulatorConfig {
     /// What changes on the shaft while the drive runs, in the order of the times.
     #[serde(default, rename = "change", skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<Change>,
+    /// What goes wrong on the line and in the drive.
+    #[serde(default, rename = "fault", skip_serializing_if = "Vec::is_empty")]
+    pub faulty: Vec<FaultEntry>,
     /// Which of the specimen's days this is: sensor noise and random loads are drawn anew on each. A hold-out with the
     /// noise of the fitted run would test less than it seems to.
     #[serde(skip)]
@@ -328,6 +332,11 @@ impl EmulatorConfig {
         })
     }
 
+    /// Whether what goes wrong needs a line to go wrong on.
+    pub fn needs_line(&self) -> bool {
+        self.faulty.iter().any(|fault| fault.kind.needs_line())
+    }
+
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {
         let refuse = |(key, value, allowed)| {
             Err(EmulatorConfigError::Value {
@@ -351,7 +360,9 @@ impl EmulatorConfig {
                 });
             }
         }
-        let refused = Change::refused(&self.changes).or_else(|| self.faults.refused());
+        let refused = Change::refused(&self.changes)
+            .or_else(|| self.faults.refused())
+            .or_else(|| self.faulty.iter().find_map(FaultEntry::refused));
         if let Some(refused) = refused {
             return refuse(refused);
         }

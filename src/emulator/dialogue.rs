@@ -1,7 +1,8 @@
 //! One conversation on one link: bytes of the host in, answers of the drive out.
 
 use firmware_protocol::modbus::{Exception, RtuReceiver, TcpReceiver, respond, rtu, tcp};
-use firmware_protocol::stream;
+use firmware_protocol::registers::{COMMAND_ADDRESS, COMMAND_WORDS};
+use firmware_protocol::{Control, DriveCommand, stream};
 
 use super::drive::answer_stream;
 use super::{ForeignDrive, SoftDrive};
@@ -23,6 +24,21 @@ pub(super) trait Answering: Send {
 
     /// `None`: it is silent.
     fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
+
+    /// Since its start, s; `None` where it does not run.
+    fn running_s(&self) -> Option<f64> {
+        None
+    }
+
+    /// Without power nobody hears anything.
+    fn is_powered(&self) -> bool {
+        true
+    }
+
+    /// The request with which another master might command it.
+    fn foreign_write(&self) -> Vec<u8> {
+        Vec::new()
+    }
 }
 
 /// What a stream decoder hands out.
@@ -40,7 +56,26 @@ impl Answering for SoftDrive {
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
         answer_stream(self, received)
     }
+
+    fn running_s(&self) -> Option<f64> {
+        Self::running_s(self)
+    }
+
+    fn is_powered(&self) -> bool {
+        Self::is_powered(self)
+    }
+
+    fn foreign_write(&self) -> Vec<u8> {
+        let words = DriveCommand::new(0, Control::Stop).to_registers();
+        let words = words.into_iter().flat_map(u16::to_be_bytes);
+        let [high, low] = COMMAND_ADDRESS.to_be_bytes();
+        let count = COMMAND_WORDS as u8;
+        let head = [16, high, low, 0, count, 2 * count];
+        head.into_iter().chain(words).collect()
+    }
 }
+
+const _: () = assert!(COMMAND_WORDS < 64, "a byte counts them");
 
 impl Answering for ForeignDrive {
     fn advance_to(&mut self, time_s: f64) {
@@ -54,6 +89,18 @@ impl Answering for ForeignDrive {
     /// No other make speaks our stream.
     fn stream(&mut self, _: &Received) -> Option<stream::Frame> {
         None
+    }
+
+    fn running_s(&self) -> Option<f64> {
+        Self::running_s(self)
+    }
+
+    fn is_powered(&self) -> bool {
+        Self::is_powered(self)
+    }
+
+    fn foreign_write(&self) -> Vec<u8> {
+        self.first_command()
     }
 }
 
@@ -100,7 +147,9 @@ impl Dialogue {
                         drive.modbus(pdu)
                     };
                     let (transaction, unit) = (request.transaction, request.unit);
-                    answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
+                    if !response.is_empty() {
+                        answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
+                    }
                 }
             }
             Self::Stream(decoder) => {
@@ -142,8 +191,8 @@ fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &m
 
 #[cfg(test)]
 mod tests {
+    use firmware_protocol::Telemetry;
     use firmware_protocol::stream::{Frame, Message};
-    use firmware_protocol::{Control, DriveCommand, Telemetry};
     use proptest::prelude::*;
 
     use super::*;

@@ -2,6 +2,7 @@
 
 use super::dialogue::{Answering, Dialogue, UNIT};
 use super::pace::Pace;
+use super::spoiler::{Spoiled, Spoiler};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
 use crate::drive::virtual_line::{FarEnd, VirtualLink};
 use crate::drive::{DriveLink, DriveProfile, Protocol, VirtualClock};
@@ -24,16 +25,22 @@ pub fn open_line(
     let mut line = guise.map_or(&config.line, |guise| &guise.line).clone();
     line.baud = profile.link.baud;
     let unit = guise.map_or(UNIT, |guise| guise.unit);
+    let protocol = Protocol::ModbusRtu;
     let far = DriveOnLine {
+        spoiler: Spoiler::new(&config.faulty, protocol, unit, seed),
         drive,
-        dialogue: Dialogue::new(Protocol::ModbusRtu, unit),
+        dialogue: Dialogue::new(protocol, unit),
         pace: Pace::serial(&line, true),
         silent_from_s: 0.0,
     };
     Box::new(VirtualLink::open(NAME, profile, clock, far))
 }
 
+/// What talks by itself is known for so long ahead, s: until the host listens again.
+const AHEAD_S: f64 = 0.25;
+
 struct DriveOnLine {
+    spoiler: Spoiler,
     drive: Box<dyn Answering>,
     dialogue: Dialogue,
     pace: Pace,
@@ -47,20 +54,36 @@ impl FarEnd for DriveOnLine {
         let mut sent = Vec::new();
         if now_s >= self.silent_from_s {
             self.dialogue.idle(self.drive.as_mut(), &mut answers);
+            answers.clear();
         }
         let mut at_s = now_s;
         for byte in bytes {
             at_s = self.pace.arrival_s(now_s);
             self.drive.advance_to(at_s);
-            let drive = self.drive.as_mut();
+            self.spoiler.hear(*byte);
+            let mut drive = Spoiled {
+                drive: self.drive.as_mut(),
+                spoiler: &mut self.spoiler,
+                now_s: at_s,
+            };
             // Only a peer that is no Modbus TCP cannot be framed.
-            let _ = self.dialogue.push(*byte, drive, &mut || true, &mut answers);
+            let _ = self
+                .dialogue
+                .push(*byte, &mut drive, &mut || true, &mut answers);
             self.send(at_s, &mut answers, &mut sent);
         }
         self.silent_from_s = at_s + self.pace.gap_s();
         // A request whose length nobody knows ends with the silence: a host writes it whole.
-        self.dialogue.idle(self.drive.as_mut(), &mut answers);
+        let mut drive = Spoiled {
+            drive: self.drive.as_mut(),
+            spoiler: &mut self.spoiler,
+            now_s: at_s,
+        };
+        self.dialogue.idle(&mut drive, &mut answers);
         self.send(self.silent_from_s, &mut answers, &mut sent);
+        let ahead_s = now_s + AHEAD_S;
+        let drive = self.drive.as_mut();
+        sent.extend(self.spoiler.unasked(now_s, ahead_s, drive));
         sent
     }
 }
@@ -69,7 +92,8 @@ impl DriveOnLine {
     fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            sent.push((due_s, answer));
+            let running_s = self.drive.running_s();
+            sent.extend(self.spoiler.reply(answer, end_s, due_s, running_s));
         }
     }
 }

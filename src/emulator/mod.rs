@@ -3,6 +3,7 @@
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
+//!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs, line.rs  virtual time, without bytes and with them
@@ -12,6 +13,7 @@
 mod config;
 mod dialogue;
 mod drive;
+mod fault;
 mod foreign;
 mod line;
 mod memory;
@@ -21,6 +23,7 @@ mod pace;
 mod pty;
 mod server;
 mod session;
+mod spoiler;
 mod tcp;
 pub mod truth;
 
@@ -31,6 +34,7 @@ pub use config::{
 };
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
+pub use fault::{FaultEntry, FaultKind};
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
 pub use line::open_line;
 pub use memory::{Latency, MemoryLink};

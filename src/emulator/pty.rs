@@ -28,6 +28,7 @@ use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::sys::time::TimeSpec;
 
 use super::session::{Gone, Port};
+use crate::numerics::checksum::{EMPTY, fnv_1a};
 
 /// Where the kernel keeps the slaves.
 const SLAVES: &str = "/dev/pts";
@@ -50,13 +51,7 @@ impl Claim {
         let path = folder
             .canonicalize()?
             .join(stable.file_name().unwrap_or_default());
-        let hash = path
-            .as_os_str()
-            .as_bytes()
-            .iter()
-            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-                (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-            });
+        let hash = fnv_1a(EMPTY, path.as_os_str().as_bytes().iter().copied());
         name.extend_from_slice(format!("{hash:016x}").as_bytes());
         let address = SocketAddr::from_abstract_name(name)?;
         match UnixDatagram::bind_addr(&address) {

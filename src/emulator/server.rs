@@ -20,6 +20,7 @@ use super::pace::Pace;
 use super::pty::{Claim, PtyPort};
 use super::session::Port;
 use super::session::{Commander, Counters, FarEnd, Session, Turn};
+use super::spoiler::Spoiler;
 use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
 use crate::drive::Protocol;
@@ -248,6 +249,7 @@ struct Server<'a> {
     unit: u8,
     link: Protocol,
     drive: Box<dyn Answering>,
+    spoiler: Spoiler,
     start: Instant,
     stop: &'a AtomicBool,
     counters: &'a Counters,
@@ -266,9 +268,11 @@ impl<'a> Server<'a> {
             Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
             None => Box::new(SoftDrive::new(config, seed)),
         };
+        let unit = guise.map_or(UNIT, |guise| guise.unit);
         Self {
             line: guise.map_or(&config.line, |guise| &guise.line),
-            unit: guise.map_or(UNIT, |guise| guise.unit),
+            unit,
+            spoiler: Spoiler::new(&config.faulty, link, unit, seed),
             link,
             drive,
             start: now(),
@@ -355,6 +359,7 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut commander,
+            spoiler: &mut self.spoiler,
         };
         let mut hosts: Vec<(TcpPort, Session)> = Vec::new();
         while !far.stop.load(Ordering::Relaxed) {
@@ -398,6 +403,7 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut Commander::default(),
+            spoiler: &mut self.spoiler,
         };
         Session::new(Dialogue::new(self.link, self.unit), pace, &far).serve(port, &mut far)
     }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use super::dialogue::{Answering, Dialogue};
 use super::pace::Pace;
+use super::spoiler::{Spoiled, Spoiler};
 
 /// The drive is brought up to date at least this often, s.
 const LONGEST_WAIT_S: f64 = 0.01;
@@ -71,6 +72,8 @@ pub(super) struct FarEnd<'a> {
     pub(super) stop: &'a AtomicBool,
     pub(super) counters: &'a Counters,
     pub(super) commander: &'a mut Commander,
+    /// The faults of the line.
+    pub(super) spoiler: &'a mut Spoiler,
 }
 
 /// One host and what is under way to and from it.
@@ -135,18 +138,32 @@ impl Session {
             far.drive.advance_to(at);
             let (commander, number) = (&mut *far.commander, self.number);
             let may_command = &mut || commander.takes(number, at);
+            far.spoiler.hear(byte);
+            let mut drive = Spoiled {
+                drive: &mut *far.drive,
+                spoiler: &mut *far.spoiler,
+                now_s: at,
+            };
             let pushed = self
                 .dialogue
-                .push(byte, far.drive, may_command, &mut self.answers);
+                .push(byte, &mut drive, may_command, &mut self.answers);
             self.broken |= pushed.is_err();
-            self.send(at);
+            self.send(at, far);
             self.silent_from_s = Some(at + self.pace.gap_s());
         }
         far.drive.advance_to(now);
         if self.incoming.is_empty() && self.silent_from_s.is_some_and(|from| from <= now) {
             self.silent_from_s = None;
-            self.dialogue.idle(far.drive, &mut self.answers);
-            self.send(now);
+            let mut drive = Spoiled {
+                drive: &mut *far.drive,
+                spoiler: &mut *far.spoiler,
+                now_s: now,
+            };
+            self.dialogue.idle(&mut drive, &mut self.answers);
+            self.send(now, far);
+        }
+        for (due, bytes) in far.spoiler.unasked(now, now + LONGEST_WAIT_S, far.drive) {
+            self.under_way(due, bytes);
         }
         if self.gone {
             far.commander.leaves(self.number);
@@ -197,11 +214,20 @@ impl Session {
         self.gone = true;
     }
 
-    fn send(&mut self, end_s: f64) {
-        for answer in self.answers.drain(..) {
-            let due = self.pace.delivery_s(end_s, answer.len());
-            self.outgoing.push_back((due, answer));
+    fn send(&mut self, end_s: f64, far: &mut FarEnd<'_>) {
+        for answer in std::mem::take(&mut self.answers) {
+            let due_s = self.pace.delivery_s(end_s, answer.len());
+            let running_s = far.drive.running_s();
+            for (due, bytes) in far.spoiler.reply(answer, end_s, due_s, running_s) {
+                self.under_way(due, bytes);
+            }
         }
+    }
+
+    /// Bytes that arrive then, behind those that arrive earlier.
+    fn under_way(&mut self, due_s: f64, bytes: Vec<u8>) {
+        let place = self.outgoing.partition_point(|(at, _)| *at <= due_s);
+        self.outgoing.insert(place, (due_s, bytes));
     }
 }
 

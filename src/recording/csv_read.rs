@@ -15,7 +15,7 @@ use std::ops::Range;
 use super::error::RowProblem;
 use super::{ColumnMap, Factor, RecordingError, Row};
 use crate::config_text::nearest;
-use crate::sample::{Channel, Origin, Run};
+use crate::sample::{Channel, LARGEST, Origin, Run};
 
 /// How a file is to be read.
 #[derive(Clone, Copy, Debug, Default)]
@@ -530,6 +530,10 @@ impl<R: BufRead> CsvRows<R> {
                 };
             }
             value += wanted.offset;
+            if value.abs() > LARGEST {
+                let column = headers[wanted.cells[0].field].clone();
+                return Err(wrong(RowProblem::TooLarge { column, value }));
+            }
             if let Some(channel) = wanted.target {
                 empty &= value.is_nan();
                 out.set(channel, Some(value));

@@ -7,6 +7,28 @@ use crate::sample::{Channel, Run};
 /// Said of a command where a limit of the drive held the output, so that the motor had another voltage.
 pub(super) const LIMITED: &str = "limited";
 
+/// What stands in a column of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColumnKind {
+    Quantity,
+    /// A whole number.
+    Count,
+    Word,
+    /// UTC as `2026-01-31T23:59:59Z`.
+    Instant,
+}
+
+impl ColumnKind {
+    /// Of a column of `samples.csv`.
+    pub fn of_samples(name: &str) -> Self {
+        match name {
+            "seq" => Self::Count,
+            "status" | "quality" => Self::Word,
+            _ => Self::Quantity,
+        }
+    }
+}
+
 /// One line of `samples.csv` before it is text.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use thiserror::Error;
 
-use crate::sample::RunError;
+use crate::sample::{LARGEST, RunError};
 
 /// What is wrong with a row of a CSV; the text goes on behind its number.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -19,7 +19,11 @@ pub enum RowProblem {
         ", column {column:?}: {text:?} is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)"
     )]
     NotANumber { column: String, text: String },
+    #[error(", column {column:?}: {value:e} is not allowed (expected a size up to {LARGEST:e})")]
+    TooLarge { column: String, value: f64 },
 }
+
+const ABSURD: &str = "check the cell and the unit of its column; leave a damaged cell empty";
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RecordingError {
@@ -110,6 +114,7 @@ impl RecordingError {
                 RowProblem::TimeNotIncreasing { .. } => "sort the rows by time and remove repeated ones; is this the time column?",
                 RowProblem::TimeMissing { .. } => "remove the row or give it a time",
                 RowProblem::FieldCount { .. } => "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this",
+                RowProblem::TooLarge { .. } => ABSURD,
                 RowProblem::NotANumber { .. } => "leave a missing value empty or write NaN; numbers have a decimal point and no unit",
             }
             .into(),
@@ -122,7 +127,7 @@ impl RecordingError {
             Self::Run {
                 source: RunError::Absurd { .. },
                 ..
-            } => "check the cell and the unit of its column; leave a damaged cell empty".into(),
+            } => ABSURD.into(),
             Self::Run { .. } => "time must grow from row to row, and every row needs a cell for every column".into(),
             Self::WriterGone { .. } => "the run is unfinished; its rows so far are on disk".into(),
         }

@@ -63,7 +63,68 @@ pub struct Manifest {
     pub waivers: Vec<String>,
 }
 
+/// Which drive and which motor a run is of; empty words where the run does not say.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Machine {
+    pub drive: String,
+    pub drive_serial: String,
+    pub motor: String,
+}
+
+impl Machine {
+    /// Whether nothing that both say of themselves differs, and both say something.
+    pub fn is_like(&self, other: &Self) -> bool {
+        let is_known = |machine: &Self| !machine.drive.is_empty() && !machine.motor.is_empty();
+        is_known(self) && self == other
+    }
+}
+
+impl std::fmt::Display for Machine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let or_unknown = |word: &str| {
+            if word.is_empty() {
+                "unknown".to_owned()
+            } else {
+                word.to_owned()
+            }
+        };
+        let [drive, serial, motor] =
+            [&self.drive, &self.drive_serial, &self.motor].map(|word| or_unknown(word));
+        write!(f, "motor {motor} on {drive}, serial {serial}")
+    }
+}
+
 impl Manifest {
+    /// Drive and motor; the motor is that of the bench file that was used.
+    pub fn machine(&self) -> Machine {
+        let said = |key: &str| {
+            self.identity
+                .get(key)
+                .and_then(Value::as_str)
+                .unwrap_or_default()
+                .to_owned()
+        };
+        let bench = self
+            .configs
+            .get("bench")
+            .and_then(|text| text.parse::<toml::Table>().ok());
+        let motor = bench
+            .as_ref()
+            .and_then(|bench| bench.get("motor")?.get("name")?.as_str());
+        Machine {
+            drive: said("product"),
+            drive_serial: said("serial_number"),
+            motor: motor.unwrap_or_default().to_owned(),
+        }
+    }
+
+    /// When the run began, UTC as `2026-01-31T23:59:59Z`; none where the manifest does not say.
+    pub fn began(&self) -> Option<String> {
+        let parsed = jiff::fmt::strtime::parse("%Y%m%dT%H%M%SZ", &self.stamp).ok()?;
+        let civil = parsed.to_datetime().ok()?;
+        Some(format!("{civil}Z"))
+    }
+
     /// Says where a signal comes from.
     pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
         self.signals.insert(channel.key().to_owned(), origin);

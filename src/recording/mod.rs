@@ -28,13 +28,13 @@ mod run_folder;
 
 pub use column_map::{ColumnMap, Factor, Mapping};
 pub use csv_read::{CsvRows, ReadOptions, read_csv};
-pub use csv_write::{Layout, Row, number_text, write_run};
+pub use csv_write::{ColumnKind, Layout, Row, number_text, write_run};
 pub use error::{RecordingError, RowProblem};
 pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
-pub use manifest::Manifest;
+pub use manifest::{Machine, Manifest};
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
 pub use recorder::{Kept, KeptLogs, Recorder};
 pub use row_order::{CommandRow, RowOrder};
-pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, resolved, utc_stamp};
+pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, read_text, resolved, utc_stamp};

@@ -5,7 +5,7 @@ use std::io::{BufReader, Cursor, Read as _, Take};
 use std::path::{Path, PathBuf};
 
 use super::csv_read::whole_rows;
-use super::run_folder::SAMPLES;
+use super::run_folder::{SAMPLES, read_text};
 use super::{
     ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read,
 };
@@ -172,7 +172,7 @@ fn folder_of(
         return (None, None);
     }
     let path = RunFolder::existing(parent).file(RunFile::Manifest);
-    let read = std::fs::read_to_string(&path);
+    let read = read_text(&path);
     let is_inside = is_folder || read.is_ok();
     let warning = match read.map(|text| serde_json::from_str(&text)) {
         Ok(Ok(manifest)) => return (Some(parent.to_owned()), Some(manifest)),

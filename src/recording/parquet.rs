@@ -2,6 +2,7 @@
 //! feature `parquet` only.
 
 use std::fmt::Write as _;
+use std::io::Read;
 use std::sync::Arc;
 
 use ::parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
@@ -9,6 +10,8 @@ use ::parquet::errors::ParquetError;
 use ::parquet::file::properties::WriterProperties;
 use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use ::parquet::schema::parser::parse_message_type;
+
+use super::ColumnKind;
 
 /// Rows that are in memory at a time.
 const ROWS_OF_A_GROUP: usize = 100_000;
@@ -19,14 +22,17 @@ enum Column {
     /// What counts exchanges.
     Counts(Vec<Option<i64>>),
     Words(Vec<Option<ByteArray>>),
+    /// Microseconds since 1970.
+    Instants(Vec<Option<i64>>),
 }
 
 impl Column {
-    fn of(name: &str) -> Self {
-        match name {
-            "seq" => Self::Counts(Vec::new()),
-            "status" | "quality" => Self::Words(Vec::new()),
-            _ => Self::Quantities(Vec::new()),
+    const fn of(kind: ColumnKind) -> Self {
+        match kind {
+            ColumnKind::Quantity => Self::Quantities(Vec::new()),
+            ColumnKind::Count => Self::Counts(Vec::new()),
+            ColumnKind::Word => Self::Words(Vec::new()),
+            ColumnKind::Instant => Self::Instants(Vec::new()),
         }
     }
 
@@ -35,6 +41,7 @@ impl Column {
             Self::Quantities(_) => ("DOUBLE", ""),
             Self::Counts(_) => ("INT64", ""),
             Self::Words(_) => ("BYTE_ARRAY", " (STRING)"),
+            Self::Instants(_) => ("INT64", " (TIMESTAMP(MICROS,true))"),
         }
     }
 
@@ -45,6 +52,10 @@ impl Column {
             }
             Self::Counts(cells) => cells.push(cell.parse().ok()),
             Self::Words(cells) => cells.push((!cell.is_empty()).then(|| ByteArray::from(cell))),
+            Self::Instants(cells) => {
+                let instant = cell.parse::<jiff::Timestamp>().ok();
+                cells.push(instant.map(jiff::Timestamp::as_microsecond));
+            }
         }
     }
 
@@ -52,7 +63,7 @@ impl Column {
     fn write(&mut self, rows: &mut RowGroup<'_>) -> Result<(), ParquetError> {
         match self {
             Self::Quantities(cells) => write::<DoubleType>(cells, rows),
-            Self::Counts(cells) => write::<Int64Type>(cells, rows),
+            Self::Counts(cells) | Self::Instants(cells) => write::<Int64Type>(cells, rows),
             Self::Words(cells) => write::<ByteArrayType>(cells, rows),
         }
     }
@@ -75,20 +86,20 @@ fn write<T: DataType>(
     Ok(())
 }
 
-/// The bytes of the file: every column of the table by its name.
+/// The bytes of the file: every column of the table by its name, of the kind that `kind` says it is.
 ///
 /// # Errors
 /// A text that is no table.
-pub fn parquet(csv: &[u8]) -> Result<Vec<u8>, ParquetError> {
+pub fn parquet(csv: impl Read, kind: impl Fn(&str) -> ColumnKind) -> Result<Vec<u8>, ParquetError> {
     let unread = |error: csv::Error| ParquetError::External(Box::new(error));
     let mut reader = csv::Reader::from_reader(csv);
     let header = reader.headers().map_err(unread)?;
     let mut schema = "message run { ".to_owned();
     let mut columns = Vec::new();
     for name in header {
-        let column = Column::of(name);
-        let (kind, meaning) = column.kind();
-        let _ = write!(schema, "OPTIONAL {kind} {name}{meaning}; ");
+        let column = Column::of(kind(name));
+        let (physical, meaning) = column.kind();
+        let _ = write!(schema, "OPTIONAL {physical} {name}{meaning}; ");
         columns.push(column);
     }
     schema.push('}');

@@ -1,7 +1,7 @@
 //! The folder of a run: made once, never overwritten, its small files replaced whole or not at all.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Manifest, RecordingError};
@@ -30,6 +30,26 @@ impl RunFile {
             Self::Parquet => "samples.parquet",
         }
     }
+}
+
+/// Most bytes of a file that is read whole: configurations and results are far shorter, and a stranger's must not fill the
+/// memory.
+const MOST_BYTES: u64 = 8 << 20;
+
+/// Reads a text that is taken into memory whole.
+///
+/// # Errors
+/// What stands in the way, or that it is longer than anything that is read so.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    File::open(path)?
+        .take(MOST_BYTES + 1)
+        .read_to_string(&mut text)?;
+    if text.len() as u64 > MOST_BYTES {
+        let what = format!("it is longer than {} MiB", MOST_BYTES >> 20);
+        return Err(io::Error::new(ErrorKind::FileTooLarge, what));
+    }
+    Ok(text)
 }
 
 pub(super) const SAMPLES: &str = "samples.csv";

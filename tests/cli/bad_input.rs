@@ -237,7 +237,7 @@ fn an_unusable_file_is_status_2_for_every_command() {
         ("no column", spoilt_csv("time_s", |_| {})),
         ("inf", after(3.0, 0, f64::INFINITY)),
         ("size up to 1e12", spoilt(|row| row[0] *= 1e20)),
-        ("current_a 1e300", after(7.9, 2, 1e300)),
+        ("\"current_a\": 1e300", after(7.9, 2, 1e300)),
     ] {
         let file = desk.put("log.csv", &text);
         for command in ["identify", "compare", "diagnose"] {

@@ -9,6 +9,7 @@
 #[path = "../kit/mod.rs"]
 mod kit;
 
+mod analyse;
 mod bad_input;
 mod card;
 mod examples;

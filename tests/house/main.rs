@@ -2,4 +2,5 @@
 
 mod architecture;
 mod citations;
+mod faults;
 mod text_files;

@@ -15,6 +15,7 @@ mod witness;
 mod burst;
 mod c_slave;
 mod commission;
+mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;

@@ -161,6 +161,10 @@ impl Drive {
         (f64::from(self.reference) * 0.1).clamp(-BUS_V, BUS_V)
     }
 
+    pub(crate) fn angle_rad(&self) -> f64 {
+        self.motor.angle_rad
+    }
+
     /// Uniform from 0 to 1.
     fn uniform(&mut self) -> f64 {
         self.noise ^= self.noise << 13;

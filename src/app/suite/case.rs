@@ -8,14 +8,15 @@ use std::sync::atomic::AtomicBool;
 
 use serde_json::Value;
 
+use super::baseline::{Baseline, manifest_of};
 use super::process::{self, Done, End, Watch};
 use crate::app::failure::{INTERRUPTED, REFUSED};
 use crate::app::{opening, output};
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Action, Answered, CASE, Case, CaseOutcome, Check, Limit, SignalLimit, Step, StepOutcome, Verb,
-    Verdict, answered, figure, find, is_written, reference,
+    Action, Answered, CASE, Case, CaseOutcome, Check, IdentifiedStep, Limit, SignalLimit, Step,
+    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
 /// What all cases of a suite have in common.
@@ -28,6 +29,7 @@ pub(super) struct Bench<'a> {
     /// Threads that one command may use.
     pub(super) threads: usize,
     pub(super) stop: &'a AtomicBool,
+    pub(super) baseline: Option<&'a Baseline>,
 }
 
 /// What an earlier step left.
@@ -159,11 +161,95 @@ impl Progress<'_> {
             status,
             took_s: done.took_s,
             checks: Vec::new(),
+            identified: None,
         });
         let error = error_said(&stderr);
         self.judge_end(step, &done, statuses, timeout_s, error.as_deref())?;
         self.keep(step, verb, &stdout, &done, error);
+        if verb == Verb::Identify {
+            self.compare_with_baseline(step, options, timeout_s)?;
+        }
         Ok(())
+    }
+
+    /// Keeps what a step found with the machine that it was found on, and, where there is a baseline, what has drifted since.
+    fn compare_with_baseline(
+        &mut self,
+        step: &Step,
+        options: &[(String, toml::Value)],
+        timeout_s: f64,
+    ) -> Result<(), Ended> {
+        let Some(Left { result, run }) = self.left.get(&step.name) else {
+            return Ok(());
+        };
+        let given = options.iter().find(|(key, _)| key == "run");
+        let given = given.and_then(|(_, run)| run.as_str());
+        let run = match given {
+            Some(given) => Some(PathBuf::from(self.resolved(given)?)),
+            None => run.clone(),
+        };
+        let manifest = run.as_deref().and_then(manifest_of);
+        let mut found = IdentifiedStep {
+            machine: manifest
+                .map(|manifest| manifest.machine())
+                .unwrap_or_default(),
+            parameters: result["parameters"].clone(),
+            drift: None,
+        };
+        if let Some(baseline) = self.bench.baseline {
+            let number = self.outcomes.len();
+            let mut earlier = 0;
+            let identify = |run: &Path| {
+                earlier += 1;
+                let same = options.iter().filter(|(key, _)| key != "run").cloned();
+                let run = toml::Value::String(run.display().to_string());
+                let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
+                let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
+                self.identify_earlier(&options, &name, timeout_s)
+            };
+            let drift = baseline.drift((&self.case.name, &step.name), &found, identify);
+            let drift = drift.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
+            if let Some(Value::Object(figures)) =
+                self.left.get_mut(&step.name).map(|left| &mut left.result)
+            {
+                let drifted: Vec<&str> =
+                    drift.drifted().map(|change| change.key.as_str()).collect();
+                figures.insert("drift".to_owned(), drifted.into());
+                figures.insert("drift_percent".to_owned(), drift.largest_percent().into());
+            }
+            found.drift = Some(drift);
+        }
+        if let Some(outcome) = self.outcomes.last_mut() {
+            outcome.identified = Some(found);
+        }
+        Ok(())
+    }
+
+    /// What the command of a step finds in an earlier run.
+    fn identify_earlier(
+        &self,
+        options: &[(String, toml::Value)],
+        name: &str,
+        timeout_s: f64,
+    ) -> Result<Value, String> {
+        let words = self.words(Verb::Identify, options);
+        let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
+        let file = |ending: &str| self.folder.join(format!("{name}.{ending}"));
+        let (stdout, stderr) = (file("json"), file("txt"));
+        let mut command = Command::new(self.bench.program);
+        command
+            .args(&words)
+            .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop);
+        let done = done.map_err(|error| error.to_string())?;
+        if done.end != End::Status(0) {
+            let said =
+                error_said(&stderr).unwrap_or_else(|| "it did not end in its time".to_owned());
+            return Err(format!("the baseline cannot be identified: {said}"));
+        }
+        let text = fs::read_to_string(&stdout).unwrap_or_default();
+        let result: Value = serde_json::from_str(&text).unwrap_or_default();
+        Ok(result["parameters"].clone())
     }
 
     /// Whether a command ended as it should.
@@ -366,6 +452,11 @@ impl Progress<'_> {
         let left = name.and_then(|name| self.left.get(name));
         let left =
             left.ok_or_else(|| Ended::error("assert: no earlier step has a result".to_owned()))?;
+        let of_drift = limits.iter().any(|(key, _)| key.starts_with("drift"));
+        if of_drift && self.bench.baseline.is_none() {
+            let reason = "drift: nothing to compare with; give --baseline RUN, an earlier run of this machine";
+            return Err(Ended::error(reason.to_owned()));
+        }
         let mut checks: Vec<Check> = limits
             .iter()
             .map(|(key, limit)| {
@@ -390,6 +481,7 @@ impl Progress<'_> {
             status: None,
             took_s: 0.0,
             checks,
+            identified: None,
         });
         if failures.is_empty() {
             Ok(())

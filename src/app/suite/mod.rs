@@ -6,6 +6,7 @@
 //!
 //! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
 
+pub(crate) mod baseline;
 mod case;
 pub(crate) mod golden;
 mod process;
@@ -24,6 +25,7 @@ use crate::recording::utc_stamp;
 use crate::workflow::suite::{
     Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
+use baseline::Baseline;
 use case::Bench;
 use process::Watch;
 
@@ -41,6 +43,9 @@ pub(crate) struct SuiteRequest {
     pub(crate) keep: bool,
     pub(crate) junit: Option<PathBuf>,
     pub(crate) metrics: Option<PathBuf>,
+    /// Earlier runs or results that the steps are compared with.
+    pub(crate) baseline: Vec<PathBuf>,
+    pub(crate) any_machine: bool,
 }
 
 /// One case with one of its seeds.
@@ -130,6 +135,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     if !request.hardware && jobs.iter().any(is_real) {
         consent(jobs.iter().filter(|job| is_real(job)).count())?;
     }
+    let baseline = Baseline::read(&request.baseline, request.any_machine)?;
     let program = std::env::current_exe()
         .map_err(|error| Failure::internal(format!("cannot find this program itself: {error}")))?;
     let stop = signals::flag()?;
@@ -159,6 +165,7 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
                             hardware: is_real(job),
                             threads: (cores / at_once).max(1),
                             stop: &stop,
+                            baseline: baseline.as_ref(),
                         };
                         let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
                         output::message(&line(&outcome, job.case.repeat));
@@ -200,14 +207,14 @@ fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
     if bench.stop.load(Ordering::Acquire) {
         return CaseOutcome::skipped(job.case, job.seed, "interrupted");
     }
-    if let Some(reason) = unfit(job, bench.hardware) {
+    if let Some(reason) = unfit(job, bench) {
         return CaseOutcome::skipped(job.case, job.seed, reason);
     }
     case::carry_out(bench, job.case, job.seed, folder)
 }
 
 /// Why a case cannot be done on this bench.
-fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
+fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     let case = job.case;
     let has_fault = case
         .steps
@@ -215,8 +222,11 @@ fn unfit(job: &Job<'_>, hardware: bool) -> Option<String> {
         .any(|step| matches!(step.action, Action::Fault(_)));
     let wants_emulator =
         case.needs.contains(&Need::Emulator) || case.emulator.is_some() || has_fault;
-    if hardware && wants_emulator {
+    if bench.hardware && wants_emulator {
         return Some("it sets up the software drive, and this one is real".to_owned());
+    }
+    if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
+        return Some("it compares with an earlier run, and there is no --baseline".to_owned());
     }
     let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     (is_in_memory && case.needs.contains(&Need::Line))

@@ -7,6 +7,7 @@
 //!
 //! What only happens to a process (a signal that kills it, a file that cannot be written) has its trials in real time.
 
+mod endurance;
 mod hidden;
 #[path = "../../../tests/witness/mod.rs"]
 mod witness;
@@ -49,9 +50,10 @@ const AGAIN_S: f64 = 0.05;
 const STOPPED_S: f64 = 1.0;
 /// The drive is watched for so long after the end, s.
 const AFTER_S: f64 = 0.7;
-/// The control word of the witness's map, and its bit with which the output is on.
+/// The control word of the witness's map, its bit with which the output is on, and its set-point.
 const CONTROL_WORD: u16 = 200;
 const RUN_BIT: u16 = 0x02;
+const SET_POINT: u16 = 201;
 /// Standard deviations within which a parameter has to be, of some thousand.
 const SIGMAS: f64 = 4.5;
 
@@ -66,24 +68,30 @@ struct Surroundings {
     again: bool,
     /// The process is stopped from its next wait on.
     stops: bool,
-    /// When the last byte of each request was there with which the output is to go off, s.
-    told_off_s: Vec<f64>,
+    /// When it was told what: whether the output is to be zero.
+    told: Vec<(f64, bool)>,
 }
 
 impl FarEnd for Surroundings {
     fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
         let sent = self.drive.hear(now_s, bytes);
-        if let Some(Ok((
+        let request = codec::request(bytes).and_then(Result::ok);
+        if let Some((
             _,
             Request::Write {
                 address, values, ..
             },
             _,
-        ))) = codec::request(bytes)
+        )) = request
         {
-            let mut words = (address..).zip(values);
-            let tells_off = words.any(|(at, word)| at == CONTROL_WORD && word & RUN_BIT == 0);
-            self.told_off_s.extend(tells_off.then_some(now_s));
+            for (at, word) in (address..).zip(values) {
+                let is_off = match at {
+                    CONTROL_WORD => word & RUN_BIT == 0,
+                    SET_POINT => word == 0,
+                    _ => continue,
+                };
+                self.told.push((now_s, is_off));
+            }
         }
         self.look(now_s);
         sent
@@ -105,7 +113,7 @@ impl Surroundings {
             done_s: None,
             again: false,
             stops: false,
-            told_off_s: Vec::new(),
+            told: Vec::new(),
         }
     }
 
@@ -450,8 +458,11 @@ fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
     let trial = trial_of(&bench, Drive::new(fault.act, seed), None, Way::Run);
     let seen_s = trial.drive.drive.seen_s();
     let seen_s = seen_s.unwrap_or_else(|| panic!("{fault}, seed {seed}: {}", trial.said));
-    let mut stops = trial.drive.told_off_s.iter().map(|stop_s| stop_s - seen_s);
-    let latency_s = stops.find(|after_s| *after_s >= 0.0);
+    let told = &trial.drive.told;
+    let on = told.iter().rposition(|(_, is_off)| !is_off).unwrap_or(0);
+    // From here on it was told nothing else.
+    let stop_s = told[on..].iter().find(|(_, is_off)| *is_off);
+    let latency_s = stop_s.map(|(stop_s, _)| (stop_s - seen_s).max(0.0));
     let allowed_s = (3.0 / rate_hz).max(0.1) + 1.0 / rate_hz;
     (fault.name, latency_s.unwrap_or(f64::INFINITY), allowed_s)
 }

@@ -6,6 +6,7 @@
 //! ```
 
 pub mod change_watch;
+pub mod checksum;
 mod clustered_spread;
 pub mod count;
 pub mod filter;

@@ -1,11 +1,11 @@
 //! A number with its uncertainty and verdict; nothing is shown without both.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::text::number::{self, significant, with_std, with_unit};
 
 /// What the data allow to be said about a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     Settled,

@@ -63,7 +63,7 @@ impl Side {
 }
 
 /// Largest size of a time or a value that a bench can give: above, a file is damaged or a unit is far off.
-const LARGEST: f64 = 1e12;
+pub const LARGEST: f64 = 1e12;
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RunError {

@@ -195,3 +195,15 @@ fn values_that_no_drive_can_have_are_refused() {
         assert!(error.to_string().contains(key), "{error}");
     }
 }
+
+#[test]
+fn every_kind_of_fault_stands_in_the_example() {
+    let unknown = refusal("[[fault]]\nkind = \"cosmic_ray\"\n").to_string();
+    let listed = |kind: &str| EXAMPLE.contains(&format!("#kind = \"{kind}\" "));
+    let all = toml::from_str::<FaultEntry>("kind = \"cosmic_ray\"").unwrap_err();
+    let kinds: Vec<&str> = all.message().split('`').skip(3).step_by(2).collect();
+    assert!(kinds.len() > 30, "{unknown} {kinds:?}");
+    for kind in kinds {
+        assert!(listed(kind), "{kind}");
+    }
+}

@@ -7,6 +7,7 @@
 //! surroundings.rs: a supply that takes nothing back, a brake on the shaft
 //! encoder.rs breaks speed and angle where a fault says so
 //! latecomer.rs holds set-points back where a hidden delay is at work
+//! troubles.rs: what goes wrong in the drive itself
 //! registers.rs and stream.rs show all of it on the two protocols
 //! ```
 
@@ -17,6 +18,7 @@ mod output;
 mod registers;
 mod stream;
 mod surroundings;
+mod troubles;
 
 use firmware_protocol::{
     CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State,
@@ -27,7 +29,9 @@ use self::capture::Capture;
 use self::encoder::Encoder;
 use self::output::{Output, OutputStage};
 use self::surroundings::Surroundings;
+use self::troubles::Troubles;
 use super::config::EmulatorConfig;
+use super::fault::FaultKind;
 use super::truth::effect::{Site, TrueParameter};
 use super::truth::{MotorTruth, Plant, Reading, Sensors};
 
@@ -53,6 +57,7 @@ pub struct SoftDrive {
     sensors: Sensors,
     encoder: Encoder,
     surroundings: Surroundings,
+    troubles: Troubles,
     output_stage: OutputStage,
     output: Output,
     /// The output of this tick is decided already.
@@ -111,6 +116,7 @@ impl SoftDrive {
                 .behind(path, TICK_S),
             encoder: Encoder::new(config.faults),
             surroundings: Surroundings::new(config),
+            troubles: Troubles::new(&config.faulty),
             output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
             output_fresh: false,
@@ -158,6 +164,11 @@ impl SoftDrive {
 
     /// One sample at the present drive time.
     pub fn telemetry(&mut self) -> Telemetry {
+        let telemetry = self.honest_telemetry();
+        self.troubles.telemetry(telemetry)
+    }
+
+    fn honest_telemetry(&mut self) -> Telemetry {
         let reading = self.reading();
         let status = Status::new(self.state)
             .with(Status::CURRENT_LIMIT, self.output.current_limited)
@@ -172,8 +183,8 @@ impl SoftDrive {
             status,
             fault: self.fault,
             seq: self.seq,
-            time_us: micros(self.tick),
-            applied_us: micros(self.applied_tick),
+            time_us: self.micros(self.tick),
+            applied_us: self.micros(self.applied_tick),
             voltage_v: reading.voltage_v,
             current_a: reading.current_a,
             speed_rad_s: reading.speed_rad_s,
@@ -196,6 +207,21 @@ impl SoftDrive {
 
     pub const fn fault(&self) -> Fault {
         self.fault
+    }
+
+    /// Since its start, s; `None` where it does not run.
+    pub fn running_s(&self) -> Option<f64> {
+        (self.state == State::Running).then(|| self.plant.time_s())
+    }
+
+    /// Whether it is switched on.
+    pub fn is_powered(&self) -> bool {
+        !self.has(FaultKind::PowerLost)
+    }
+
+    /// Whether this goes wrong in it now.
+    pub(in crate::emulator) fn has(&self, kind: FaultKind) -> bool {
+        self.troubles.has(kind)
     }
 
     /// The true parameters of this specimen: for tests, and for the one who reveals a mystery.
@@ -224,11 +250,13 @@ impl SoftDrive {
 
     /// One control period: supervision, output, plant, capture.
     fn step(&mut self) {
+        self.suffer();
         self.supervise();
         if !std::mem::take(&mut self.output_fresh) {
             self.refresh_output();
         }
-        self.plant.brake(self.surroundings.holds());
+        self.plant
+            .brake(self.surroundings.holds() || self.has(FaultKind::Blocked));
         self.plant.advance(self.output.terminals, TICK_S);
         let power_w = self.plant.terminal_v() * self.plant.current_a();
         let is_running = self.state == State::Running;
@@ -240,10 +268,32 @@ impl SoftDrive {
         self.record();
     }
 
+    /// What goes wrong in the drive itself.
+    fn suffer(&mut self) {
+        if !self.troubles.look(self.time_s(), self.running_s()) {
+            return;
+        }
+        if self.has(FaultKind::Trip) {
+            self.trip(Fault::Internal);
+        }
+        if !self.is_powered() {
+            (self.state, self.fault) = (State::Disabled, Fault::None);
+            self.output_fresh = false;
+            self.command_block = CommandBlock::default();
+            self.troubles.clock_from(self.tick);
+        }
+    }
+
+    /// Drive time as the protocols carry it.
+    fn micros(&self, tick: u64) -> u32 {
+        micros(tick).wrapping_add(self.troubles.clock_us())
+    }
+
     /// What makes the drive stop by itself.
     fn supervise(&mut self) {
         let limit_ticks = u64::from(self.identity.watchdog_ms) * TICKS_PER_MS;
-        if self.state == State::Running && self.tick - self.kicked_tick >= limit_ticks {
+        let is_silent = self.tick - self.kicked_tick >= limit_ticks;
+        if self.state == State::Running && is_silent && !self.has(FaultKind::WatchdogDead) {
             self.trip(Fault::Watchdog);
         }
         for cause in [Fault::OverSpeed, Fault::OverTemperature] {
@@ -279,7 +329,10 @@ impl SoftDrive {
     /// having an effect: the echo with the state is how the host learns that.
     fn apply(&mut self, command: DriveCommand) {
         let before = (self.state, self.control.code());
-        match (self.state, command.control) {
+        let control = self
+            .troubles
+            .obeyed(self.state, self.control, command.control);
+        match (self.state, control) {
             (State::Fault, Control::ResetFault) if !self.persists(self.fault) => {
                 self.state = State::Disabled;
                 self.fault = Fault::None;
@@ -338,7 +391,8 @@ impl SoftDrive {
             bus_v: self.plant.bus_v() + self.surroundings.rise_v(),
         };
         let reading = self.sensors.read(self.tick, truth);
-        self.encoder.read(self.plant.time_s(), reading)
+        let reading = self.encoder.read(self.plant.time_s(), reading);
+        self.troubles.reading(reading)
     }
 }
 

@@ -7,8 +7,11 @@ use firmware_protocol::registers::{
 };
 use firmware_protocol::{CaptureControl, CaptureSample};
 
-use super::{SoftDrive, micros};
+use super::SoftDrive;
+use crate::emulator::fault::FaultKind;
 
+/// The version of a protocol that nobody has written yet.
+const OTHER_VERSION: u16 = firmware_protocol::PROTOCOL_VERSION + 8;
 const VENDOR: &str = "drivebench";
 const PRODUCT_CODE: &str = "soft-drive";
 const PRODUCT_NAME: &str = "drivebench software drive";
@@ -29,6 +32,9 @@ impl RegisterBank for SoftDrive {
         copy(COMMAND_ADDRESS, &command, address, out);
         let identity = self.identity().to_registers();
         copy(IDENTITY_ADDRESS, &identity, address, out);
+        if self.has(FaultKind::OtherVersion) {
+            copy(r::IDENTITY_VERSION.address, &[OTHER_VERSION], address, out);
+        }
         if usize::from(address) + out.len() > usize::from(CAPTURE_ADDRESS) {
             copy(CAPTURE_ADDRESS, &self.capture_registers(), address, out);
         }
@@ -90,7 +96,10 @@ impl SoftDrive {
             (r::CAPTURE_CONTROL, self.capture_control.into()),
             (r::CAPTURE_STATE, state.into()),
             (r::CAPTURE_COUNT, self.capture.count().into()),
-            (r::CAPTURE_TIME, micros(self.capture.first_tick()).into()),
+            (
+                r::CAPTURE_TIME,
+                self.micros(self.capture.first_tick()).into(),
+            ),
             (r::WINDOW_INDEX, index.into()),
             (r::WINDOW_COUNT, i64::try_from(window.len()).unwrap_or(0)),
         ];

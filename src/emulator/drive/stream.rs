@@ -5,7 +5,7 @@ use firmware_protocol::stream::{
     Refusal,
 };
 
-use super::{SoftDrive, micros};
+use super::SoftDrive;
 
 /// The answer to what the decoder gave; `None` where nothing that could be answered was understood.
 pub(in crate::emulator) fn answer(
@@ -23,7 +23,7 @@ pub(in crate::emulator) fn answer(
         }
         Err(_) => return None,
     };
-    Some(Frame::answer(seq, micros(drive.tick), message))
+    Some(Frame::answer(seq, drive.micros(drive.tick), message))
 }
 
 fn respond(drive: &mut SoftDrive, frame: &Frame) -> Option<Message> {
@@ -68,7 +68,7 @@ impl SoftDrive {
         CaptureStatus {
             state: self.capture.state(),
             count: self.capture.count(),
-            first_time_us: micros(self.capture.first_tick()),
+            first_time_us: self.micros(self.capture.first_tick()),
         }
     }
 }

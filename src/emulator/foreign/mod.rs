@@ -23,9 +23,12 @@ use firmware_protocol::{Control, DriveCommand, Fault, State};
 pub use self::bus::ForeignBus;
 use self::ladder::{Ladder, Turn};
 use super::config::LineConfig;
+use super::fault::FaultKind;
 use super::truth::MotorTruth;
 use super::{EmulatorConfig, SoftDrive};
-use crate::drive::register_map::{Expiry, Quantity, RegisterMap, SetPoint, SupervisionKind, Unit};
+use crate::drive::register_map::{
+    Expiry, Kind, Quantity, RegisterMap, SetPoint, SupervisionKind, Unit,
+};
 use crate::drive::{DriveProfile, KickedBy, RegisterTable};
 use crate::sample::Hindrance;
 
@@ -95,6 +98,9 @@ pub struct ForeignDrive {
     switched_on_s: f64,
     as_set_s: f64,
     seq: u16,
+    /// It has no power, and somebody commands it at its keypad, by its configuration.
+    suffering: (bool, bool),
+    is_missing: bool,
 }
 
 /// Why it is in fault.
@@ -136,6 +142,8 @@ impl ForeignDrive {
             refusing_writes: None,
             switched_on_s: 0.0,
             seq: 0,
+            suffering: (false, false),
+            is_missing: false,
         }
     }
 
@@ -240,6 +248,62 @@ impl ForeignDrive {
             self.supervise();
             self.drive_motor();
             self.soft.advance_to(next_s.min(time_s));
+            self.suffer();
+        }
+    }
+
+    /// What goes wrong in the drive by its configuration, as it begins and as it ends.
+    fn suffer(&mut self) {
+        let told = (
+            !self.soft.is_powered(),
+            self.soft.has(FaultKind::LocalControl),
+        );
+        let before = std::mem::replace(&mut self.suffering, told);
+        if before.0 && !told.0 {
+            self.switch_on_again();
+        } else if !before.0 && told.0 {
+            self.ladder.fall();
+        }
+        if before.1 != told.1 {
+            self.take_local(told.1);
+        }
+        let missing = self.soft.has(FaultKind::SignalMissing);
+        if missing != std::mem::replace(&mut self.is_missing, missing) {
+            self.withhold(missing);
+        }
+    }
+
+    /// Lets measured signals show the code with which the drive says that they are not available.
+    fn withhold(&mut self, missing: bool) {
+        let map = Arc::clone(&self.map);
+        for signal in &map.signals {
+            let code = match (signal.keys.invalid.first(), signal.location.layout.kind) {
+                (Some(code), _) => *code,
+                (None, Kind::F32) => f32::NAN.to_bits(),
+                (None, _) => continue,
+            };
+            self.force(&signal.name, missing.then_some(code));
+        }
+    }
+
+    /// Since its start, s; `None` where it does not run.
+    pub fn running_s(&self) -> Option<f64> {
+        self.soft.running_s()
+    }
+
+    pub fn is_powered(&self) -> bool {
+        self.soft.is_powered()
+    }
+
+    /// The request that writes zero to its first set-point.
+    pub(super) fn first_command(&self) -> Vec<u8> {
+        let first = self.map.set_points.first();
+        let address = first.map_or(0, |point| point.location.address);
+        let [high, low] = address.to_be_bytes();
+        if self.map.functions.contains(&6) {
+            vec![6, high, low, 0, 0]
+        } else {
+            vec![16, high, low, 0, 1, 2, 0, 0]
         }
     }
 

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Truth;
+use crate::numerics::checksum::{EMPTY, fnv_1a};
 
 const FORMAT: &str = "drivebench-mystery";
 const VERSION: u32 = 1;
@@ -120,9 +121,7 @@ fn masked(plain: &[u8], nonce: u64) -> Vec<u8> {
 
 /// FNV-1a, 64 bits.
 pub(super) fn checksum(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-    })
+    fnv_1a(EMPTY, bytes.iter().copied())
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -23,7 +23,8 @@ use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
 pub use limit::{Limit, answered, entry, figure, find};
 pub use outcome::{
-    Answered, CaseOutcome, Check, Confusion, Spread, StepOutcome, SuiteOutcome, Verdict,
+    Answered, CaseOutcome, Check, Confusion, IdentifiedStep, Spread, StepOutcome, SuiteOutcome,
+    Verdict,
 };
 
 /// A suite file.
@@ -61,6 +62,8 @@ pub enum Need {
     Line,
     /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
     Emulator,
+    /// An earlier run of the same machine, given by `--baseline`.
+    Baseline,
 }
 
 /// One step of a case.

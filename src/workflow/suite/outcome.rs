@@ -1,9 +1,12 @@
 //! What came of a suite: a verdict for each case and repeat, the figures that were judged with their spread, and the exit
 //! status.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::Case;
+use crate::identification::drift::Drift;
+use crate::recording::Machine;
 
 /// How a case ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -27,6 +30,17 @@ pub struct Check {
     pub failure: Option<String>,
 }
 
+/// What a step that identifies found, for suites that are compared with this one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IdentifiedStep {
+    pub machine: Machine,
+    /// As `identify --json` has them.
+    pub parameters: Value,
+    /// What has changed since the baseline; null where there is none.
+    #[serde(skip_deserializing)]
+    pub drift: Option<Drift>,
+}
+
 /// One step of a case.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepOutcome {
@@ -36,6 +50,8 @@ pub struct StepOutcome {
     pub status: Option<u8>,
     pub took_s: f64,
     pub checks: Vec<Check>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub identified: Option<IdentifiedStep>,
 }
 
 /// One answer of the diagnosis beside what was hidden.
@@ -295,6 +311,7 @@ mod tests {
                     value,
                     failure: None,
                 }],
+                identified: None,
             }],
             answers: Vec::new(),
         }

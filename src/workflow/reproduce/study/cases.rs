@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::Size;
 use crate::emulator::truth::effect::HiddenEffect;
+use crate::numerics::checksum::{EMPTY, fnv_1a};
 use crate::plant::{ParameterSpec, effect};
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
@@ -194,9 +195,7 @@ impl Case {
 fn seed_of(cell: &str, seed: u64, set: u64) -> u64 {
     let numbers = seed.to_le_bytes().into_iter().chain(set.to_le_bytes());
     let bytes = cell.bytes().chain(numbers);
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
+    fnv_1a(EMPTY, bytes)
 }
 
 /// Every set of the study, in the order of its tables.

@@ -1,0 +1,293 @@
+//! Many runs, each analysed by itself, as one table: a row a run.
+//!
+//! ```text
+//! RUNS -> inputs: sorted paths -> shard -> workers (a run each) -> rows in order -> stdout
+//!                                              '- no further ahead than WINDOW -'-> table.rs: journal -> FILE
+//! ```
+//!
+//! Nothing of a run is in memory once its row is written, and no worker runs further ahead of the last written row than the
+//! window: memory does not grow with the number of runs.
+
+mod inputs;
+mod row;
+mod table;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::failure::{Failure, REFUSED, USAGE};
+use super::files::read_model;
+use super::{output, progress};
+use crate::identification::scheme;
+use crate::numerics::checksum::{EMPTY, fnv_1a};
+use crate::plant::{Model, Motor};
+use crate::recording::{ColumnKind, LoadedRun};
+use row::{Cell, Columns, Status};
+use table::{Table, line_of};
+
+/// Rows that may wait for one before them, for each worker.
+const WINDOW: usize = 8;
+
+/// How rows are written where there is no file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Form {
+    Csv,
+    /// One JSON object a line.
+    JsonLines,
+}
+
+/// What is asked of an analysis of many runs.
+pub(crate) struct AnalysisRequest<'a> {
+    /// Paths, folders of runs and patterns.
+    pub(crate) runs: &'a [PathBuf],
+    /// Without it the five-parameter baseline.
+    pub(crate) model: Option<&'a Path>,
+    pub(crate) scheme: Option<&'a str>,
+    pub(crate) diagnose: bool,
+    /// A CSV or Parquet file; without it standard output.
+    pub(crate) out: Option<&'a Path>,
+    pub(crate) form: Form,
+    pub(crate) resume: bool,
+    /// Part `0` of `1`, counted from 1.
+    pub(crate) shard: Option<(u64, u64)>,
+    pub(crate) jobs: usize,
+    /// How a run is read.
+    pub(crate) load: &'a (dyn Fn(&Path) -> Result<LoadedRun, Failure> + Sync),
+    /// All that a row depends on beside its run and the program's version, as a checksum.
+    pub(crate) analysis: String,
+}
+
+/// How many runs came out how.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub(crate) struct Analysed {
+    pub(crate) runs: usize,
+    pub(crate) ok: usize,
+    pub(crate) not_identified: usize,
+    pub(crate) unread: usize,
+    /// Rows of an earlier time that are still true, among these.
+    pub(crate) kept: usize,
+    /// Rows of runs that were not named, which are not in the table any more.
+    pub(crate) left_out: usize,
+    pub(crate) output: Option<String>,
+}
+
+impl Analysed {
+    fn count(&mut self, status: Status) {
+        *match status {
+            Status::Ok => &mut self.ok,
+            Status::NotIdentified => &mut self.not_identified,
+            Status::Unread => &mut self.unread,
+        } += 1;
+    }
+
+    /// The failure of runs that could not be read, if any.
+    pub(crate) fn failure(&self) -> Option<Failure> {
+        let (unread, runs) = (self.unread, self.runs);
+        let status = if unread == runs { USAGE } else { REFUSED };
+        let headline = format!("{unread} of {runs} runs could not be read");
+        let help = "each says why in the column `reason` of its row";
+        (unread > 0).then(|| Failure::with_help(status, headline, help))
+    }
+}
+
+/// The checksum of what the rows depend on: words of the command line, and the model file's text.
+pub(crate) fn analysis_of(words: &str, model: Option<&Path>) -> String {
+    let text = model
+        .and_then(|path| std::fs::read(path).ok())
+        .unwrap_or_default();
+    format!("{:016x}", fnv_1a(fnv_1a(EMPTY, words.bytes()), text))
+}
+
+/// Part `part` of `of` of the runs: a block, so that the tables of the parts behind each other are the table of the whole.
+fn block<T>(mut runs: Vec<T>, (part, of): (u64, u64)) -> Vec<T> {
+    let count = runs.len() as u128;
+    let bound = |part: u64| {
+        usize::try_from(u128::from(part) * count / u128::from(of)).unwrap_or(usize::MAX)
+    };
+    runs.truncate(bound(part));
+    runs.split_off(bound(part - 1))
+}
+
+/// Analyses the runs; one that cannot be read is a row that says so.
+pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure> {
+    let model = match request.model {
+        Some(path) => read_model(path)?.model,
+        None => Model::baseline(Motor::new("fitted")),
+    };
+    if let Some(id) = request.scheme {
+        scheme::find(id)?;
+    }
+    let columns = Columns::of(model);
+    let mut runs = inputs::runs(request.runs)?;
+    if let Some(shard) = request.shard {
+        runs = block(runs, shard);
+    }
+    let all = columns.all();
+    let table = request
+        .out
+        .map(|path| Table::open(path, all.clone(), &request.analysis, request.resume));
+    let sink = Sink {
+        table: table.transpose()?,
+        columns: all,
+        form: request.form,
+    };
+    if sink.table.is_none() && request.form == Form::Csv {
+        let names: Vec<&str> = sink.columns.iter().map(|(name, _)| name.as_str()).collect();
+        output::line(line_of(&names).trim_end())?;
+    }
+    progress::stage("analyses the runs", runs.len());
+    let line = Mutex::new(Line {
+        begun: 0,
+        written: 0,
+        waiting: BTreeMap::new(),
+        ended: None,
+        sink,
+        sum: Analysed::default(),
+    });
+    let written = Condvar::new();
+    std::thread::scope(|scope| {
+        for _ in 0..request.jobs.min(runs.len()) {
+            scope.spawn(|| work(&runs, request, &columns, &line, &written));
+        }
+    });
+    let line = line.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some(failure) = line.ended {
+        return Err(failure);
+    }
+    let mut sum = Analysed {
+        runs: runs.len(),
+        ..line.sum
+    };
+    if let Some(table) = line.sink.table {
+        let names: Vec<String> = runs.iter().map(|run| run.display().to_string()).collect();
+        sum.left_out = table.finish(&names)?;
+        sum.output = request.out.map(|path| path.display().to_string());
+    }
+    Ok(sum)
+}
+
+/// Where rows go.
+struct Sink {
+    table: Option<Table>,
+    columns: Vec<(String, ColumnKind)>,
+    form: Form,
+}
+
+impl Sink {
+    fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
+        if let Some(table) = &mut self.table {
+            return table.put(cells, status);
+        }
+        match self.form {
+            Form::Csv => {
+                let texts: Vec<String> = cells.iter().map(Cell::text).collect();
+                output::line(line_of(&texts).trim_end())
+            }
+            Form::JsonLines => {
+                let named = self
+                    .columns
+                    .iter()
+                    .zip(cells)
+                    .map(|((name, _), cell)| (name.clone(), cell.json()));
+                output::line(&Value::Object(named.collect::<Map<_, _>>()).to_string())
+            }
+        }
+    }
+}
+
+/// A row that waits for those before it.
+enum Ready {
+    New(Vec<Cell>, Status),
+    /// It stands in the table already.
+    Kept(Status),
+}
+
+/// Which runs are begun, which are written, and what waits between.
+struct Line {
+    begun: usize,
+    written: usize,
+    waiting: BTreeMap<usize, Ready>,
+    ended: Option<Failure>,
+    sink: Sink,
+    sum: Analysed,
+}
+
+impl Line {
+    /// Writes what is next in order, as far as it is there.
+    fn write(&mut self) {
+        while let Some(ready) = self.waiting.remove(&self.written) {
+            let (status, put) = match ready {
+                Ready::New(cells, status) => (status, self.sink.put(&cells, status)),
+                Ready::Kept(status) => {
+                    self.sum.kept += 1;
+                    (status, Ok(()))
+                }
+            };
+            if let Err(failure) = put {
+                self.ended = self.ended.take().or(Some(failure));
+                return;
+            }
+            self.sum.count(status);
+            self.written += 1;
+        }
+        progress::at(self.written);
+    }
+}
+
+fn work(
+    runs: &[PathBuf],
+    request: &AnalysisRequest<'_>,
+    columns: &Columns,
+    line: &Mutex<Line>,
+    written: &Condvar,
+) {
+    let lock = || -> MutexGuard<'_, Line> { line.lock().unwrap_or_else(PoisonError::into_inner) };
+    loop {
+        let mut next = lock();
+        while next.begun >= next.written + WINDOW * request.jobs && next.ended.is_none() {
+            next = written.wait(next).unwrap_or_else(PoisonError::into_inner);
+        }
+        let (index, is_over) = (next.begun, next.ended.is_some());
+        let Some(run) = runs.get(index).filter(|_| !is_over) else {
+            return;
+        };
+        next.begun += 1;
+        drop(next);
+        let content = row::content(run);
+        let kept = lock()
+            .sink
+            .table
+            .as_ref()
+            .and_then(|table| table.kept(&run.display().to_string(), &content));
+        let ready = kept.map_or_else(
+            || {
+                let (cells, status) = row::row(run, &content, request, columns);
+                Ready::New(cells, status)
+            },
+            Ready::Kept,
+        );
+        let mut line = lock();
+        line.waiting.insert(index, ready);
+        line.write();
+        drop(line);
+        written.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_behind_each_other_are_the_whole() {
+        for (count, of) in [(0, 3), (1, 3), (10, 3), (3, 3), (7, 1)] {
+            let whole: Vec<usize> = (0..count).collect();
+            let parts = (1..=of).flat_map(|part| block(whole.clone(), (part, of)));
+            assert_eq!(parts.collect::<Vec<_>>(), whole, "{count} in {of}");
+        }
+    }
+}

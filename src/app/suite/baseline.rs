@@ -1,0 +1,221 @@
+//! Earlier runs, or earlier results of the suite, with which the steps that identify are compared: what has drifted since.
+//!
+//! ```text
+//! --baseline RUN          identified by the command of the step itself  --.
+//! --baseline result.json  what the same step of the same case found     --+--> estimates before --> drift since
+//! the step                what it found now                             --'
+//! ```
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::app::failure::Failure;
+use crate::app::files::read_text;
+use crate::identification::drift::{Drift, between};
+use crate::identification::temperature;
+use crate::plant::{MotorKey, effect};
+use crate::recording::{Machine, Manifest, RunFile, RunFolder};
+use crate::sample::{ParameterEstimate, Verdict};
+use crate::workflow::suite::{IdentifiedStep, SuiteOutcome};
+
+/// What a suite is compared with.
+pub(super) struct Baseline {
+    sources: Vec<Source>,
+    /// A person says that another machine is meant.
+    any_machine: bool,
+}
+
+enum Source {
+    Run {
+        path: PathBuf,
+        manifest: Box<Manifest>,
+    },
+    Result {
+        path: PathBuf,
+        result: Value,
+    },
+}
+
+impl Baseline {
+    /// Reads what is named; none where nothing is.
+    pub(super) fn read(paths: &[PathBuf], any_machine: bool) -> Result<Option<Self>, Failure> {
+        let sources: Result<Vec<Source>, Failure> = paths.iter().map(|path| source(path)).collect();
+        let sources = sources?;
+        Ok((!sources.is_empty()).then_some(Self {
+            sources,
+            any_machine,
+        }))
+    }
+
+    /// Compares what a step found on a machine with what was found before; `identify` does to an earlier run what the step
+    /// did.
+    ///
+    /// # Errors
+    /// Why it cannot be compared.
+    pub(super) fn drift(
+        &self,
+        (case, step): (&str, &str),
+        found: &IdentifiedStep,
+        mut identify: impl FnMut(&Path) -> Result<Value, String>,
+    ) -> Result<Drift, String> {
+        let (mut before, mut since, mut others) = (Vec::new(), Vec::new(), Vec::new());
+        for source in &self.sources {
+            let earlier = match source {
+                Source::Run { path, manifest } => {
+                    let machine = manifest.machine();
+                    if !self.is_same(&machine, &found.machine) {
+                        others.push(format!("{}: {machine}", path.display()));
+                        continue;
+                    }
+                    let parameters = identify(path)?;
+                    vec![(parameters, manifest.began().unwrap_or_default())]
+                }
+                Source::Result { result, .. } => {
+                    let steps = steps_of(result, case, step);
+                    let began = result["began"].as_str().unwrap_or_default().to_owned();
+                    let is_same =
+                        |step: &&IdentifiedStep| self.is_same(&step.machine, &found.machine);
+                    if let Some(other) = steps.iter().find(|step| !is_same(step)) {
+                        others.push(format!("{}: {}", source.name(), other.machine));
+                    }
+                    let same = steps.iter().filter(is_same);
+                    same.map(|step| (step.parameters.clone(), began.clone()))
+                        .collect()
+                }
+            };
+            for (parameters, began) in earlier {
+                before.push(estimates(&parameters));
+                since.push(began.get(..10).unwrap_or("an unknown date").to_owned());
+            }
+        }
+        let Some(first) = since.into_iter().min() else {
+            return Err(if others.is_empty() {
+                format!("no baseline has the step {step:?} of the case {case:?} with what it found")
+            } else {
+                format!(
+                    "the baseline is not known to be of this machine, which is {}: {}; --any-machine compares all the same",
+                    found.machine,
+                    others.join("; ")
+                )
+            });
+        };
+        Ok(between(&before, &[estimates(&found.parameters)], &first))
+    }
+
+    fn is_same(&self, before: &Machine, now: &Machine) -> bool {
+        self.any_machine || before.is_like(now)
+    }
+}
+
+impl Source {
+    fn name(&self) -> String {
+        let (Self::Run { path, .. } | Self::Result { path, .. }) = self;
+        path.display().to_string()
+    }
+}
+
+/// A run, the folder of a suite, or its result.
+fn source(path: &Path) -> Result<Source, Failure> {
+    if let Some(manifest) = manifest_of(path) {
+        let (path, manifest) = (path.to_owned(), Box::new(manifest));
+        return Ok(Source::Run { path, manifest });
+    }
+    let file = if path.is_dir() {
+        path.join(RunFile::Result.name())
+    } else {
+        path.to_owned()
+    };
+    let result: Option<Value> = serde_json::from_str(&read_text(&file)?).ok();
+    let Some(result) = result.filter(|result| result["cases"].is_array()) else {
+        let headline = format!(
+            "--baseline {}: neither a run nor the result of a suite",
+            path.display()
+        );
+        let help = "give a run folder, or result.json of an earlier suite, as suites/*/result.json";
+        return Err(Failure::usage(headline, help));
+    };
+    Ok(Source::Result {
+        path: path.to_owned(),
+        result,
+    })
+}
+
+/// The manifest of a run folder that has samples.
+pub(super) fn manifest_of(run: &Path) -> Option<Manifest> {
+    let folder = RunFolder::existing(run);
+    if !folder.samples().is_file() {
+        return None;
+    }
+    let text = std::fs::read_to_string(folder.file(RunFile::Manifest)).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+/// What a step found in the runs of an earlier suite; a result of before it kept that has none.
+fn steps_of(result: &Value, case: &str, step: &str) -> Vec<IdentifiedStep> {
+    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let cases = list(&result["cases"])
+        .into_iter()
+        .filter(|own| own["name"] == case);
+    let steps = cases
+        .flat_map(|own| list(&own["steps"]))
+        .filter(|own| own["name"] == step);
+    steps
+        .filter_map(|own| serde_json::from_value(own["identified"].clone()).ok())
+        .collect()
+}
+
+/// The estimates of `identify --json`, and of the parameters of its keys.
+fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
+    let rows = parameters.as_object().into_iter().flatten();
+    let read = rows.filter_map(|(key, row)| {
+        let verdict: Verdict = serde_json::from_value(row["verdict"].clone()).ok()?;
+        Some(ParameterEstimate {
+            key: key.clone(),
+            value: row["value"].as_f64(),
+            std: row["std"].as_f64(),
+            unit: unit(key),
+            verdict,
+            reason: row["reason"].as_str().map(str::to_owned),
+        })
+    });
+    read.collect()
+}
+
+fn unit(key: &str) -> &'static str {
+    let of_effect = || {
+        let (id, own) = key.split_once('.')?;
+        let effect = effect::find(id)?;
+        let spec = effect.parameters().iter().find(|spec| spec.key == own)?;
+        Some(spec.unit)
+    };
+    match MotorKey::from_key(key) {
+        Some(key) => key.unit(),
+        None if key == temperature::KEY => MotorKey::Resistance.unit(),
+        None => of_effect().unwrap_or_default(),
+    }
+}
+
+/// What has drifted, as lines for a person: one for each step, and what is to be known of it.
+pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
+    let mut lines = Vec::new();
+    for case in &outcome.cases {
+        for drift in case
+            .steps
+            .iter()
+            .filter_map(|step| step.identified.as_ref()?.drift.as_ref())
+        {
+            lines.push(format!(
+                "{} [seed {}]: {}",
+                case.name, case.seed, drift.sentence
+            ));
+            lines.extend(
+                drift
+                    .drifted()
+                    .map(|change| format!("  {}", change.sentence)),
+            );
+            lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));
+        }
+    }
+    lines
+}

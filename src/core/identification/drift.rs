@@ -1,0 +1,383 @@
+//! What has drifted in a machine between two dates: the change of each parameter, how far chance alone explains it, and what
+//! may be behind it.
+//!
+//! ```text
+//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm over all parameters) -> words
+//! ```
+//!
+//! The deviation of a fit knows the noise within its run; how far a machine moves from run to run of itself (warmth, load, the
+//! place of a belt) is known from repeats alone. Where there are repeats, the more cautious of the two decides; where there
+//! are none, that is said.
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+
+use super::temperature;
+use crate::numerics::statistics::mean;
+use crate::plant::MotorKey;
+use crate::sample::{ParameterEstimate, TWO_SIDED_95};
+use crate::text::number::{probability, significant, with_unit};
+
+/// Probability that any parameter at all is named where nothing has changed.
+pub const FALSE_ALARM: f64 = 0.01;
+/// Standard deviations that a value has to be from zero for its change to be told in per cent of it.
+const CLEAR_OF_ZERO: f64 = 5.0;
+/// Copper: relative change of resistance per kelvin, from 20 °C.
+const COPPER_PER_K: f64 = 0.003_93;
+
+/// The change of one parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Change {
+    pub key: String,
+    pub unit: &'static str,
+    pub before: f64,
+    pub after: f64,
+    /// Of the value before; null where that may as well be zero.
+    pub percent: Option<f64>,
+    pub interval_95_percent: Option<[f64; 2]>,
+    /// The change in the parameter's unit, and its 95 % interval.
+    pub change: f64,
+    pub interval_95: [f64; 2],
+    /// That chance alone gives a change like this to any of the parameters that were compared.
+    pub by_chance: f64,
+    pub drifted: bool,
+    /// What may be behind it; none where it is not shown, or where nothing is known.
+    pub possible_cause: Option<String>,
+    pub sentence: String,
+}
+
+impl Change {
+    /// Largest change that its 95 % interval holds, either way, in per cent.
+    pub fn at_most_percent(&self) -> Option<f64> {
+        self.interval_95_percent
+            .map(|[low, high]| low.abs().max(high.abs()))
+    }
+}
+
+/// A parameter that was not compared, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NotCompared {
+    pub key: String,
+    pub reason: String,
+}
+
+/// All parameters of one machine at two dates.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    pub changes: Vec<Change>,
+    pub not_compared: Vec<NotCompared>,
+    pub runs_before: usize,
+    pub runs_after: usize,
+    /// What the intervals do not hold; null where nothing is missing from them.
+    pub caution: Option<String>,
+    /// The answer in one line.
+    pub sentence: String,
+}
+
+impl Drift {
+    /// Keys of the parameters that have drifted.
+    pub fn drifted(&self) -> impl Iterator<Item = &Change> {
+        self.changes.iter().filter(|change| change.drifted)
+    }
+
+    /// Largest change that was shown, either way, in per cent; zero where none was.
+    pub fn largest_percent(&self) -> f64 {
+        let sizes = self
+            .drifted()
+            .map(|change| change.percent.map_or(f64::INFINITY, f64::abs));
+        sizes.fold(0.0, f64::max)
+    }
+}
+
+/// One parameter at one date.
+struct Seen {
+    values: Vec<f64>,
+    /// Mean variance of one fit.
+    within: f64,
+    unit: &'static str,
+}
+
+impl Seen {
+    fn of(key: &str, runs: &[Vec<ParameterEstimate>]) -> Option<Self> {
+        let all = runs
+            .iter()
+            .filter_map(|run| ParameterEstimate::find(run, key));
+        let unit = all.clone().next()?.unit;
+        let carried = all.filter_map(|estimate| {
+            let (value, std) = estimate.carried()?;
+            std.filter(|std| std.is_finite() && *std > 0.0)
+                .map(|std| (value, std * std))
+        });
+        let (values, variances): (Vec<f64>, Vec<f64>) = carried.unzip();
+        (!values.is_empty()).then(|| Self {
+            within: mean(&variances),
+            values,
+            unit,
+        })
+    }
+
+    fn count(&self) -> f64 {
+        self.values.len() as f64
+    }
+
+    fn squares(&self) -> f64 {
+        let centre = mean(&self.values);
+        self.values
+            .iter()
+            .map(|value| (value - centre).powi(2))
+            .sum()
+    }
+}
+
+/// Compares the estimates of runs at two dates, run by run on either side; `since` is the earlier date as it is to be said.
+pub fn between(
+    before: &[Vec<ParameterEstimate>],
+    after: &[Vec<ParameterEstimate>],
+    since: &str,
+) -> Drift {
+    let mut keys: Vec<&str> = Vec::new();
+    for parameter in before.iter().chain(after).flatten() {
+        if !keys.contains(&parameter.key.as_str()) {
+            keys.push(&parameter.key);
+        }
+    }
+    // One quantity is asked once: at 20 °C where warmth is known on both sides.
+    let both = |key: &str| Seen::of(key, before).zip(Seen::of(key, after));
+    let resistance = MotorKey::Resistance.key();
+    let is_at_20 = both(temperature::KEY).is_some();
+    keys.retain(|key| {
+        if is_at_20 {
+            *key != resistance
+        } else {
+            *key != temperature::KEY
+        }
+    });
+    let (mut changes, mut not_compared) = (Vec::new(), Vec::new());
+    for key in keys {
+        match both(key) {
+            Some((earlier, later)) => changes.push(change(key, &earlier, &later)),
+            None => not_compared.extend(why_not(key, before, after)),
+        }
+    }
+    correct(&mut changes);
+    for change in &mut changes {
+        change.drifted = change.by_chance < FALSE_ALARM;
+        change.possible_cause = change.drifted.then(|| cause(change)).flatten();
+        change.sentence = sentence(change, since);
+    }
+    let repeats = before.len() + after.len() > 2;
+    let caution = (!repeats && !changes.is_empty()).then(|| {
+        "one run on each side: how far this machine moves from run to run of itself is not known, and in no interval".to_owned()
+    });
+    Drift {
+        sentence: answer(&changes, since),
+        changes,
+        not_compared,
+        runs_before: before.len(),
+        runs_after: after.len(),
+        caution,
+    }
+}
+
+fn why_not(
+    key: &str,
+    before: &[Vec<ParameterEstimate>],
+    after: &[Vec<ParameterEstimate>],
+) -> Option<NotCompared> {
+    let all = || {
+        before
+            .iter()
+            .chain(after)
+            .flatten()
+            .filter(|estimate| estimate.key == key)
+    };
+    // What was given to both is no finding of either.
+    let is_given = all().all(|estimate| estimate.std == Some(0.0));
+    let unseen = |runs| Seen::of(key, runs).is_none();
+    let reason = match (unseen(before), unseen(after)) {
+        (true, true) => "not carried by the runs of either date",
+        (true, false) => "not carried by the earlier runs",
+        _ => "not carried by the later runs",
+    };
+    let said = all().find_map(|estimate| estimate.reason.clone());
+    let reason = said.map_or_else(|| reason.to_owned(), |said| format!("{reason}: {said}"));
+    (!is_given).then(|| NotCompared {
+        key: key.to_owned(),
+        reason,
+    })
+}
+
+/// The change with its interval; the probability is that of this parameter alone.
+fn change(key: &str, before: &Seen, after: &Seen) -> Change {
+    let (from, to) = (mean(&before.values), mean(&after.values));
+    let change = to - from;
+    let by_noise = (before.within / before.count() + after.within / after.count()).sqrt();
+    let freedom = before.count() + after.count() - 2.0;
+    let by_spread = (freedom > 0.0).then(|| {
+        let pooled = (before.squares() + after.squares()) / freedom;
+        (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt()
+    });
+    let student = by_spread.and_then(|std| Some((std, StudentsT::new(0.0, 1.0, freedom).ok()?)));
+    let half_of_spread = student.map_or(0.0, |(std, student)| std * student.inverse_cdf(0.975));
+    let half = half_of_spread.max(TWO_SIDED_95 * by_noise);
+    let normal = Normal::standard();
+    let mut by_chance = 2.0 * normal.sf(change.abs() / by_noise);
+    if let Some((std, student)) = student.filter(|(std, _)| *std > 0.0) {
+        by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
+    }
+    // What is divided by is uncertain itself: a share of the interval that grows with the change.
+    let is_clear = from.abs() > CLEAR_OF_ZERO * (before.within / before.count()).sqrt();
+    let ratio = to / from;
+    let widened = half * (0.5 * (1.0 + ratio * ratio)).sqrt();
+    let percent = |value: f64| 100.0 * value / from;
+    let ends = [percent(change - widened), percent(change + widened)];
+    Change {
+        key: key.to_owned(),
+        unit: before.unit,
+        before: from,
+        after: to,
+        percent: is_clear.then(|| percent(change)),
+        interval_95_percent: is_clear.then(|| [ends[0].min(ends[1]), ends[0].max(ends[1])]),
+        change,
+        interval_95: [change - half, change + half],
+        by_chance,
+        drifted: false,
+        possible_cause: None,
+        sentence: String::new(),
+    }
+}
+
+/// Corrects the probabilities for the number of parameters that were looked at (Holm 1979).
+fn correct(changes: &mut [Change]) {
+    let mut order: Vec<usize> = (0..changes.len()).collect();
+    order.sort_by(|a, b| changes[*a].by_chance.total_cmp(&changes[*b].by_chance));
+    let (count, mut least) = (order.len(), 0.0_f64);
+    for (rank, index) in order.into_iter().enumerate() {
+        let corrected = (changes[index].by_chance * (count - rank) as f64).min(1.0);
+        least = least.max(corrected);
+        changes[index].by_chance = least;
+    }
+}
+
+/// What a person calls a parameter.
+fn name(key: &str) -> String {
+    let name = match MotorKey::from_key(key) {
+        Some(MotorKey::Resistance) => "resistance",
+        Some(MotorKey::Inductance) => "inductance",
+        Some(MotorKey::BackEmf) => "back-EMF constant",
+        Some(MotorKey::TorqueConstant) => "torque constant",
+        Some(MotorKey::Inertia) => "inertia",
+        Some(MotorKey::LoadTorque) => "friction (load torque)",
+        None if key == temperature::KEY => "resistance at 20 °C",
+        None => key,
+    };
+    name.to_owned()
+}
+
+/// What is known to move a parameter like this.
+fn cause(change: &Change) -> Option<String> {
+    let grew = change.change > 0.0;
+    let share = change.percent.map(|percent| percent / 100.0);
+    Some(match MotorKey::from_key(&change.key) {
+        Some(MotorKey::Resistance) => {
+            let kelvin = significant(share?.abs() / COPPER_PER_K, 2);
+            let warmth = if grew { "warmer" } else { "colder" };
+            format!(
+                "a winding some {kelvin} K {warmth}, where that is all of it; connections or brushes"
+            )
+        }
+        Some(MotorKey::Inductance) if grew => "less saturation: a smaller current".to_owned(),
+        Some(MotorKey::Inductance) => "more saturation, or a shorted turn".to_owned(),
+        Some(MotorKey::BackEmf) if grew => "colder magnets; the scale of the speed".to_owned(),
+        Some(MotorKey::BackEmf) => "warmer or weakened magnets; the scale of the speed".to_owned(),
+        Some(MotorKey::TorqueConstant) => "magnets; the scale of the torque".to_owned(),
+        Some(MotorKey::Inertia) => "another load on the shaft, or a loose coupling".to_owned(),
+        Some(MotorKey::LoadTorque) if grew => {
+            "bearing, lubrication, brushes, or another load".to_owned()
+        }
+        Some(MotorKey::LoadTorque) => "running in, warmer lubricant, or another load".to_owned(),
+        None if change.key == temperature::KEY => {
+            "connections, brushes, or a damaged winding".to_owned()
+        }
+        None if change.key.starts_with("viscous_friction.") => {
+            "lubrication, and its temperature".to_owned()
+        }
+        None => return None,
+    })
+}
+
+fn in_percent(value: f64) -> String {
+    let text = significant(value, 2);
+    if value > 0.0 {
+        format!("+{text}")
+    } else {
+        text
+    }
+}
+
+/// The change itself, with its interval.
+fn size(change: &Change) -> String {
+    if let (Some(percent), Some([low, high])) = (change.percent, change.interval_95_percent) {
+        let [percent, low, high] = [percent, low, high].map(in_percent);
+        return format!("{percent} % (95 % interval {low} to {high} %)");
+    }
+    let [low, high] = change.interval_95.map(in_percent);
+    let size = with_unit(&in_percent(change.change), change.unit);
+    format!(
+        "{size} (95 % interval {low} to {})",
+        with_unit(&high, change.unit)
+    )
+}
+
+fn sentence(change: &Change, since: &str) -> String {
+    let name = name(&change.key);
+    if change.drifted {
+        let chance = probability(change.by_chance);
+        let cause = change.possible_cause.as_ref();
+        let cause = cause.map_or_else(String::new, |cause| format!("; possible cause: {cause}"));
+        return format!(
+            "{name} {} since {since}, {chance} by chance{cause}",
+            size(change)
+        );
+    }
+    match change.at_most_percent() {
+        Some(most) => format!(
+            "{name}: no change larger than {} % is left open since {since}",
+            significant(most, 2)
+        ),
+        None => format!("{name}: no change shown since {since}: {}", size(change)),
+    }
+}
+
+fn answer(changes: &[Change], since: &str) -> String {
+    let drifted: Vec<String> = changes
+        .iter()
+        .filter(|change| change.drifted)
+        .map(|change| format!("{} {}", name(&change.key), size(change)))
+        .collect();
+    if !drifted.is_empty() {
+        return format!("drifted since {since}: {}", drifted.join("; "));
+    }
+    let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
+    match open.as_deref() {
+        Some([]) => {
+            "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+        }
+        Some(open) => {
+            let most = open.iter().copied().fold(0.0, f64::max);
+            let count = open.len();
+            format!(
+                "no drift shown since {since}: {count} parameters compared, no change shown larger than {} %",
+                significant(most, 2)
+            )
+        }
+        None => format!(
+            "no drift shown since {since}: {} parameters compared",
+            changes.len()
+        ),
+    }
+}
+
+#[cfg(test)]
+#[path = "drift_tests.rs"]
+mod tests;

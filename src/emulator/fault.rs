@@ -1,0 +1,264 @@
+//! Faults of line and drive as an emulator's file has them: which, from when, for how long, in which share of the replies.
+//!
+//! ```text
+//! [[fault]] -> FaultEntry -> spoiler.rs (what is done to the bytes) | drive/ (what the drive does)
+//! ```
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+/// One fault.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FaultEntry {
+    pub kind: FaultKind,
+    /// After the start of the drive, s, once; left out: from its power-up on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<f64>,
+    /// Left out: it stays.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub for_s: Option<f64>,
+    /// Of the replies that it hits, drawn from the seed.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub share: f64,
+    /// By how much `late_reply` is late, ms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub late_ms: Option<f64>,
+    /// Of the `exception`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<u8>,
+    /// By which the value of `speed_scaled` or `current_scaled` is multiplied.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factor: Option<f64>,
+    /// After the power-up, s: when the clock of `clock_wraps` does so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wraps_after_s: Option<f64>,
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
+const fn is_one(value: &f64) -> bool {
+    value.to_bits() == 1.0_f64.to_bits()
+}
+
+/// What goes wrong. Those down to `SecondMaster` happen on the line, and need one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultKind {
+    /// One byte of the reply is missing.
+    ByteDropped,
+    /// One byte too many.
+    ByteInserted,
+    /// One bit to three are wrong.
+    BitFlipped,
+    /// The reply comes twice.
+    DoubledReply,
+    /// The reply comes `late_ms` late.
+    LateReply,
+    /// The reply is held back until something else is asked.
+    HeldReply,
+    /// Two copies of it are.
+    HeldTwice,
+    /// Under the name of another unit.
+    WrongUnit,
+    /// To another request: its function or its length differ.
+    WrongRequest,
+    /// The request is refused with `code`, and not carried out.
+    Exception,
+    /// The end of the reply is missing.
+    Truncated,
+    /// Bytes that mean nothing, up to 64 KiB, before the reply or behind it.
+    Garbage,
+    /// The reply is split, and its second part comes 16 ms later.
+    SplitReply,
+    /// The line returns the request before the reply.
+    Echo,
+    /// Nothing on the line can be read, as with another baud rate.
+    WrongBaud,
+    /// The drive hears, and is not heard.
+    Silence,
+    /// Neither side hears the other.
+    BlackHole,
+    /// Something talks all the time.
+    Babble,
+    /// A master and a unit talk to each other.
+    ForeignFrames,
+    /// Another master commands this drive.
+    SecondMaster,
+    /// It is switched off, and comes back as after power-up.
+    PowerLost,
+    /// It trips by a fault of its own.
+    Trip,
+    /// Somebody commands it at its keypad; only in a guise that has one.
+    LocalControl,
+    /// Set-points are acknowledged and not followed.
+    SetPointIgnored,
+    /// It is told to run, acknowledges, and does not.
+    EnableIgnored,
+    /// Stops are acknowledged and not followed.
+    StopIgnored,
+    /// Its watchdog does nothing.
+    WatchdogDead,
+    /// The shaft is held.
+    Blocked,
+    /// The encoder tells `factor` times the truth: -1 reversed, 0 stuck at zero.
+    SpeedScaled,
+    /// The current sensor does.
+    CurrentScaled,
+    /// Speed and current are not available.
+    SignalMissing,
+    /// All that is measured stays as it is.
+    FrozenRegisters,
+    /// Its clock begins so that it wraps `wraps_after_s` after its power-up.
+    ClockWraps,
+    /// It speaks another version of the protocol; only our own drive.
+    OtherVersion,
+}
+
+impl FaultKind {
+    /// It needs bytes, or a drive that can be off.
+    pub(super) fn needs_line(self) -> bool {
+        self <= Self::PowerLost
+    }
+}
+
+impl FaultEntry {
+    /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`.
+    pub(super) fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
+        const TIME: &str = "0 to 86400 s";
+        const FOREIGN: &str = "left out: this kind has none";
+        let is = |kind| self.kind == kind;
+        let scaled = is(FaultKind::SpeedScaled) || is(FaultKind::CurrentScaled);
+        let times = 0.0..=86_400.0;
+        let row = |key, value: Option<f64>, belongs: bool, range, allowed| match value {
+            Some(value) if !belongs => Some((key, value, FOREIGN)),
+            Some(value) if !std::ops::RangeInclusive::contains(&range, &value) => {
+                Some((key, value, allowed))
+            }
+            _ => None,
+        };
+        let code = self.code.map(f64::from);
+        let late = is(FaultKind::LateReply);
+        let wraps = is(FaultKind::ClockWraps);
+        row("fault.from_s", self.from_s, !wraps, times.clone(), TIME)
+            .or_else(|| row("fault.for_s", self.for_s, !wraps, times.clone(), TIME))
+            .or_else(|| row("fault.share", Some(self.share), true, 0.0..=1.0, "0 to 1"))
+            .or_else(|| {
+                row(
+                    "fault.late_ms",
+                    self.late_ms,
+                    late,
+                    0.0..=1e5,
+                    "0 to 100000",
+                )
+            })
+            .or_else(|| {
+                let refuses = is(FaultKind::Exception);
+                row("fault.code", code, refuses, 1.0..=255.0, "1 to 255")
+            })
+            .or_else(|| {
+                row(
+                    "fault.factor",
+                    self.factor,
+                    scaled,
+                    -1e3..=1e3,
+                    "-1000 to 1000",
+                )
+            })
+            .or_else(|| {
+                row(
+                    "fault.wraps_after_s",
+                    self.wraps_after_s,
+                    wraps,
+                    times,
+                    TIME,
+                )
+            })
+    }
+}
+
+/// A fault with when it began.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lurking {
+    pub(super) entry: FaultEntry,
+    begun_s: Option<f64>,
+    /// When it does something by itself next, s.
+    pub(super) next_s: f64,
+}
+
+impl Lurking {
+    pub(super) fn new(entry: FaultEntry) -> Self {
+        Self {
+            entry,
+            begun_s: entry.from_s.is_none().then_some(0.0),
+            next_s: 0.0,
+        }
+    }
+
+    /// Whether it is there at `now_s` of the drive's time; `running_s`: since its start, where it runs.
+    pub(super) fn is_there(&mut self, now_s: f64, running_s: Option<f64>) -> bool {
+        let starts = || {
+            running_s
+                .zip(self.entry.from_s)
+                .is_some_and(|(r, f)| r >= f)
+        };
+        if self.begun_s.is_none() && starts() {
+            self.begun_s = Some(now_s);
+        }
+        let for_s = self.entry.for_s.unwrap_or(f64::INFINITY);
+        self.begun_s.is_some_and(|begun_s| now_s < begun_s + for_s)
+    }
+
+    /// Whether it is there and hits this reply.
+    pub(super) fn hits(
+        &mut self,
+        now_s: f64,
+        running_s: Option<f64>,
+        dice: &mut ChaCha8Rng,
+    ) -> bool {
+        self.is_there(now_s, running_s) && dice.random::<f64>() < self.entry.share
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(text: &str) -> FaultEntry {
+        toml::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn a_fault_begins_once_and_ends_after_its_time() {
+        let mut fault = Lurking::new(entry("kind = \"trip\"\nfrom_s = 1.0\nfor_s = 0.5"));
+        assert!(!fault.is_there(5.0, None));
+        assert!(!fault.is_there(6.0, Some(0.9)));
+        assert!(fault.is_there(6.1, Some(1.0)));
+        assert!(
+            fault.is_there(6.5, None),
+            "it goes on where the drive stops"
+        );
+        assert!(!fault.is_there(6.7, Some(1.6)));
+        assert!(!fault.is_there(9.0, Some(1.0)), "once");
+        assert!(Lurking::new(entry("kind = \"trip\"")).is_there(0.0, None));
+    }
+
+    #[test]
+    fn what_belongs_to_another_kind_is_refused() {
+        let refused = |text: &str| entry(text).refused().map(|(key, ..)| key);
+        assert_eq!(refused("kind = \"late_reply\"\nlate_ms = 30"), None);
+        assert_eq!(
+            refused("kind = \"echo\"\nlate_ms = 30"),
+            Some("fault.late_ms")
+        );
+        assert_eq!(refused("kind = \"echo\"\nshare = 1.5"), Some("fault.share"));
+        assert_eq!(
+            refused("kind = \"trip\"\nfrom_s = -1"),
+            Some("fault.from_s")
+        );
+    }
+}
