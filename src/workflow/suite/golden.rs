@@ -117,14 +117,13 @@ pub fn golden(name: &str, runs: &[GoldenRun], place: &Place) -> Result<Golden, R
         }
     }
     cases.sort_by_key(|(kind, _)| *kind);
+    let names = runs.iter().map(|run| format!("#   {}", run.name));
     let mut text = format!(
-        "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\
+        "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\n\
          # Where the intervals of the parameters hold, one case in {FALSE_ALARMS} fails by chance. More runs, on different days,\n\
          # make the limits those of the machine and not of one day.\n\n\
          name = {}\n",
-        runs.iter()
-            .map(|run| format!("#   {}\n", run.name))
-            .collect::<String>(),
+        names.collect::<Vec<_>>().join("\n"),
         quoted(name)
     );
     let mut limits = Vec::new();
@@ -560,7 +559,7 @@ mod tests {
         assert!(trip.contains("safety trip: over-speed"), "{trip}");
         assert!(refused(|run| run.result = json!({})).contains("no commissioning"));
         let unknown = refused(|run| {
-            run.result["parameters"]["resistance_ohm"]["verdict"] = json!("searching")
+            run.result["parameters"]["resistance_ohm"]["verdict"] = json!("searching");
         });
         assert!(unknown.contains("no parameter was settled"), "{unknown}");
     }
