@@ -59,6 +59,8 @@ pub(crate) use opening::Tap;
 pub(crate) use rig::MYSTERY;
 pub use rig::{OpenRig, Rig, RigOptions};
 pub(crate) use run::run_result;
-pub use run::{CommissionDone, RunDone, Whole, commission, escalation_failure, run};
+pub use run::{
+    CommissionDone, Connection, RunDone, Whole, commission, connect, escalation_failure, run,
+};
 pub(crate) use speed::speed_result;
 pub use speed::{SpeedDone, SpeedRequest, SpeedResult, speed};

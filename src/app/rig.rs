@@ -205,6 +205,15 @@ impl Rig {
 
     /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
     pub(crate) fn check(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
+        self.checked(controls, false)
+    }
+
+    /// The same up to the first move, which is not made.
+    pub(crate) fn check_at_rest(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
+        self.checked(controls, true)
+    }
+
+    fn checked(&mut self, controls: &Controls, at_rest: bool) -> Result<CheckReport, Failure> {
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::usage(
                 "the small steps that find an unknown motor would let a vertical load fall",
@@ -218,6 +227,7 @@ impl Rig {
         let first_move = plate.as_ref().map(|plate| FirstMove {
             plate,
             profile: &self.profile,
+            is_withheld: at_rest,
         });
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,

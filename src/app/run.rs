@@ -120,6 +120,73 @@ pub fn run(
     Ok(RunDone::Run(Box::new(whole)))
 }
 
+/// A drive that has answered every check before the first move.
+#[derive(Serialize)]
+pub struct Connection {
+    link: String,
+    /// Where its profile comes from, and how far it may be believed.
+    profile: String,
+    #[serde(flatten)]
+    checks: CheckReport,
+    /// What the bench file asks for, Hz.
+    rate_hz: f64,
+    /// What the sequence would do to the motor of the bench file; `null` where that is not known.
+    plan: Option<Plan>,
+}
+
+/// Carries out every check before the first move, predicts the sequence, and leaves the drive stopped: nothing has moved.
+///
+/// # Errors
+/// The check that is not passed, or why the sequence would be refused.
+pub fn connect(
+    options: RigOptions,
+    run_seed: Option<u64>,
+    open: OpenRig,
+    controls: &Controls,
+) -> Result<Connection, Failure> {
+    let mut rig = open(options, run_seed, Purpose::Voltages)?;
+    let checks = rig.check_at_rest(controls)?;
+    let seed = run_seed.unwrap_or(rig.bench.runs.fit);
+    let is_known = rig.bench.nameplate().is_some();
+    let plan = is_known.then(|| rig.plan(seed)).transpose()?;
+    Ok(Connection {
+        link: rig.way.link.name().to_string(),
+        profile: rig.profile.provenance(),
+        rate_hz: rig.bench.link.rate_hz,
+        checks,
+        plan,
+    })
+}
+
+impl Connection {
+    /// For a person: each check, and what a run would do.
+    pub fn text(&self) -> String {
+        let line = |name: &str, text: &str| format!("{name:<18} {text}");
+        let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
+        lines.extend(
+            self.checks
+                .items
+                .iter()
+                .map(|item| line(item.name, &item.text)),
+        );
+        let plan = self.plan.as_ref().map_or_else(
+            || {
+                "the motor is not known: `drivebench run` finds it from small steps first"
+                    .to_owned()
+            },
+            |plan| {
+                format!(
+                    "`drivebench run` would take {:.1} s and is within every limit",
+                    plan.duration_s
+                )
+            },
+        );
+        lines.push(line("sequence", &plan));
+        lines.push("ready: the drive is stopped, and nothing has moved".to_owned());
+        lines.join("\n")
+    }
+}
+
 /// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
 /// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew.
 fn judge_plate(whole: &mut Whole, nameplate: &Motor) {

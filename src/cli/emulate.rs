@@ -9,7 +9,9 @@ use super::failure::{Failure, LINK, USAGE};
 use super::{opening, output, signals};
 use crate::app::files::{read_text, seal, sealed_name};
 use crate::drive::{DriveProfile, Protocol};
-use crate::emulator::{EmulatorConfig, Endpoint, Guise, UNIT, mystery, ready_line, serve};
+use crate::emulator::{
+    EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, mystery, ready_line, serve,
+};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
@@ -48,6 +50,10 @@ pub(super) struct Arguments {
     /// The watchdog time of another drive, as set at its keypad, ms; 0 is off; without it as delivered
     #[arg(long, value_name = "MS")]
     watchdog_ms: Option<f64>,
+    /// Write what the motor does into a new CSV file, by the drive's own truth: a row at each change and every 10 ms, in the
+    /// time of CLOCK_MONOTONIC
+    #[arg(long, value_name = "FILE")]
+    journal: Option<PathBuf>,
     /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end
     #[arg(long)]
     json: bool,
@@ -132,37 +138,40 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         seal(mystery, &path)?;
         sealed = Some(path);
     }
+    let journal = arguments.journal.as_deref().map(|path| {
+        output::refuse_existing(path, "--journal")?;
+        Journal::create(path).map_err(|error| output::cannot_write(path, &error))
+    });
+    let served_drive = Served {
+        guise: guise.as_ref(),
+        config: &config,
+        seed,
+        link,
+        journal: journal.transpose()?,
+    };
     let stop = signals::flag()?;
     let mut served = String::new();
     let (unit, baud) = match &guise {
         Some(guise) => (guise.unit, guise.line.baud),
         None => (UNIT, config.line.baud),
     };
-    serve(
-        guise.as_ref(),
-        &config,
-        seed,
-        link,
-        &endpoint,
-        &stop,
-        |address| {
-            address.clone_into(&mut served);
-            if arguments.json {
-                let state = State::Ready {
-                    link: link.to_string(),
-                    address,
-                    unit,
-                    baud,
-                    profile: &profile.name,
-                    sealed: sealed.as_deref(),
-                };
-                state.print();
-            } else {
-                // A caller that does not read the line does not need it.
-                let _ = output::line(&ready_line(link, address, &config, guise.as_ref()));
-            }
-        },
-    )
+    serve(served_drive, &endpoint, &stop, |address| {
+        address.clone_into(&mut served);
+        if arguments.json {
+            let state = State::Ready {
+                link: link.to_string(),
+                address,
+                unit,
+                baud,
+                profile: &profile.name,
+                sealed: sealed.as_deref(),
+            };
+            state.print();
+        } else {
+            // A caller that does not read the line does not need it.
+            let _ = output::line(&ready_line(link, address, &config, guise.as_ref()));
+        }
+    })
     .map_err(|error| {
         let status = if error.is_usage() { USAGE } else { LINK };
         Failure::with_help(status, error.to_string(), error.help())

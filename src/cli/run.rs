@@ -10,8 +10,8 @@ use super::output;
 use super::progress;
 use crate::app::guided;
 use crate::app::{
-    Rig, RunDone, SpeedRequest, by_hand, cards, commission, conduct, escalation_failure, run,
-    run_result, speed, speed_result,
+    Audience, Connection, Rig, RigOptions, RunDone, SpeedRequest, by_hand, cards, commission,
+    conduct, connect, escalation_failure, run, run_result, speed, speed_result,
 };
 use crate::bench::{ControllerKind, ForwardUse};
 use crate::control::Actuator;
@@ -22,6 +22,7 @@ use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepStat
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench run                            the emulated motor, on the live screen
+  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --check      everything that can be told before the shaft turns
   drivebench run bench.toml --port /dev/ttyUSB0 --hardware --headless
   drivebench run --escalate --port sim: --emulator small-servo-behind-zk-22fc   find the motor first")]
 pub(super) struct Arguments {
@@ -33,9 +34,16 @@ pub(super) struct Arguments {
     /// or confirm of the bench file. Without it runs.fit
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
+    /// Only the checks before the first move: who is there, limits, rate, noise at rest, the drive's watchdog; and whether the
+    /// sequence would be refused. No screen, nothing moves, no run is made. The watchdog is proven with the output on at zero
+    #[arg(long)]
+    check: bool,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.check {
+        return check(arguments);
+    }
     let live = &arguments.live;
     let json = live.json;
     let options = live.options(arguments.unknown.escalate)?;
@@ -66,6 +74,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             left.conclude(whole.recorded.failure()).and(seen.map(drop))
         }
     }
+}
+
+/// Without a screen, whatever stdout is: there is nothing to watch.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    let options = RigOptions {
+        headless: true,
+        ..arguments.live.options(arguments.unknown.escalate)?
+    };
+    let run_seed = arguments.run_seed;
+    let done = conduct(Audience::Headless, move |controls| {
+        connect(options, run_seed, Box::new(Rig::open), controls)
+    })?;
+    output::result(&done.work, arguments.live.json, Connection::text)
 }
 
 /// With the command that goes on from a model that was written by hand.

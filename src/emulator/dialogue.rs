@@ -17,6 +17,9 @@ pub(super) struct Unframeable;
 
 /// What answers: the drive in its own language or in the guise of another.
 pub(super) trait Answering: Send {
+    /// The motor and what drives it, whatever the guise.
+    fn soft(&self) -> &SoftDrive;
+
     fn advance_to(&mut self, time_s: f64);
 
     /// The PDU that answers a request over Modbus.
@@ -24,6 +27,9 @@ pub(super) trait Answering: Send {
 
     /// `None`: it is silent.
     fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
+
+    /// What comes next is asked over the connection of this number.
+    fn asked_by(&mut self, _session: u64) {}
 
     /// Since its start, s; `None` where it does not run.
     fn running_s(&self) -> Option<f64> {
@@ -42,9 +48,13 @@ pub(super) trait Answering: Send {
 }
 
 /// What a stream decoder hands out.
-type Received = Result<stream::Frame, stream::FrameError>;
+pub(super) type Received = Result<stream::Frame, stream::FrameError>;
 
 impl Answering for SoftDrive {
+    fn soft(&self) -> &SoftDrive {
+        self
+    }
+
     fn advance_to(&mut self, time_s: f64) {
         Self::advance_to(self, time_s);
     }
@@ -78,6 +88,10 @@ impl Answering for SoftDrive {
 const _: () = assert!(COMMAND_WORDS < 64, "a byte counts them");
 
 impl Answering for ForeignDrive {
+    fn soft(&self) -> &SoftDrive {
+        Self::soft(self)
+    }
+
     fn advance_to(&mut self, time_s: f64) {
         Self::advance_to(self, time_s);
     }

@@ -7,6 +7,7 @@
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs, line.rs  virtual time, without bytes and with them
+//!   journal.rs what the motor does, row by row, for whoever judges a host
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
@@ -15,6 +16,7 @@ mod dialogue;
 mod drive;
 mod fault;
 mod foreign;
+mod journal;
 mod line;
 mod memory;
 pub mod mystery;
@@ -36,6 +38,10 @@ pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use fault::{FaultEntry, FaultKind};
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
+pub use journal::{Journal, JournalRow};
 pub use line::open_line;
 pub use memory::{Latency, MemoryLink};
-pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+#[cfg(target_os = "linux")]
+pub(crate) use pty::PtyPort;
+pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
+pub(crate) use session::Port;

@@ -13,7 +13,7 @@
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
@@ -86,14 +86,14 @@ fn check_free(stable: &Path) -> io::Result<()> {
 }
 
 /// The drive's end of a pseudo-terminal.
-pub(super) struct PtyPort {
+pub(crate) struct PtyPort {
     master: PtyMaster,
     slave: PathBuf,
 }
 
 impl PtyPort {
     /// A fresh pair, raw before anyone knows its name.
-    pub(super) fn open() -> io::Result<Self> {
+    pub(crate) fn open() -> io::Result<Self> {
         let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
         let master = posix_openpt(flags)?;
         grantpt(&master)?;
@@ -106,7 +106,7 @@ impl PtyPort {
     }
 
     /// Makes `stable` lead to this pair; the change is atomic. What is there and no link of an emulator is left alone.
-    pub(super) fn publish(&self, stable: &Path) -> io::Result<()> {
+    pub(crate) fn publish(&self, stable: &Path) -> io::Result<()> {
         check_free(stable)?;
         let mut fresh = stable.as_os_str().to_owned();
         fresh.push(".new");
@@ -118,8 +118,13 @@ impl PtyPort {
         fs::rename(&fresh, stable)
     }
 
+    /// To wait for bytes of the host together with other things.
+    pub(crate) fn as_fd(&self) -> BorrowedFd<'_> {
+        self.master.as_fd()
+    }
+
     /// Removes `stable` if it still leads here.
-    pub(super) fn unpublish(&self, stable: &Path) {
+    pub(crate) fn unpublish(&self, stable: &Path) {
         if fs::read_link(stable).is_ok_and(|target| target == self.slave) {
             // Nothing can be done about a path that cannot be removed, and nothing depends on it.
             let _ = fs::remove_file(stable);

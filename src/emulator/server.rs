@@ -11,10 +11,12 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use rustix::time::{ClockId, clock_gettime};
 use thiserror::Error;
 
 use super::config::LineConfig;
 use super::dialogue::{Answering, Dialogue, UNIT};
+use super::journal::{Journal, Journaled};
 use super::pace::Pace;
 #[cfg(target_os = "linux")]
 use super::pty::{Claim, PtyPort};
@@ -230,18 +232,42 @@ pub fn spawn_as(
     })
 }
 
-/// Serves the drive on this thread until `stop` is set, in the guise of another where one is given; calls `ready` with
-/// the address once it can be opened.
+/// A drive that is to be served.
+pub struct Served<'a> {
+    /// As another drive.
+    pub guise: Option<&'a Guise>,
+    pub config: &'a EmulatorConfig,
+    pub seed: u64,
+    pub link: Protocol,
+    /// What its motor does is noted there.
+    pub journal: Option<Journal>,
+}
+
+/// Serves the drive on this thread until `stop` is set; calls `ready` with the address once it can be opened.
 pub fn serve(
-    guise: Option<&Guise>,
-    config: &EmulatorConfig,
-    seed: u64,
-    link: Protocol,
+    served: Served<'_>,
     endpoint: &Endpoint,
     stop: &AtomicBool,
     ready: impl FnOnce(&str),
 ) -> Result<(), ServerError> {
-    Server::new(guise, config, seed, link, stop, &Counters::default()).serve(endpoint, ready)
+    let Served {
+        guise,
+        config,
+        seed,
+        link,
+        journal,
+    } = served;
+    let counters = Counters::default();
+    let mut server = Server::new(guise, config, seed, link, stop, &counters);
+    if let Some(journal) = journal {
+        let start = server.start;
+        let monotonic = clock_gettime(ClockId::Monotonic);
+        let now_s = monotonic.tv_sec as f64 + 1e-9 * monotonic.tv_nsec as f64;
+        let clock = move || start.elapsed().as_secs_f64();
+        let drive = Journaled::new(server.drive, journal, now_s - clock(), Box::new(clock));
+        server.drive = Box::new(drive);
+    }
+    server.serve(endpoint, ready)
 }
 
 struct Server<'a> {

@@ -19,10 +19,10 @@ pub(super) const HAND_OVER_S: f64 = 2.0;
 
 /// The host has gone; what it wrote before was read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Gone;
+pub(crate) struct Gone;
 
 /// One connection to a host.
-pub(super) trait Port {
+pub(crate) trait Port {
     /// Waits at most `timeout` for bytes; 0: none came.
     fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone>;
 
@@ -136,6 +136,7 @@ impl Session {
         let seen_until = if self.gone { f64::INFINITY } else { now };
         while let Some((at, byte)) = due(&mut self.incoming, seen_until) {
             far.drive.advance_to(at);
+            far.drive.asked_by(self.number);
             let (commander, number) = (&mut *far.commander, self.number);
             let may_command = &mut || commander.takes(number, at);
             far.spoiler.hear(byte);

@@ -25,5 +25,6 @@ mod reopen;
 mod run;
 mod screen;
 mod speed;
+mod suite_host;
 mod tools;
 mod ways_out;

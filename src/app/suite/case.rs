@@ -2,22 +2,35 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
 
 use super::baseline::{Baseline, manifest_of};
-use super::process::{self, Done, End, Watch};
-use crate::app::failure::{INTERRUPTED, REFUSED};
+use super::host::{self, STOOD_STILL_S, Stage};
+use super::line::Line;
+use super::own_drive::{self, DriveOrder, OwnDrive};
+use super::process::{self, Done, End, Watch, monotonic_s};
+use crate::app::failure::{INTERRUPTED, LINK, REFUSED, TRIP};
+use crate::app::files::read_text;
 use crate::app::{opening, output};
+use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Action, Answered, CASE, Case, CaseOutcome, Check, IdentifiedStep, Limit, SignalLimit, Step,
-    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
+    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, IdentifiedStep, Limit,
+    SignalLimit, Step, StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
+
+/// Attempts at a case in which this machine stood still.
+const ATTEMPTS: u32 = 4;
+/// Keeps the other drive of a case apart from its own.
+const ANOTHER: u64 = 1000;
+/// Watchdog of a drive in the guise of another, of which the emulator's file says nothing, s.
+const GUISE_WATCHDOG_S: f64 = 3.0;
 
 /// What all cases of a suite have in common.
 pub(super) struct Bench<'a> {
@@ -72,11 +85,62 @@ struct Progress<'a> {
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
     outcomes: Vec<StepOutcome>,
+    /// The drive in a process of its own, with the keys that it was started with.
+    drive: Option<(OwnDrive, toml::Table)>,
+    /// Longest time for which this machine stood still around an act, s.
+    stood_still_s: f64,
+    /// A command lost its link, or tripped, before anything could be done to it, as one does that stood still itself.
+    is_early: bool,
     answers: Vec<Answered>,
 }
 
-/// Carries a case out. `folder` is made for it.
+impl Progress<'_> {
+    /// Why what did not pass says nothing.
+    fn disturbance(&self) -> Option<String> {
+        if self.stood_still_s > STOOD_STILL_S {
+            let ms = self.stood_still_s * 1e3;
+            return Some(format!("this machine stood still for {ms:.0} ms"));
+        }
+        let text = "the command ended before anything was done to it";
+        self.is_early.then(|| text.to_owned())
+    }
+}
+
+/// Carries a case out. `folder` is made for it. Where this machine stood still while something was done to a command, what
+/// did not pass says nothing: it is tried again, and at last not judged.
 pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path) -> CaseOutcome {
+    let mut attempts = 1;
+    loop {
+        let (mut outcome, disturbance) = attempt(bench, case, seed, folder);
+        outcome.attempts = attempts;
+        let disturbance = disturbance.filter(|_| outcome.verdict != Verdict::Passed);
+        let Some(why) = disturbance.filter(|_| !bench.stop.load(Ordering::Acquire)) else {
+            return outcome;
+        };
+        if attempts == ATTEMPTS {
+            if let Verdict::Failed(reason) | Verdict::Error(reason) = &outcome.verdict {
+                let text =
+                    format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
+                outcome.verdict = Verdict::Error(text);
+            }
+            return outcome;
+        }
+        output::message(&format!(
+            "again   {:>7.1} s  {}: {why}",
+            outcome.took_s, case.name
+        ));
+        attempts += 1;
+        // What cannot be removed shows as a folder that is there already.
+        let _ = fs::remove_dir_all(folder);
+    }
+}
+
+fn attempt(
+    bench: &Bench<'_>,
+    case: &Case,
+    seed: u64,
+    folder: &Path,
+) -> (CaseOutcome, Option<String>) {
     let watch = Watch::start();
     let mut progress = Progress {
         bench,
@@ -87,6 +151,9 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         last: None,
         changed: toml::Table::new(),
         outcomes: Vec::new(),
+        drive: None,
+        stood_still_s: 0.0,
+        is_early: false,
         answers: Vec::new(),
     };
     let made = fs::create_dir_all(folder)
@@ -96,20 +163,25 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         Ok(()) => (Verdict::Passed, None),
         Err(ended) => (ended.verdict, ended.status),
     };
-    CaseOutcome {
+    // Ended and waited for before the time is told.
+    progress.drive = None;
+    let disturbance = progress.disturbance();
+    let outcome = CaseOutcome {
         name: case.name.clone(),
         seed,
         tags: case.tags.clone(),
         verdict,
         took_s: watch.took_s(),
+        attempts: 1,
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
         answers: progress.answers,
-    }
+    };
+    (outcome, disturbance)
 }
 
-impl Progress<'_> {
+impl<'a> Progress<'a> {
     fn step(&mut self, step: &Step) -> Result<(), Ended> {
         match &step.action {
             Action::Fault(keys) => {
@@ -120,7 +192,8 @@ impl Progress<'_> {
                 verb,
                 options,
                 statuses,
-            } => self.command(step, *verb, options, statuses),
+                host,
+            } => self.command(step, *verb, options, statuses, *host),
             Action::Assert {
                 of,
                 limits,
@@ -135,8 +208,16 @@ impl Progress<'_> {
         verb: Verb,
         options: &[(String, toml::Value)],
         statuses: &[u8],
+        host: Option<HostAct>,
     ) -> Result<(), Ended> {
-        let words = self.words(verb, options)?;
+        let has_own_drive = self.case.has_own_drive() && verb.is_live();
+        let mut line = None;
+        if has_own_drive {
+            line = self.plug_in(host)?;
+        }
+        let port = self.port(host, line.as_ref());
+        let has_screen = host.is_some_and(|host| host.act.has_screen());
+        let words = self.words(verb, options, &port, has_screen)?;
         let number = self.outcomes.len() + 1;
         let file = |ending: &str| {
             self.folder
@@ -148,8 +229,36 @@ impl Progress<'_> {
             .args(&words)
             .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
-        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
-            .map_err(|error| Ended::error(format!("{}: {error}", step.name)))?;
+        let begin_s = monotonic_s();
+        let cannot = |error| Ended::error(format!("{}: {error}", step.name));
+        let mut host_said = None;
+        let mut act_s = None;
+        let done = if let Some(host) = host {
+            let came = self.act_on(
+                command,
+                host,
+                line.as_ref(),
+                &words,
+                [&stdout, &stderr],
+                timeout_s,
+            );
+            let came = came?;
+            self.stood_still_s = self.stood_still_s.max(came.stood_still_s);
+            (host_said, act_s) = (Some(came.found), came.act_s);
+            came.done
+        } else {
+            process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
+                .map_err(cannot)?
+        };
+        drop(line);
+        let motor = self
+            .drive
+            .as_mut()
+            .filter(|_| has_own_drive)
+            .map(|(drive, _)| {
+                let end_s = monotonic_s();
+                host::motor(drive.rows_at_rest(), begin_s, act_s.unwrap_or(end_s))
+            });
         let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
@@ -164,8 +273,26 @@ impl Progress<'_> {
             identified: None,
         });
         let error = error_said(&stderr);
+        let is_late_machine = matches!(done.end, End::Status(LINK | TRIP));
+        let is_early = host.is_some() && act_s.is_none();
+        self.is_early = is_early && is_late_machine;
         self.judge_end(step, &done, statuses, timeout_s, error.as_deref())?;
+        if is_early {
+            let reason = format!("{}: it ended before anything was done to it", step.name);
+            return Err(Ended::error(reason));
+        }
         self.keep(step, verb, &stdout, &done, error);
+        if let Some(left) = self.left.get_mut(&step.name)
+            && let Value::Object(figures) = &mut left.result
+        {
+            // A sentence that was folded is one line again.
+            let said = fs::read_to_string(&stderr)
+                .unwrap_or_default()
+                .replace("\n  ", " ");
+            figures.insert("said".to_owned(), said.into());
+            figures.extend(motor.map(|motor| ("motor".to_owned(), motor)));
+            figures.extend(host_said.map(|said| ("host".to_owned(), said)));
+        }
         if verb == Verb::Identify {
             self.compare_with_baseline(step, options, timeout_s)?;
         }
@@ -232,7 +359,7 @@ impl Progress<'_> {
         name: &str,
         timeout_s: f64,
     ) -> Result<Value, String> {
-        let words = self.words(Verb::Identify, options);
+        let words = self.words(Verb::Identify, options, &self.bench.port, false);
         let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
         let file = |ending: &str| self.folder.join(format!("{name}.{ending}"));
         let (stdout, stderr) = (file("json"), file("txt"));
@@ -250,6 +377,105 @@ impl Progress<'_> {
         let text = fs::read_to_string(&stdout).unwrap_or_default();
         let result: Value = serde_json::from_str(&text).unwrap_or_default();
         Ok(result["parameters"].clone())
+    }
+
+    fn act_on(
+        &mut self,
+        mut command: Command,
+        act: HostAct,
+        line: Option<&Line>,
+        words: &[String],
+        files: [&Path; 2],
+        timeout_s: f64,
+    ) -> Result<host::Came, Ended> {
+        let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
+        let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
+        let mut other = || OwnDrive::start(&order.order());
+        let runs = self.folder.join("runs");
+        let gone = || Ended::error("the software drive is gone".to_owned());
+        let (drive, _) = self.drive.as_mut().ok_or_else(gone)?;
+        let port = PathBuf::from(drive.port());
+        host::prepare(act.act, &mut command, &port, &runs).map_err(cannot)?;
+        let mut second = Command::new(self.bench.program);
+        // Its runs would be taken for those of the command.
+        let elsewhere = self.folder.join("second-host").display().to_string();
+        let runs_word = runs.display().to_string();
+        let words = words
+            .iter()
+            .map(|word| if *word == runs_word { &elsewhere } else { word });
+        second.args(words);
+        let stage = Stage {
+            act,
+            drive,
+            line,
+            other: &mut other,
+            second,
+            runs: &runs,
+            folder: self.folder,
+            timeout_s,
+            stop: self.bench.stop,
+        };
+        host::run(stage, command, files).map_err(cannot)
+    }
+
+    /// A drive in a process of its own, with the keys as they are now; and the line before it, where that is to fail.
+    fn plug_in(&mut self, host: Option<HostAct>) -> Result<Option<Line>, Ended> {
+        let is_as_asked =
+            |(drive, keys): &mut (OwnDrive, toml::Table)| *keys == self.changed && !drive.is_gone();
+        let is_there = self.drive.as_mut().is_some_and(is_as_asked);
+        let cannot = |error: io::Error| Ended::error(format!("software drive: {error}"));
+        if !is_there {
+            // One after the other under one name, which the next command is given.
+            self.drive = None;
+            let name = format!("drive-{}", self.outcomes.len() + 1);
+            let order = self.order(self.seed, &name)?;
+            let drive = OwnDrive::start(&order.order()).map_err(cannot)?;
+            self.drive = Some((drive, self.changed.clone()));
+        }
+        let on_line = host.is_some_and(|host| host.act.is_on_line());
+        let drive = self.drive.as_ref().filter(|_| on_line);
+        let line = drive.map(|(drive, _)| drive.behind_a_line(&own_drive::beside(self.folder)));
+        line.transpose().map_err(cannot)
+    }
+
+    /// What a software drive of this case is started with.
+    fn order(&self, seed: u64, name: &str) -> Result<KeptOrder<'a>, Ended> {
+        let bench = match &self.case.bench {
+            None => BenchFile::embedded_default(),
+            Some(bench) => {
+                let path = self.bench.home.join(bench);
+                let text = read_text(&path)
+                    .map_err(|failure| Ended::error(failure.headline().to_owned()))?;
+                BenchFile::parse(&path.display().to_string(), &text)
+                    .map_err(|error| Ended::error(error.to_string()))?
+            }
+        };
+        let named = self.emulator()?;
+        let named = named.unwrap_or_else(|| bench.emulator.config.clone());
+        let is_own = bench.drive.profile.starts_with("own");
+        let watchdog_s = opening::emulator_config(&named).map_or(GUISE_WATCHDOG_S, |config| {
+            f64::from(config.watchdog_ms) * 1e-3
+        });
+        Ok(KeptOrder {
+            program: self.bench.program,
+            folder: self.folder,
+            name: name.to_owned(),
+            emulator: named,
+            bench,
+            seed,
+            watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
+        })
+    }
+
+    /// Where a live command finds its drive.
+    fn port(&self, host: Option<HostAct>, line: Option<&Line>) -> String {
+        let own = self.drive.as_ref().filter(|_| self.case.has_own_drive());
+        match (host.map(|host| host.act), line, own) {
+            (Some(Act::PortAbsent), ..) => self.folder.join("absent.pty").display().to_string(),
+            (_, Some(line), _) => line.port.clone(),
+            (_, None, Some((drive, _))) => drive.port(),
+            (_, None, None) => self.bench.port.clone(),
+        }
     }
 
     /// Whether a command ended as it should.
@@ -305,7 +531,18 @@ impl Progress<'_> {
 
     /// Keeps the result of a command for the steps that follow.
     fn keep(&mut self, step: &Step, verb: Verb, stdout: &Path, done: &Done, error: Option<String>) {
-        let text = fs::read_to_string(stdout).unwrap_or_default();
+        let text = fs::read_to_string(stdout)
+            .ok()
+            .filter(|text| !text.is_empty());
+        // On a screen, and where it was killed, there is only what its run has kept.
+        let kept = || host::newest(&self.folder.join("runs"));
+        let of_run = if text.is_none() && verb.is_live() {
+            kept()
+        } else {
+            None
+        };
+        let text = text.or_else(|| fs::read_to_string(of_run.as_ref()?.join("result.json")).ok());
+        let text = text.unwrap_or_default();
         let mut result: Value = serde_json::from_str(&text).unwrap_or_default();
         if result.is_null() {
             result = Value::Object(serde_json::Map::new());
@@ -320,7 +557,10 @@ impl Progress<'_> {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
         };
-        let run = recorded.and_then(Value::as_str).map(PathBuf::from);
+        let run = recorded
+            .and_then(Value::as_str)
+            .map(PathBuf::from)
+            .or(of_run);
         let run = run.or_else(|| self.last_run().map(Path::to_owned));
         self.left.insert(step.name.clone(), Left { result, run });
         self.last = Some(step.name.clone());
@@ -331,7 +571,13 @@ impl Progress<'_> {
     }
 
     /// The words of a command.
-    fn words(&self, verb: Verb, options: &[(String, toml::Value)]) -> Result<Vec<String>, Ended> {
+    fn words(
+        &self,
+        verb: Verb,
+        options: &[(String, toml::Value)],
+        port: &str,
+        has_screen: bool,
+    ) -> Result<Vec<String>, Ended> {
         let mut words = vec![verb.command().to_owned()];
         let option = |key: &str| {
             options
@@ -348,7 +594,7 @@ impl Progress<'_> {
             words.push(effect.to_owned());
         }
         if verb == Verb::Probe {
-            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+            words.extend(["--port".to_owned(), port.to_owned()]);
         }
         if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
             let run = match given("run") {
@@ -367,14 +613,14 @@ impl Progress<'_> {
             words.push(run);
         }
         if verb.is_live() {
-            words.extend(["--port".to_owned(), self.bench.port.clone()]);
+            words.extend(["--port".to_owned(), port.to_owned()]);
             words.extend([
                 "--out".to_owned(),
                 self.folder.join("runs").display().to_string(),
             ]);
             if self.bench.hardware {
                 words.push("--hardware".to_owned());
-            } else {
+            } else if self.drive.is_none() {
                 if let Some(emulator) = self.emulator()? {
                     words.extend(["--emulator".to_owned(), emulator]);
                 }
@@ -396,7 +642,12 @@ impl Progress<'_> {
                 other => words.extend([name, other.to_string()]),
             }
         }
-        words.push("--json".to_owned());
+        if verb == Verb::Connect {
+            words.push("--check".to_owned());
+        }
+        if !has_screen {
+            words.push("--json".to_owned());
+        }
         Ok(words)
     }
 
@@ -491,6 +742,32 @@ impl Progress<'_> {
     }
 }
 
+/// A [`DriveOrder`] that owns what it was made of.
+struct KeptOrder<'a> {
+    program: &'a Path,
+    folder: &'a Path,
+    name: String,
+    emulator: String,
+    bench: BenchFile,
+    seed: u64,
+    watchdog_s: f64,
+}
+
+impl KeptOrder<'_> {
+    fn order(&self) -> DriveOrder<'_> {
+        DriveOrder {
+            program: self.program,
+            folder: self.folder,
+            name: self.name.clone(),
+            emulator: Some(self.emulator.clone()),
+            profile: &self.bench.drive.profile,
+            protocol: self.bench.link.protocol,
+            seed: self.seed,
+            watchdog_s: self.watchdog_s,
+        }
+    }
+}
+
 fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
     let run = run.ok_or("signal: no run was recorded")?;
     let loaded = open_run(run, None).map_err(|error| error.to_string())?;
@@ -519,6 +796,11 @@ fn merge(table: &mut toml::Table, changes: &toml::Table) {
 fn error_said(stderr: &Path) -> Option<String> {
     let text = fs::read_to_string(stderr).ok()?;
     let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
-    let said: Value = serde_json::from_str(lines.next_back()?).ok()?;
+    let Some(line) = lines.next_back() else {
+        // As a person reads it.
+        let (_, said) = text.rsplit_once("error: ")?;
+        return said.lines().next().map(str::to_owned);
+    };
+    let said: Value = serde_json::from_str(line).ok()?;
     said.pointer("/error/message")?.as_str().map(str::to_owned)
 }

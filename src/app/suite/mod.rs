@@ -2,13 +2,18 @@
 //!
 //! ```text
 //! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
+//!            host.rs acts on a command, line.rs fails between it and own_drive.rs, a software drive in a process of its own
 //! ```
 //!
-//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other.
+//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other, but for cases
+//! with a drive of their own, which mostly wait.
 
 pub(crate) mod baseline;
 mod case;
 pub(crate) mod golden;
+mod host;
+mod line;
+mod own_drive;
 mod process;
 
 use std::collections::VecDeque;
@@ -28,6 +33,9 @@ use crate::workflow::suite::{
 use baseline::Baseline;
 use case::Bench;
 use process::Watch;
+
+/// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
+const OWN_DRIVES_AT_ONCE: usize = 3;
 
 /// What is asked of a suite.
 pub(crate) struct SuiteRequest {
@@ -150,8 +158,15 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         .iter()
         .enumerate()
         .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
+    let (by_themselves, on_a_line): (Vec<_>, Vec<_>) = on_a_line
+        .into_iter()
+        .partition(|(_, job)| job.case.has_own_drive());
     // Real time first and alone: what is done beside it would make its cycles late.
-    for (part, at_once) in [(on_a_line, 1), (in_memory, cores)] {
+    for (part, at_once) in [
+        (by_themselves, OWN_DRIVES_AT_ONCE),
+        (on_a_line, 1),
+        (in_memory, cores),
+    ] {
         let queue = Mutex::new(VecDeque::from(part));
         let done = Mutex::new(&mut outcomes);
         std::thread::scope(|scope| {
@@ -220,8 +235,10 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
         .steps
         .iter()
         .any(|step| matches!(step.action, Action::Fault(_)));
-    let wants_emulator =
-        case.needs.contains(&Need::Emulator) || case.emulator.is_some() || has_fault;
+    let wants_emulator = case.needs.contains(&Need::Emulator)
+        || case.emulator.is_some()
+        || has_fault
+        || case.has_own_drive();
     if bench.hardware && wants_emulator {
         return Some("it sets up the software drive, and this one is real".to_owned());
     }
@@ -229,7 +246,8 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
         return Some("it compares with an earlier run, and there is no --baseline".to_owned());
     }
     let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
-    (is_in_memory && case.needs.contains(&Need::Line))
+    let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();
+    (is_in_memory && wants_line)
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
 

@@ -1,7 +1,8 @@
 //! A command of this program as a process of its own: a time limit, an end that stops the motor, and what it said.
 //!
 //! A process and no thread: a case that crashes or hangs is an error of that case. It is asked to end first, so that its
-//! guard brings the motor to zero; only one that does not is killed, and then the drive's watchdog stops the motor.
+//! guard brings the motor to zero; only one that does not is killed, and then the drive's watchdog stops the motor. Where the
+//! suite itself is gone the kernel asks in its place (on Linux): no command runs on unwatched.
 
 use std::fs::File;
 use std::io;
@@ -13,9 +14,10 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use rustix::time::{ClockId, clock_gettime};
 
 /// Between two looks at a process.
-const LOOK: Duration = Duration::from_millis(5);
+pub(super) const LOOK: Duration = Duration::from_millis(5);
 /// Time that a process has to end in after it was asked to.
 const GRACE: Duration = Duration::from_secs(15);
 
@@ -53,6 +55,63 @@ impl Watch {
     }
 }
 
+/// `CLOCK_MONOTONIC`, which all processes of this machine share, s.
+pub(super) fn monotonic_s() -> f64 {
+    let time = clock_gettime(ClockId::Monotonic);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// Starts `command` in a group of its own. A key at the terminal is for the suite, which asks the command to end: twice at
+/// once would cut its ramp short.
+pub(super) fn start(mut command: Command) -> io::Result<Child> {
+    command.process_group(0);
+    tied(&mut command, false);
+    command.spawn()
+}
+
+/// Starts `command`, whose streams are a terminal, with that terminal as its own: it hears when it is closed or changes size.
+pub(super) fn start_at_terminal(mut command: Command) -> io::Result<Child> {
+    tied(&mut command, true);
+    command.spawn()
+}
+
+/// The process is asked to end when the thread that starts it is gone, however that came about.
+fn tied(command: &mut Command, has_terminal: bool) {
+    #[cfg(target_os = "linux")]
+    let parent = rustix::process::getpid();
+    let prepare = move || {
+        #[cfg(target_os = "linux")]
+        {
+            use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+            set_parent_process_death_signal(Some(Signal::TERM))?;
+            // It may have gone before this was asked.
+            if getppid() != Some(parent) {
+                return Err(io::Error::from(io::ErrorKind::NotConnected));
+            }
+        }
+        if has_terminal {
+            rustix::process::setsid()?;
+            rustix::process::ioctl_tiocsctty(rustix::stdio::stdin())?;
+        }
+        Ok(())
+    };
+    #[expect(
+        unsafe_code,
+        reason = "between fork and exec nothing may allocate or lock; these are system calls alone"
+    )]
+    // SAFETY: as said; the closure reads what it has copied and calls the kernel.
+    unsafe {
+        command.pre_exec(prepare);
+    }
+}
+
+/// Sends a signal; a process that has just ended hears nothing.
+pub(super) fn signal(child: &Child, signal: Signal) {
+    if let Ok(id) = i32::try_from(child.id()) {
+        let _ = kill(Pid::from_raw(id), signal);
+    }
+}
+
 /// Runs `command`, whose results and messages go to these files, for `timeout_s` at most or until `stop` is raised.
 pub(super) fn finish(
     mut command: Command,
@@ -61,23 +120,36 @@ pub(super) fn finish(
     timeout_s: f64,
     stop: &AtomicBool,
 ) -> io::Result<Done> {
+    command.stdin(Stdio::null());
+    command.stdout(File::create(stdout)?);
+    command.stderr(File::create(stderr)?);
+    attend(start(command)?, timeout_s, stop, LOOK, |_| Ok(()))
+}
+
+/// Waits for the end of a process, with a `look` at it every `period`.
+pub(super) fn attend(
+    mut child: Child,
+    timeout_s: f64,
+    stop: &AtomicBool,
+    period: Duration,
+    mut look: impl FnMut(&mut Child) -> io::Result<()>,
+) -> io::Result<Done> {
     let watch = Watch::start();
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(File::create(stdout)?)
-        .stderr(File::create(stderr)?)
-        // A key at the terminal is for the suite, which asks the command to end: twice at once would cut its ramp short.
-        .process_group(0)
-        .spawn()?;
     let end = loop {
+        if let Err(error) = look(&mut child) {
+            // Whatever became of the look, no command runs on unwatched.
+            end(&mut child, period, &mut |_| Ok(()))?;
+            return Err(error);
+        }
         if let Some(status) = child.try_wait()? {
             break ended(status);
         }
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
-            break end(&mut child)?;
+            break end(&mut child, period, &mut look)?;
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(period);
     };
+    look(&mut child)?;
     Ok(Done {
         end,
         took_s: watch.took_s(),
@@ -89,17 +161,20 @@ fn ended(status: ExitStatus) -> End {
     code.map_or(End::Killed, End::Status)
 }
 
-fn end(child: &mut Child) -> io::Result<End> {
-    if let Ok(id) = i32::try_from(child.id()) {
-        // A process that has ended in between is waited for all the same.
-        let _ = kill(Pid::from_raw(id), Signal::SIGTERM);
-    }
+fn end(
+    child: &mut Child,
+    period: Duration,
+    look: &mut impl FnMut(&mut Child) -> io::Result<()>,
+) -> io::Result<End> {
+    signal(child, Signal::SIGTERM);
     let asked = Watch::start();
     while asked.took_s() < GRACE.as_secs_f64() {
+        // What it looks at may be gone with the end that was asked for.
+        let _ = look(child);
         if child.try_wait()?.is_some() {
             return Ok(End::Asked);
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(period);
     }
     child.kill()?;
     child.wait()?;

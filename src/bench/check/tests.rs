@@ -71,7 +71,11 @@ fn stopped_by<'a>(
     (plate, profile): &'a (Nameplate, DriveProfile),
 ) -> CheckOptions<'a> {
     CheckOptions {
-        first_move: Some(FirstMove { plate, profile }),
+        first_move: Some(FirstMove {
+            plate,
+            profile,
+            is_withheld: false,
+        }),
         stopped,
         ..options()
     }

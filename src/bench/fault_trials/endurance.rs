@@ -122,6 +122,7 @@ fn one_run(
         first_move: Some(FirstMove {
             plate: &plate,
             profile,
+            is_withheld: false,
         }),
         stopped: &|| false,
         reset_fault: true,

@@ -251,6 +251,7 @@ fn work(
         first_move: Some(FirstMove {
             plate: &plate,
             profile,
+            is_withheld: false,
         }),
         stopped: &stopped,
         reset_fault: false,

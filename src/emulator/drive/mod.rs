@@ -209,6 +209,20 @@ impl SoftDrive {
         self.fault
     }
 
+    /// Number of the last command that was applied.
+    pub(super) const fn seq(&self) -> u16 {
+        self.seq
+    }
+
+    /// What its output is told to be, V; 0 while it is off.
+    pub(super) fn output_v(&self) -> f64 {
+        if self.state == State::Running {
+            self.output.volts
+        } else {
+            0.0
+        }
+    }
+
     /// Since its start, s; `None` where it does not run.
     pub fn running_s(&self) -> Option<f64> {
         (self.state == State::Running).then(|| self.plant.time_s())

@@ -151,6 +151,11 @@ impl ForeignDrive {
         self.soft.time_s()
     }
 
+    /// The motor and what drives it.
+    pub(super) const fn soft(&self) -> &SoftDrive {
+        &self.soft
+    }
+
     /// True speed of the shaft, rad/s.
     pub const fn speed_rad_s(&self) -> f64 {
         self.soft.plant().speed_rad_s()

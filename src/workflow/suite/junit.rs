@@ -135,6 +135,7 @@ mod tests {
                 status: Some(1),
                 evidence: Some("]]>".to_owned()),
                 steps: Vec::new(),
+                attempts: 1,
                 answers: Vec::new(),
             };
             let outcome = SuiteOutcome::of(&name, "2026-01-02T03:04:05Z".to_owned(), String::new(), 1.0, vec![case]);

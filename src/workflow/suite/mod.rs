@@ -9,8 +9,10 @@
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
 pub mod golden;
+mod host;
 pub mod junit;
 mod limit;
+mod motor;
 pub mod open_metrics;
 mod outcome;
 
@@ -21,7 +23,9 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
+pub use host::{Act, HostAct};
 pub use limit::{Limit, answered, entry, figure, find};
+pub use motor::{MotorFigures, figures};
 pub use outcome::{
     Answered, CaseOutcome, Check, Confusion, IdentifiedStep, Spread, StepOutcome, SuiteOutcome,
     Verdict,
@@ -54,6 +58,14 @@ pub struct Case {
     pub steps: Vec<Step>,
 }
 
+impl Case {
+    /// Whether its software drive is a process of its own.
+    pub fn has_own_drive(&self) -> bool {
+        let has_act = |step: &Step| matches!(step.action, Action::Command { host: Some(_), .. });
+        self.needs.contains(&Need::Process) || self.steps.iter().any(has_act)
+    }
+}
+
 /// What only some ways of running have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -64,6 +76,9 @@ pub enum Need {
     Emulator,
     /// An earlier run of the same machine, given by `--baseline`.
     Baseline,
+    /// The software drive in a process of its own, which outlives the command and keeps a journal of its motor. So it is for
+    /// every case in which something is done to the command.
+    Process,
 }
 
 /// One step of a case.
@@ -85,6 +100,8 @@ pub enum Action {
         options: Vec<(String, toml::Value)>,
         /// Exit statuses that are as they should be.
         statuses: Vec<u8>,
+        /// What is done to it while it runs.
+        host: Option<HostAct>,
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
     Fault(toml::Table),
@@ -138,6 +155,7 @@ impl SignalLimit {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verb {
     Probe,
+    Connect,
     Plan,
     Commission,
     Excite,
@@ -150,8 +168,9 @@ pub enum Verb {
 
 impl Verb {
     /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 9] = [
+    pub const ALL: [(Self, &'static str, &'static str); 10] = [
         (Self::Probe, "probe", "probe"),
+        (Self::Connect, "connect", "run"),
         (Self::Plan, "plan", "plan"),
         (Self::Commission, "commission", "commission"),
         (Self::Excite, "excite", "run"),
@@ -169,7 +188,10 @@ impl Verb {
 
     /// Whether it opens a link, and may move the motor.
     pub const fn is_live(self) -> bool {
-        matches!(self, Self::Commission | Self::Excite | Self::Speed)
+        matches!(
+            self,
+            Self::Connect | Self::Commission | Self::Excite | Self::Speed
+        )
     }
 }
 
@@ -232,6 +254,8 @@ struct StepKeys {
     timeout_s: Option<f64>,
     status: Option<Statuses>,
     probe: Option<Spanned<toml::Table>>,
+    host: Option<HostAct>,
+    connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
     excite: Option<Spanned<toml::Table>>,
@@ -251,6 +275,7 @@ impl StepKeys {
     fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
         let table = match verb {
             Verb::Probe => &mut self.probe,
+            Verb::Connect => &mut self.connect,
             Verb::Plan => &mut self.plan,
             Verb::Commission => &mut self.commission,
             Verb::Excite => &mut self.excite,
@@ -394,6 +419,10 @@ fn read_step(
         Some(Statuses::One(status)) => vec![status],
         Some(Statuses::Any(statuses)) => statuses,
     };
+    let host = keys.host;
+    if let Some((what, help)) = host.and_then(|host| host.refusal()) {
+        return Err((at, what, help));
+    }
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
@@ -401,6 +430,7 @@ fn read_step(
                 verb,
                 options,
                 statuses: statuses.clone(),
+                host,
             };
             found.push((word, action));
         }
@@ -426,6 +456,12 @@ fn read_step(
     if has_status && !is_command {
         let what = "status stands without a command".to_owned();
         let help = "give it to the step whose exit status it is".to_owned();
+        return Err((at, what, help));
+    }
+    let is_live = matches!(action, Action::Command { verb, .. } if verb.is_live());
+    if host.is_some() && !is_live {
+        let what = "host stands without a command that opens a link".to_owned();
+        let help = "give it to connect, commission, excite or speed".to_owned();
         return Err((at, what, help));
     }
     Ok(Step {
@@ -666,6 +702,16 @@ timeout_s = 9.0
                 "status stands without a command",
             ),
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
+            (
+                "speed = {}",
+                "speed = {}\nhost = { act = \"kil\" }",
+                "unknown variant `kil`",
+            ),
+            (
+                "speed = {}\nstatus = 4",
+                "identify = {}\nhost = { act = \"kill\" }",
+                "host stands without a command that opens a link",
+            ),
             (
                 "of = \"fit\"",
                 "of = \"fir\"",

@@ -81,6 +81,8 @@ pub struct CaseOutcome {
     #[serde(flatten)]
     pub verdict: Verdict,
     pub took_s: f64,
+    /// More than one where this machine stood still, which says nothing of what is tested.
+    pub attempts: u32,
     /// Exit status of the step that ended it, where that was not as it should be.
     pub status: Option<u8>,
     /// Folder with what is left of it.
@@ -196,6 +198,7 @@ impl CaseOutcome {
             tags: case.tags.clone(),
             verdict: Verdict::Skipped(reason.into()),
             took_s: 0.0,
+            attempts: 0,
             status: None,
             evidence: None,
             steps: Vec::new(),
@@ -304,6 +307,7 @@ mod tests {
             tags: Vec::new(),
             verdict,
             took_s: 1.0,
+            attempts: 1,
             status,
             evidence: None,
             steps: vec![StepOutcome {
