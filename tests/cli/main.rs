@@ -19,6 +19,7 @@ mod guided;
 mod holdout;
 mod identify;
 mod input;
+mod line;
 #[cfg(target_os = "linux")]
 mod mystery;
 mod next_run;
@@ -28,6 +29,7 @@ mod replay;
 mod report;
 mod reproduce;
 mod screen;
+mod stop;
 mod suite;
 mod tutorial;
 mod unknown;
