@@ -26,7 +26,7 @@ use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing, whole};
-use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkStatistics};
+use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate};
 
@@ -272,7 +272,7 @@ impl Runner<'_> {
         // Whatever the session knows: the last word to the drive is zero output.
         let told_s = clock.now_s();
         let stopped = self.link.0.stop();
-        self.note_last_stop(told_s, clock.now_s(), stopped.is_ok());
+        self.note_last_stop(told_s, clock.now_s(), stopped.as_ref().err());
         if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
@@ -295,7 +295,9 @@ impl Runner<'_> {
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
         self.tell_record(now_s);
-        let stop = self.stop.stop(cause(&outcome), self.session.watchdog_s());
+        let stop = self
+            .stop
+            .stop(self.cause(&outcome), self.session.watchdog_s());
         self.tell_stop(now_s, &outcome, stop.as_ref());
         self.publish(
             now_s,
@@ -328,14 +330,15 @@ impl Runner<'_> {
     }
 
     /// The stop with which every run ends: a routine where the drive has said before that its output is off.
-    fn note_last_stop(&mut self, told_s: f64, now_s: f64, is_ok: bool) {
+    fn note_last_stop(&mut self, told_s: f64, now_s: f64, failed: Option<&LinkError>) {
+        // What failed for want of an answer was asked; what found the link gone was not.
         self.stop
-            .asked(told_s, is_ok || self.link.0.has_sent_command());
-        match is_ok {
+            .asked(told_s, failed.is_none_or(LinkError::is_transient));
+        match failed {
             // Who does not tell whether the output is off has not confirmed that it is.
-            true if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
-            true => {}
-            false => self.stop.withdraw(),
+            None if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
+            None => {}
+            Some(_) => self.stop.withdraw(),
         }
     }
 
@@ -346,16 +349,28 @@ impl Runner<'_> {
         let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
         self.recorder
             .event(event.with("host_time_s", now_s).with("stop", detail));
-        let level = match (stop.confirmed_after_ms, outcome) {
-            (_, Outcome::Done) => return,
-            (Some(_), _) => Level::Info,
-            // What that means, and whether it is an error, has been told with the link's last word.
-            (None, _) => Level::Warning,
+        // One that was not confirmed has been told of with the link's last word.
+        if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
+            self.act_on_notice(Notice {
+                level: Level::Info,
+                text: stop.sentence(),
+            });
+        }
+    }
+
+    /// What the output had to go off for.
+    fn cause(&self, outcome: &Outcome) -> String {
+        let tripped = self.session.guard().tripped();
+        let text = match (outcome, tripped) {
+            (Outcome::Done, _) => "the end of the sequence",
+            (Outcome::Stopped, _) => "the request to stop",
+            (Outcome::Interrupted, _) => "the interruption",
+            (Outcome::Tripped(trip), _) => trip.kind.name(),
+            (Outcome::LinkLost { .. }, Some(trip)) if trip.kind.is_link() => trip.kind.name(),
+            (Outcome::LinkLost { .. }, _) => "the loss of the link",
+            (Outcome::NotStarted { reason }, _) => reason,
         };
-        self.act_on_notice(Notice {
-            level,
-            text: stop.sentence(),
-        });
+        text.to_owned()
     }
 
     /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
@@ -610,17 +625,6 @@ impl Runner<'_> {
                 (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
             }
         });
-    }
-}
-
-/// What the output had to go off for.
-fn cause(outcome: &Outcome) -> String {
-    match outcome {
-        Outcome::Done => "the end of the sequence".to_owned(),
-        Outcome::Stopped => "the request to stop".to_owned(),
-        Outcome::Interrupted => "the interruption".to_owned(),
-        Outcome::Tripped(trip) => trip.kind.name().to_owned(),
-        Outcome::LinkLost { reason } | Outcome::NotStarted { reason } => reason.clone(),
     }
 }
 

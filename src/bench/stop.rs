@@ -40,7 +40,7 @@ impl Stop {
             count => format!("{count} requests"),
         };
         let sent = self.sent_after_ms.map_or_else(
-            || format!("after {cause} no request to stop got out ({requests})"),
+            || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
         );
         match (self.confirmed_after_ms, self.watchdog_s) {

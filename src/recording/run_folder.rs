@@ -169,7 +169,11 @@ impl RunFolder {
             fs::rename(&beside, &path)?;
             File::open(&self.path)?.sync_all()
         };
-        write().map_err(|error| RecordingError::io(&path, "write", &error))?;
+        write().map_err(|error| {
+            // Of no use, and on a full disk in the way.
+            let _ = fs::remove_file(&beside);
+            RecordingError::io(&path, "write", &error)
+        })?;
         Ok(path)
     }
 

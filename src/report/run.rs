@@ -109,7 +109,8 @@ impl RunReport<'_> {
             ),
             "Time counts from the start of the run. A line is broken where samples are missing.",
         );
-        if let Some(last) = &self.last_seconds {
+        let last = self.last_seconds.as_ref();
+        if let Some(last) = last {
             last_seconds(&mut page, run, last);
         }
         if let Some(speed_loop) = self.speed_loop {
@@ -121,6 +122,8 @@ impl RunReport<'_> {
             page.section("Gains");
             page.list(speed_loop.reasons.clone());
             page.list(speed_loop.changes.clone());
+        }
+        if last.is_some() || self.speed_loop.is_some() {
             page.section("Range of the signals");
         }
         page.table(signals(run));

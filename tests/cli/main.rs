@@ -29,6 +29,7 @@ mod replay;
 mod report;
 mod reproduce;
 mod screen;
+mod stop;
 mod suite;
 mod tutorial;
 mod unknown;

@@ -606,3 +606,53 @@ fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_th
         assert_eq!(events.contains("refused_by_drive"), name == "refused");
     }
 }
+
+#[test]
+fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
+    let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
+    type Failing = Option<fn(String) -> LinkError>;
+    let cases: [(Option<Fault>, Failing, &str, bool, bool); 4] = [
+        (None, None, "the end of the sequence", true, true),
+        (Some(Fault::TripWith(3)), None, "drive fault", true, true),
+        // What is gone was asked nothing; what only does not answer was.
+        (
+            Some(Fault::Gone),
+            Some(gone),
+            "the loss of the link",
+            false,
+            false,
+        ),
+        (
+            Some(Fault::Timeout),
+            Some(unanswered),
+            "link silent",
+            true,
+            false,
+        ),
+    ];
+    for (fault, stop_fails, cause, is_sent, is_confirmed) in cases {
+        let mut drive = ScriptedDrive::new(0.01);
+        let is_whole = fault.is_none();
+        if let Some(fault) = fault {
+            drive = drive.with(60, u64::MAX, fault);
+        }
+        drive.stop_fails = stop_fails;
+        let (summary, events, _) = Scripted::new(drive).run();
+        let Some(stop) = &summary.stop else {
+            panic!("{cause}: {summary:?}");
+        };
+        assert_eq!(stop.cause, cause);
+        if !is_whole {
+            let last = summary.last_seconds.unwrap();
+            assert!(last.from_row < last.to_row, "{last:?}");
+        }
+        assert_eq!(stop.sent_after_ms.is_some(), is_sent, "{stop:?}");
+        assert_eq!(stop.confirmed_after_ms.is_some(), is_confirmed, "{stop:?}");
+        assert!(stop.attempts >= 1);
+        has(&events, "\"event\":\"stop\"");
+        let mut manifest = Manifest::default();
+        summary.describe(&mut manifest);
+        assert_eq!(manifest.stop["attempts"], stop.attempts);
+        assert_eq!(manifest.trip.is_null(), is_whole);
+    }
+}

@@ -34,6 +34,8 @@ pub struct Check {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IdentifiedStep {
     pub machine: Machine,
+    /// Checksum of the excitation; empty where it is not known.
+    pub excitation: String,
     /// As `identify --json` has them.
     pub parameters: Value,
     /// What has changed since the baseline; null where there is none.
