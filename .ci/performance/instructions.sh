@@ -19,8 +19,15 @@ fi
 kernel=$("$here/kernel.sh")
 compiler=$(rustc --version)
 counted() {
-    valgrind --tool=cachegrind --cache-sim=no --cachegrind-out-file=/dev/null "$kernel" "$1" "$2" 2>&1 >/dev/null |
-        sed -n 's/.*I *refs: *//p' | tr -d ,
+    local said count
+    said=$(valgrind --tool=cachegrind --cache-sim=no --cachegrind-out-file=/dev/null "$kernel" "$1" "$2" 2>&1 >/dev/null)
+    count=$(sed -n 's/.*I *refs: *//p' <<<"$said" | tr -d ,)
+    if [ -z "$count" ]; then
+        echo "error: valgrind counted nothing of $1:" >&2
+        tail -n 5 <<<"$said" >&2
+        return 1
+    fi
+    echo "$count"
 }
 counts=$(mktemp)
 trap 'rm -f "$counts"' EXIT
@@ -33,6 +40,10 @@ if [ "${1:-}" = --write ]; then
     { echo "# Instructions of one element of each hot path, by $compiler; instructions.sh --write writes them anew."; cat "$counts"; } >"$written"
     cat "$written"
     exit 0
+fi
+if [ ! -f "$written" ]; then
+    echo "error: $written is not there; instructions.sh --write makes it" >&2
+    exit 1
 fi
 judged=yes
 grep -qF "by $compiler;" "$written" || judged=no
@@ -51,6 +62,12 @@ while read -r id count; do
         echo "ok   $id: $count instructions"
     fi
 done <"$counts"
+while read -r id _; do
+    if [ "$id" != '#' ] && ! grep -q "^$id " "$counts"; then
+        echo "FAIL $id: written down, and not counted any more"
+        failed=1
+    fi
+done <"$written"
 [ $judged = yes ] || echo "not judged: they were counted by another compiler than $compiler"
 if [ $failed = 1 ]; then
     echo 'help: find what became slower, or say in the commit why it must, with .ci/performance/instructions.sh --write' >&2

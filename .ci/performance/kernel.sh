@@ -2,7 +2,7 @@
 # Builds the benchmark `kernel` and prints where it is.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
-cargo bench --no-run --bench kernel --message-format json 2>/dev/null |
+cargo bench --no-run --bench kernel --message-format json --quiet |
     python3 -c '
 import json, sys
 for line in sys.stdin:

@@ -14,7 +14,7 @@ work=$(mktemp -d)
 server=
 trap '[ -z "$server" ] || kill "$server" 2>/dev/null; rm -rf "$work"' EXIT
 read -ra flags <<<"$(pkg-config --cflags --libs libmodbus)"
-for name in lm_server lm_client; do gcc -O2 "$here/$name.c" -o "$work/$name" "${flags[@]}"; done
+for name in lm_server lm_client; do gcc -O2 "$here/../interop/$name.c" -o "$work/$name" "${flags[@]}"; done
 # The server has one processor and the client another, where there are two.
 last=$(($(nproc) - 1))
 taskset -c 0 "$work/lm_server" pty "$work/pty" >/dev/null &

@@ -45,7 +45,7 @@ pub(super) struct Arguments {
     /// Method, one of the schemes that `identify --help` lists
     #[arg(long, value_name = "S")]
     scheme: Option<String>,
-    /// Name the effects that each run asks for, too; some ten times as long
+    /// Name the effects that each run asks for, too; some forty times as long
     #[arg(long)]
     diagnose: bool,
     #[command(flatten)]
@@ -57,12 +57,6 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
-    let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let jobs = arguments.jobs.map_or(cores, NonZeroUsize::get);
-    // Where this is not the first to ask, the threads are as they are; rows do not depend on them.
-    let _ = rayon::ThreadPoolBuilder::new()
-        .num_threads(jobs)
-        .build_global();
     let shown = progress::begin("analyse");
     let words = format!(
         "{:?} {:?} {}",
@@ -82,34 +76,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         },
         resume: arguments.resume,
         shard: arguments.shard,
-        jobs,
+        jobs: arguments.jobs,
         load: &|path| arguments.map.load(path),
         analysis: analysis_of(&words, model),
     })?;
     drop(shown);
     if arguments.out.is_some() {
-        output::result(&sum, arguments.json, text)?;
+        output::result(&sum, arguments.json, Analysed::text)?;
     }
     sum.failure().map_or(Ok(()), Err)
-}
-
-fn text(sum: &Analysed) -> String {
-    let mut text = format!(
-        "{}: {} runs, {} ok, {} not identified, {} unread",
-        sum.output.as_deref().unwrap_or_default(),
-        sum.runs,
-        sum.ok,
-        sum.not_identified,
-        sum.unread
-    );
-    if sum.kept > 0 {
-        text.push_str(&format!("; {} rows kept from before", sum.kept));
-    }
-    if sum.left_out > 0 {
-        text.push_str(&format!(
-            "; {} rows of runs that are not named left out",
-            sum.left_out
-        ));
-    }
-    text
 }

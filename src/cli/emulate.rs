@@ -51,7 +51,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "MS")]
     watchdog_ms: Option<f64>,
     /// Write what the motor does into a new CSV file, by the drive's own truth: a row at each change and every 10 ms, in the
-    /// time of CLOCK_MONOTONIC
+    /// monotonic time of this machine
     #[arg(long, value_name = "FILE")]
     journal: Option<PathBuf>,
     /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end

@@ -5,25 +5,20 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-use serde_json::{Map, Value, json};
-
 use super::arguments::{MapArguments, run_path};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
-use super::output::{self, lines};
+use super::output;
 use super::{progress, signals};
 use crate::app::cards;
-use crate::app::evidence::{before_identify, model, name_voltage, signals as signals_of};
+use crate::app::evidence::{before_identify, model, name_voltage};
 use crate::app::identify::{
-    Answer, OneRun, absolute, caution, identify, is_usable, plate, trace_csv,
+    Answer, OneRun, absolute, caution, identify, is_usable, json_of, plate, schemes, trace_load,
 };
 use crate::config_text::help_for_unknown;
-use crate::identification::kalman::{LoadTrace, load_torque_trace};
 use crate::identification::{nameplate, repeat, scheme};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
-use crate::report::conventions;
-use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
+use crate::sample::{Channel, ParameterEstimate, Verdict};
 
 /// Gearboxes that exist, with room.
 const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
@@ -241,138 +236,4 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
         ));
     }
     Ok(())
-}
-
-fn json_of(answer: &Answer) -> Value {
-    let first = answer.runs.first();
-    let of_runs = |of: fn(&OneRun) -> usize| answer.runs.iter().map(of).sum::<usize>();
-    let mut notes: Vec<&String> = Vec::new();
-    for run in &answer.runs {
-        for note in run.loaded.run.notes.iter().chain(&run.found.notes) {
-            if !notes.contains(&note) {
-                notes.push(note);
-            }
-        }
-    }
-    notes.extend(&answer.caution);
-    let combined = answer.combined.iter().map(|r| (r.estimate.key.as_str(), r));
-    let parameters = if answer.runs.len() > 1 {
-        keyed(combined)
-    } else {
-        keyed(combined.map(|(key, r)| (key, &r.estimate)))
-    };
-    let converted = conventions::of(&answer.parameters());
-    let mut value = json!({
-        "scheme": schemes(answer),
-        "parameters": parameters,
-        "rows": of_runs(|run| run.loaded.run.rows()),
-        "rows_used": of_runs(|run| run.scenario.samples()),
-        "rows_dropped": of_runs(|run| run.loaded.run.rows_dropped),
-        "period_s": first.and_then(period_s),
-        "input": first.map(|run| run.scenario.input_channel.key()),
-        "signals": first.map(|run| signals_of(&run.loaded.run)),
-        "shaft": "motor",
-        "conventions": keyed(converted.iter().map(|c| (c.key, c))),
-        "notes": notes,
-    });
-    if answer.runs.len() > 1 {
-        let each = answer.runs.iter().map(|run| {
-            json!({
-                "run": run.loaded.run.name,
-                "scheme": run.found.scheme,
-                "rows": run.loaded.run.rows(),
-                "parameters": estimates(&run.found.parameters),
-            })
-        });
-        value["runs"] = each.collect();
-    }
-    if let Some(absolute) = &answer.absolute {
-        value["absolute"] = estimates(absolute);
-    }
-    if let Some(comparison) = &answer.nameplate {
-        value["nameplate"] = serde_json::to_value(comparison).unwrap_or_default();
-    }
-    if let Some(ratio) = answer.gear_ratio {
-        let load = conventions::on_load_shaft(&answer.parameters(), ratio);
-        value["load_shaft"] = json!({ "gear_ratio": ratio, "parameters": estimates(&load) });
-    }
-    value
-}
-
-/// What the runs were identified by, each scheme once: those of another kind may have another one.
-fn schemes(answer: &Answer) -> String {
-    let mut schemes: Vec<&str> = answer.runs.iter().map(|run| run.found.scheme).collect();
-    schemes.dedup();
-    schemes.join(" and ")
-}
-
-/// Median distance of the measurements, s.
-fn period_s(run: &OneRun) -> Option<f64> {
-    [Channel::Current, Channel::Speed]
-        .into_iter()
-        .find_map(|channel| run.loaded.run.period_s(channel))
-}
-
-fn estimates(parameters: &[ParameterEstimate]) -> Value {
-    Value::Object(keyed(parameters.iter().map(|p| (p.key.as_str(), p))))
-}
-
-fn keyed<'a, T: Serialize + 'a>(
-    entries: impl Iterator<Item = (&'a str, &'a T)>,
-) -> Map<String, Value> {
-    entries
-        .map(|(key, value)| {
-            let value = serde_json::to_value(value).unwrap_or_default();
-            (key.to_owned(), value)
-        })
-        .collect()
-}
-
-/// Tracks the load torque, writes it to `path` and prints a summary.
-fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), Failure> {
-    if path.exists() {
-        let path = path.display();
-        let headline = format!("{path}: exists already, and records are never overwritten");
-        let help = "choose another name for --load-torque";
-        return Err(Failure::usage(headline, help));
-    }
-    let trace = load_torque_trace(run, model)?;
-    output::file(path, &trace_csv(&trace))?;
-    let extreme = |better: fn(f64, f64) -> bool| {
-        let points = trace.points.iter();
-        let found = points.reduce(|a, b| {
-            let is_better = better(b.load_torque_n_m, a.load_torque_n_m);
-            if is_better { b } else { a }
-        });
-        found.map(|p| {
-            json!({ "time_s": p.time_s, "load_torque_n_m": p.load_torque_n_m, "load_torque_std_n_m": p.std_n_m })
-        })
-    };
-    let summary = json!({
-        "output": path,
-        "rows": trace.points.len(),
-        "rows_followed": trace.rows_followed,
-        "input": format!("{:?}", trace.input).to_lowercase(),
-        "rate_n_m_per_sqrt_s": trace.rate_n_m_per_sqrt_s,
-        "rate_from_data": true,
-        "median_std_n_m": trace.median_std_n_m(),
-        "least": extreme(|a, b| a < b),
-        "most": extreme(|a, b| a > b),
-        "innovation_over_noise": { "current": trace.consistency[0], "speed": trace.consistency[1] },
-        "notes": trace.notes,
-    });
-    output::result(&summary, json, |_| trace_text(&trace, path))
-}
-
-fn trace_text(trace: &LoadTrace, path: &Path) -> String {
-    let mut text = format!(
-        "load torque at {} instants written to {}\nmedian standard deviation {:.2e} N.m; expected change {:.2e} N.m/sqrt(s), found from the run; motor turning at {} rows\n",
-        trace.points.len(),
-        path.display(),
-        trace.median_std_n_m(),
-        trace.rate_n_m_per_sqrt_s,
-        trace.rows_followed
-    );
-    lines(&mut text, "", &trace.notes);
-    text
 }

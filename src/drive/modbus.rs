@@ -25,7 +25,7 @@ use firmware_protocol::registers::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
-use tokio_modbus::{Error, Request, Response, Slave};
+use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use super::link::RoundTrips;
@@ -441,12 +441,12 @@ impl ModbusLink {
         let waited = received.saturating_duration_since(sent);
         let result = match reply {
             Some(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Some(Ok(Err(code))) => Err(LinkError::Exception {
-                link: self.core.name.clone(),
-                request: what.to_owned(),
-                code: code.into(),
-                name: exception_name(code.into()),
-            }),
+            Some(Ok(Err(code))) => Err(self.refusal(what, code.into())),
+            // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
+            Some(Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
+                result: Err(refused),
+                ..
+            }))) => Err(self.refusal(what, refused.exception.into())),
             Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Some(Err(Error::Transport(error))) => Err(self.broken(&error)),
             // No reply in time: what came instead tells the class.
@@ -499,6 +499,15 @@ impl ModbusLink {
             LinkError::Corrupt(self.core.name.clone(), error.to_string())
         } else {
             self.lost(error)
+        }
+    }
+
+    fn refusal(&self, what: &str, code: u8) -> LinkError {
+        LinkError::Exception {
+            link: self.core.name.clone(),
+            request: what.to_owned(),
+            code,
+            name: exception_name(code),
         }
     }
 

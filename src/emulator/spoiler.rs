@@ -27,6 +27,9 @@ const SPLIT_S: f64 = 0.016;
 const BURSTS: [usize; 4] = [3, 40, 1500, 1 << 16];
 const AGAIN_S: [f64; 4] = [0.0, 0.000_3, 0.002_5, 0.009];
 
+/// Keeps what happens on the line apart from the noise of the same seed.
+const OWN_DICE: u64 = 0x51B0_7A1F_95C3_E26D;
+
 /// The faults of one line.
 pub(super) struct Spoiler {
     protocol: Protocol,
@@ -48,7 +51,7 @@ impl Spoiler {
             protocol,
             unit,
             faults: of_line.copied().map(Lurking::new).collect(),
-            dice: ChaCha8Rng::seed_from_u64(seed ^ 0x5EED_0F_FA17),
+            dice: ChaCha8Rng::seed_from_u64(seed ^ OWN_DICE),
             request: Vec::new(),
             held: Vec::new(),
         }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::numerics::checksum::{EMPTY, fnv_1a};
 use crate::sample::{Channel, Origin, Side};
 
 /// Everything that is needed to judge or repeat a run. Keys that a newer program may have added are read past.
@@ -116,6 +117,18 @@ impl Manifest {
             drive_serial: said("serial_number"),
             motor: motor.unwrap_or_default().to_owned(),
         }
+    }
+
+    /// The checksum of the excitation: two runs that were excited alike have the same. Empty where the manifest does not say.
+    pub fn excitation(&self) -> String {
+        let bench = self
+            .configs
+            .get("bench")
+            .and_then(|text| text.parse::<toml::Table>().ok());
+        let sequence = bench.as_ref().and_then(|bench| bench.get("sequence"));
+        sequence.map_or_else(String::new, |sequence| {
+            format!("{:016x}", fnv_1a(EMPTY, sequence.to_string().bytes()))
+        })
     }
 
     /// When the run began, UTC as `2026-01-31T23:59:59Z`; none where the manifest does not say.

@@ -19,6 +19,7 @@ mod guided;
 mod holdout;
 mod identify;
 mod input;
+mod line;
 #[cfg(target_os = "linux")]
 mod mystery;
 mod next_run;

@@ -52,7 +52,8 @@ fn a_suite_passes_with_its_spread_and_leaves_no_evidence() {
     has(
         &junit,
         &[
-            "tests=\"3\" failures=\"0\" errors=\"0\" skipped=\"1\"",
+            "<testsuites name=\"small\" tests=\"3\" failures=\"0\" errors=\"0\" time=",
+            " skipped=\"1\" timestamp=",
             "resistance &amp; &lt;co&gt; [seed 1]",
         ],
     );
@@ -226,12 +227,12 @@ fn python(module: &str, arguments: &[&Path]) -> Option<String> {
 
 #[test]
 fn what_a_suite_writes_is_read_by_its_readers_whatever_its_cases_are_called() {
-    const HOSTILE: &str =
-        r#""]]> & <x> \u0001\u007f\u0085 'q' \\ \"d\" \U0001F680\n\t\uFFFE {a=\"b\"} # EOF""#;
+    const NAME: &str = r#""]]> & <x> 'q' \\ \"d\" \U0001F680 {a=\"b\"} # EOF""#;
+    const WORD: &str = r#""]]> \u0001\u007f\u0085\n\t\uFFFE <![CDATA[""#;
     let desk = Desk::new();
     let text = format!(
-        "{}[[case]]\nname = {HOSTILE}\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ rows = [1, 1e9] }}\n\
-         [[case]]\nname = \"not kept\"\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ bench = {HOSTILE} }}\n",
+        "{}[[case]]\nname = {NAME}\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ exit_status = 0 }}\n\
+         [[case]]\nname = \"not kept\"\n[[case.step]]\nplan = {{}}\n[[case.step]]\nassert = {{ error = {WORD} }}\n",
         suite("[0.9, 1.3]")
     );
     let done = tested(&desk, &text, "").expect(1);
@@ -275,7 +276,7 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
     has(
         &done.stdout,
         &[
-            "(nothing)       (none) 2",
+            "(nothing)       (none shown) 2",
             "quadratic_load  quadratic_load 1",
         ],
     );
@@ -287,7 +288,7 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
     );
     assert_eq!(
         fs::read_to_string(folder.join("confusion.csv")).unwrap(),
-        "hidden,quadratic_load,(none)\n(nothing),0,2\nquadratic_load,1,0\n"
+        "hidden,quadratic_load,(none shown)\n(nothing),0,2\nquadratic_load,1,0\n"
     );
     has(
         &fs::read_to_string(&metrics).unwrap(),
@@ -345,7 +346,7 @@ fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_t
         &[
             "golden-bench.toml",
             "resistance_ohm = [1.0",
-            "noise floors, and a quarter more",
+            "noise floors; a quarter more",
         ],
     );
     held_to(&desk, &golden, "hidden = []", "hidden = []").expect(0);
@@ -363,7 +364,7 @@ fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_t
         (
             "hidden = []",
             "hidden = [{ id = \"quadratic_load\", quadratic_n_m_s2_per_rad2 = 1.8e-6 }]",
-            "missing: quadratic_load, has to be none",
+            "verdict: effect, has to be none",
         ),
     ] {
         let done = held_to(&desk, &golden, from, to).expect(1);
@@ -378,13 +379,9 @@ fn a_suite_from_runs_and_a_speed_loop_holds_both() {
     let desk = Desk::new();
     let machine = exact(&desk);
     let mut folders = Vec::new();
-    for command in ["run --headless", "speed --headless"] {
-        let found = desk.simulate(command, "--emulator {} --seed 1 --run-seed 4", &[&machine]);
-        let found = if command.starts_with("run") {
-            found
-        } else {
-            desk.simulate(command, "--emulator {} --seed 1", &[&machine])
-        };
+    for (command, seeds) in [("run --headless", "--run-seed 4"), ("speed", "")] {
+        let options = format!("--emulator {{}} --seed 1 {seeds}");
+        let found = desk.simulate(command, &options, &[&machine]);
         folders.push(PathBuf::from(word(&found.expect(0).json(), "/folder")));
     }
     let golden = desk.path("golden.toml");

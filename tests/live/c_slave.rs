@@ -56,6 +56,8 @@ fn done(command: &str, link: &str) -> (Done, Desk) {
     (done.expect(0), desk)
 }
 
+const WIRES: [&str; 2] = ["modbus-rtu", "stream"];
+
 #[track_caller]
 fn is_identified(link: &str) {
     let (done, desk) = done("run --headless", link);
@@ -82,13 +84,8 @@ fn is_identified(link: &str) {
 }
 
 #[test]
-fn the_c_drive_is_identified_over_modbus_rtu() {
-    is_identified("modbus-rtu");
-}
-
-#[test]
-fn the_c_drive_is_identified_over_the_stream() {
-    is_identified("stream");
+fn the_c_drive_is_identified_over_both_its_wires() {
+    at_once(WIRES, is_identified);
 }
 
 #[track_caller]
@@ -104,13 +101,8 @@ fn keeps_its_speed(link: &str) {
 }
 
 #[test]
-fn the_c_drive_keeps_its_speed_over_modbus_rtu() {
-    keeps_its_speed("modbus-rtu");
-}
-
-#[test]
-fn the_c_drive_keeps_its_speed_over_the_stream() {
-    keeps_its_speed("stream");
+fn the_c_drive_keeps_its_speed_over_both_its_wires() {
+    at_once(WIRES, keeps_its_speed);
 }
 
 #[test]

@@ -104,7 +104,7 @@ fn an_address_base_that_is_off_by_one_is_named() {
     let profile = desk.put("off-by-one.toml", &wrong);
     let tap = desk.path("wrong.pcap");
     // This drive is silent where it has no register: each of those is waited for in vain.
-    let looked = "--drive {} --timeout-ms 500";
+    let looked = "--drive {} --timeout-ms 300";
     let options = format!("{looked} --json --tap {{}}");
     let done = probe(&emulator, &options, &[&profile, &tap]).expect(1);
     let report = done.json();

@@ -100,18 +100,8 @@ fn complete_run(link: &'static str) {
 }
 
 #[test]
-fn a_run_over_modbus_rtu_on_a_pseudo_terminal() {
-    complete_run("modbus-rtu");
-}
-
-#[test]
-fn a_run_over_the_stream_on_a_pseudo_terminal() {
-    complete_run("stream");
-}
-
-#[test]
-fn a_run_over_modbus_tcp() {
-    complete_run("modbus-tcp");
+fn a_run_over_pseudo_terminals_and_tcp() {
+    at_once(["modbus-rtu", "stream", "modbus-tcp"], complete_run);
 }
 
 #[test]

@@ -72,7 +72,7 @@ fn expect_stopped(folder: &Desk) {
 
 #[test]
 fn ctrl_c_stops_and_leaves_by_itself() {
-    for command in ["run", "commission"] {
+    at_once(["run", "commission"], |command| {
         let folder = Desk::new();
         let mut session = start(command, &folder);
         session.wait_for(" SIM  RUNNING");
@@ -82,5 +82,5 @@ fn ctrl_c_stops_and_leaves_by_itself() {
         assert_eq!(session.end(), 130, "{}", session.text());
         session.expect_terminal_as_it_was();
         expect_stopped(&folder);
-    }
+    });
 }

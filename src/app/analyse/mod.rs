@@ -13,6 +13,8 @@ mod row;
 mod table;
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -54,7 +56,8 @@ pub(crate) struct AnalysisRequest<'a> {
     pub(crate) resume: bool,
     /// Part `0` of `1`, counted from 1.
     pub(crate) shard: Option<(u64, u64)>,
-    pub(crate) jobs: usize,
+    /// Runs at once; without it one for each core.
+    pub(crate) jobs: Option<NonZeroUsize>,
     /// How a run is read.
     pub(crate) load: &'a (dyn Fn(&Path) -> Result<LoadedRun, Failure> + Sync),
     /// All that a row depends on beside its run and the program's version, as a checksum.
@@ -82,6 +85,27 @@ impl Analysed {
             Status::NotIdentified => &mut self.not_identified,
             Status::Unread => &mut self.unread,
         } += 1;
+    }
+
+    /// The sums in one line.
+    pub(crate) fn text(&self) -> String {
+        let mut text = format!(
+            "{}: {} runs, {} ok, {} not identified, {} unread",
+            self.output.as_deref().unwrap_or_default(),
+            self.runs,
+            self.ok,
+            self.not_identified,
+            self.unread
+        );
+        for (count, what) in [
+            (self.kept, "rows kept from before"),
+            (self.left_out, "rows of runs that are not named left out"),
+        ] {
+            if count > 0 {
+                let _ = write!(text, "; {count} {what}");
+            }
+        }
+        text
     }
 
     /// The failure of runs that could not be read, if any.
@@ -139,6 +163,13 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
         let names: Vec<&str> = sink.columns.iter().map(|(name, _)| name.as_str()).collect();
         output::line(line_of(&names).trim_end())?;
     }
+    let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let jobs = request.jobs.map_or_else(cores, NonZeroUsize::get);
+    // Where somebody has asked before, the threads within a run are as they are; rows do not depend on them.
+    let _ = rayon::ThreadPoolBuilder::new()
+        .num_threads(jobs)
+        .build_global();
+    let window = WINDOW * jobs;
     progress::stage("analyses the runs", runs.len());
     let line = Mutex::new(Line {
         begun: 0,
@@ -150,8 +181,8 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
     });
     let written = Condvar::new();
     std::thread::scope(|scope| {
-        for _ in 0..request.jobs.min(runs.len()) {
-            scope.spawn(|| work(&runs, request, &columns, &line, &written));
+        for _ in 0..jobs.min(runs.len()) {
+            scope.spawn(|| work(&runs, request, &columns, window, &line, &written));
         }
     });
     let line = line.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -242,13 +273,14 @@ fn work(
     runs: &[PathBuf],
     request: &AnalysisRequest<'_>,
     columns: &Columns,
+    window: usize,
     line: &Mutex<Line>,
     written: &Condvar,
 ) {
     let lock = || -> MutexGuard<'_, Line> { line.lock().unwrap_or_else(PoisonError::into_inner) };
     loop {
         let mut next = lock();
-        while next.begun >= next.written + WINDOW * request.jobs && next.ended.is_none() {
+        while next.begun >= next.written + window && next.ended.is_none() {
             next = written.wait(next).unwrap_or_else(PoisonError::into_inner);
         }
         let (index, is_over) = (next.begun, next.ended.is_some());

@@ -245,18 +245,14 @@ fn known(
                 .has_headers(false)
                 .from_reader(&line[..]);
             if reader.read_record(&mut record).unwrap_or(false) {
-                take(
-                    &record,
-                    Place {
-                        source,
-                        offset,
-                        length,
-                        status: Status::Ok,
-                        content: String::new(),
-                    },
-                    analysis,
-                    rows,
-                );
+                let place = Place {
+                    source,
+                    offset,
+                    length,
+                    status: Status::Ok,
+                    content: String::new(),
+                };
+                take(&record, &place, analysis, rows);
             }
         }
         offset += length as u64;
@@ -265,7 +261,7 @@ fn known(
 
 fn take(
     record: &csv::StringRecord,
-    place: Place,
+    place: &Place,
     analysis: &str,
     rows: &mut HashMap<String, Place>,
 ) {
@@ -282,7 +278,7 @@ fn take(
             Place {
                 status,
                 content,
-                ..place
+                ..place.clone()
             },
         );
     }

@@ -60,6 +60,7 @@ impl Baseline {
         mut identify: impl FnMut(&Path) -> Result<Value, String>,
     ) -> Result<Drift, String> {
         let (mut before, mut since, mut others) = (Vec::new(), Vec::new(), Vec::new());
+        let mut is_alike = true;
         for source in &self.sources {
             let earlier = match source {
                 Source::Run { path, manifest } => {
@@ -68,6 +69,7 @@ impl Baseline {
                         others.push(format!("{}: {machine}", path.display()));
                         continue;
                     }
+                    is_alike &= manifest.excitation() == found.excitation;
                     let parameters = identify(path)?;
                     vec![(parameters, manifest.began().unwrap_or_default())]
                 }
@@ -80,6 +82,7 @@ impl Baseline {
                         others.push(format!("{}: {}", source.name(), other.machine));
                     }
                     let same = steps.iter().filter(is_same);
+                    is_alike &= same.clone().all(|step| step.excitation == found.excitation);
                     same.map(|step| (step.parameters.clone(), began.clone()))
                         .collect()
                 }
@@ -100,7 +103,13 @@ impl Baseline {
                 )
             });
         };
-        Ok(between(&before, &[estimates(&found.parameters)], &first))
+        let mut drift = between(&before, &[estimates(&found.parameters)], &first);
+        if !is_alike {
+            let excited = "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift";
+            let cautions = drift.caution.into_iter().chain([excited.to_owned()]);
+            drift.caution = Some(cautions.collect::<Vec<_>>().join("; "));
+        }
+        Ok(drift)
     }
 
     fn is_same(&self, before: &Machine, now: &Machine) -> bool {

@@ -316,10 +316,10 @@ impl<'a> Progress<'a> {
             None => run.clone(),
         };
         let manifest = run.as_deref().and_then(manifest_of);
+        let manifest = manifest.unwrap_or_default();
         let mut found = IdentifiedStep {
-            machine: manifest
-                .map(|manifest| manifest.machine())
-                .unwrap_or_default(),
+            machine: manifest.machine(),
+            excitation: manifest.excitation(),
             parameters: result["parameters"].clone(),
             drift: None,
         };

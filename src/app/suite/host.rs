@@ -301,7 +301,7 @@ impl Watched<'_> {
             }
         } else {
             if let Some((_, act)) = self.pending.take_if(|(at_s, _)| now_s >= *at_s) {
-                self.end_act(act, child)?;
+                self.end_act(act, child);
             }
             self.listen(now_s);
         }
@@ -378,7 +378,7 @@ impl Watched<'_> {
         Ok(())
     }
 
-    fn end_act(&mut self, act: Act, child: &Child) -> io::Result<()> {
+    fn end_act(&mut self, act: Act, child: &Child) {
         match act {
             Act::InterruptTwice => process::signal(child, Signal::SIGINT),
             Act::Pause => process::signal(child, Signal::SIGCONT),
@@ -388,7 +388,6 @@ impl Watched<'_> {
             }
             _ => {}
         }
-        Ok(())
     }
 
     fn line(&self, carries: Carries) {
@@ -426,8 +425,12 @@ impl Watched<'_> {
     fn came(mut self, done: Done) -> io::Result<Came> {
         self.outlet.read();
         let act = self.stage.act.act;
-        let second = match &mut self.second {
-            Some(second) => second.wait()?.code(),
+        let (timeout_s, stop) = (self.stage.timeout_s, self.stage.stop);
+        let second = match self.second.take() {
+            Some(second) => match process::attend(second, timeout_s, stop, LOOK, |_| Ok(()))?.end {
+                End::Status(status) => Some(status),
+                End::Asked | End::Killed => None,
+            },
             None => None,
         };
         let second_said = fs::read_to_string(self.stage.folder.join("second-host.txt")).ok();

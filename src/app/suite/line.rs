@@ -94,7 +94,7 @@ impl Line {
         listener.set_nonblocking(true)?;
         let port = format!("tcp:{}", listener.local_addr()?);
         let drive = drive.to_owned();
-        Self::of(port, move |told| carry_connections(&listener, drive, told))
+        Self::of(port, move |told| carry_connections(&listener, &drive, told))
     }
 
     fn of(port: String, carry: impl FnOnce(&Told) + Send + 'static) -> io::Result<Self> {
@@ -206,7 +206,7 @@ fn carry_terminal(near: crate::emulator::PtyPort, mut far: File, name: &Path, to
     }
 }
 
-fn carry_connections(listener: &TcpListener, drive: String, told: &Told) {
+fn carry_connections(listener: &TcpListener, drive: &str, told: &Told) {
     while !told.is_over() {
         let Ok((host, _)) = listener.accept() else {
             std::thread::sleep(LOOK);
@@ -215,7 +215,7 @@ fn carry_connections(listener: &TcpListener, drive: String, told: &Told) {
         if matches!(told.carries(), Carries::Gone | Carries::Reset) {
             continue;
         }
-        if let Ok(drive) = TcpStream::connect(&drive) {
+        if let Ok(drive) = TcpStream::connect(drive) {
             carry_connection(&host, &drive, told);
         }
     }

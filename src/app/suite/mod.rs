@@ -6,7 +6,7 @@
 //! ```
 //!
 //! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other, but for cases
-//! with a drive of their own, which mostly wait.
+//! with a drive of their own, which mostly wait. `baseline`: earlier runs and results, and what has drifted since.
 
 pub(crate) mod baseline;
 mod case;

@@ -117,14 +117,13 @@ pub fn golden(name: &str, runs: &[GoldenRun], place: &Place) -> Result<Golden, R
         }
     }
     cases.sort_by_key(|(kind, _)| *kind);
+    let names = runs.iter().map(|run| format!("#   {}", run.name));
     let mut text = format!(
-        "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\
+        "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\n\
          # Where the intervals of the parameters hold, one case in {FALSE_ALARMS} fails by chance. More runs, on different days,\n\
          # make the limits those of the machine and not of one day.\n\n\
          name = {}\n",
-        runs.iter()
-            .map(|run| format!("#   {}\n", run.name))
-            .collect::<String>(),
+        names.collect::<Vec<_>>().join("\n"),
         quoted(name)
     );
     let mut limits = Vec::new();
@@ -199,41 +198,42 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
         ));
     }
     let answer = "what the diagnosis said of every run";
-    match missing.first() {
-        Some(Value::Array(names)) if names.is_empty() => say(
-            "missing",
-            quoted("none"),
-            format!("{answer}, without reserve"),
-        ),
-        Some(Value::Array(names)) => {
-            let names: Vec<String> = names.iter().filter_map(Value::as_str).map(quoted).collect();
-            let limit = match &names[..] {
-                [only] => only.clone(),
-                several => format!("[{}]", several.join(", ")),
-            };
-            say("missing", limit, answer.to_owned());
+    let names = missing
+        .first()
+        .and_then(Value::as_array)
+        .filter(|names| !names.is_empty());
+    if let Some(names) = names {
+        let names: Vec<String> = names.iter().filter_map(Value::as_str).map(quoted).collect();
+        let limit = match &names[..] {
+            [only] => only.clone(),
+            several => format!("[{}]", several.join(", ")),
+        };
+        say("missing", limit, answer.to_owned());
+    } else {
+        let verdicts = of("verdict");
+        let first = verdicts.first().and_then(Value::as_str).unwrap_or("none");
+        if verdicts.iter().all(|own| own == first) {
+            say("verdict", quoted(first), answer.to_owned());
         }
-        _ => {
-            let verdicts = of("verdict");
-            let first = verdicts.first().and_then(Value::as_str).unwrap_or("none");
-            if verdicts.iter().all(|own| own == first) {
-                say("verdict", quoted(first), answer.to_owned());
-            }
-            let open = of("not_shown");
-            let most = open
-                .iter()
-                .filter_map(Value::as_array)
-                .map(Vec::len)
-                .max()
-                .unwrap_or(0);
+        if of("sufficient").iter().all(|own| *own == true) {
             say(
-                "not_shown",
-                quoted(&format!("<= {}", most + NOT_SHOWN_MORE)),
-                format!(
-                    "{most} effects were neither named nor ruled out; which of them just shows is chance, so {NOT_SHOWN_MORE} more may be"
-                ),
+                "sufficient",
+                "true".to_owned(),
+                "no error was left".to_owned(),
             );
         }
+        // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
+        let open = of("not_shown");
+        let counts = open.iter().filter_map(Value::as_array).map(Vec::len);
+        let most = counts.max().unwrap_or(0);
+        let reason = format!(
+            "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
+        );
+        say(
+            "not_shown",
+            quoted(&format!("<= {}", most + NOT_SHOWN_MORE)),
+            reason,
+        );
     }
     let errors: Vec<f64> = of("held_out_error")
         .iter()
@@ -243,9 +243,12 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
         let most = extent(&errors).1;
         say(
             "held_out_error",
-            quoted(&format!("< {}", significant(ERROR_MARGIN * most, 3))),
+            quoted(&format!(
+                "< {}",
+                significant(ERROR_MARGIN * most.max(1.0), 3)
+            )),
             format!(
-                "the largest was {} noise floors, and a quarter more",
+                "the largest was {} noise floors; a quarter more than that, or than the floor",
                 significant(most, 3)
             ),
         );
@@ -556,7 +559,7 @@ mod tests {
         assert!(trip.contains("safety trip: over-speed"), "{trip}");
         assert!(refused(|run| run.result = json!({})).contains("no commissioning"));
         let unknown = refused(|run| {
-            run.result["parameters"]["resistance_ohm"]["verdict"] = json!("searching")
+            run.result["parameters"]["resistance_ohm"]["verdict"] = json!("searching");
         });
         assert!(unknown.contains("no parameter was settled"), "{unknown}");
     }
@@ -574,7 +577,22 @@ mod tests {
         let limit = |runs: &[GoldenRun]| {
             golden("m", runs, &place()).map(|made| made.limits[0].limit.clone())
         };
-        assert_eq!(limit(&[of(&[]), of(&[])]).unwrap(), "\"none\"");
+        // Without reserve or with it: the next run may leave an effect open.
+        let made = golden("m", &[of(&[]), of(&[])], &place()).unwrap();
+        let found: Vec<(&str, &str)> = made
+            .limits
+            .iter()
+            .map(|own| (own.key.as_str(), own.limit.as_str()))
+            .collect();
+        assert_eq!(
+            found[..4],
+            [
+                ("verdict", "\"none\""),
+                ("sufficient", "true"),
+                ("not_shown", "\"<= 3\""),
+                ("held_out_error", "\"< 1.25\"")
+            ]
+        );
         assert_eq!(limit(&[of(&["cogging"])]).unwrap(), "\"cogging\"");
         assert_eq!(limit(&[of(&["a", "b"])]).unwrap(), "[\"a\", \"b\"]");
         let (what, _) = limit(&[of(&["cogging"]), of(&[])]).unwrap_err();

@@ -242,7 +242,7 @@ pub fn find(result: &Value, key: &str) -> Option<Value> {
     let path = |path: &str| {
         let at = |from: &'static [&str]| {
             let steps = from.iter().copied().chain(path.split('.'));
-            steps.fold(Some(result), |at, step| match at? {
+            steps.into_iter().try_fold(result, |at, step| match at {
                 Value::Array(list) => step.parse::<usize>().ok().and_then(|index| list.get(index)),
                 other => other.get(step),
             })

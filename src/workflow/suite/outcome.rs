@@ -34,6 +34,8 @@ pub struct Check {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IdentifiedStep {
     pub machine: Machine,
+    /// Checksum of the excitation; empty where it is not known.
+    pub excitation: String,
     /// As `identify --json` has them.
     pub parameters: Value,
     /// What has changed since the baseline; null where there is none.
@@ -125,7 +127,7 @@ pub struct SuiteOutcome {
 }
 
 impl Confusion {
-    fn of<'a>(answers: impl Iterator<Item = &'a Answered> + Clone) -> Self {
+    fn of(answers: &[&Answered]) -> Self {
         let mut rows: Vec<String> = Vec::new();
         let mut others: Vec<String> = Vec::new();
         let note = |names: &mut Vec<String>, name: &String| {
@@ -133,13 +135,13 @@ impl Confusion {
                 names.push(name.clone());
             }
         };
-        for answer in answers.clone() {
+        for answer in answers {
             note(&mut rows, &answer.hidden);
         }
-        for answer in answers.clone().filter(|own| !rows.contains(&own.named)) {
+        for answer in answers.iter().filter(|own| !rows.contains(&own.named)) {
             note(&mut others, &answer.named);
         }
-        let is_named = |row: &&String| answers.clone().any(|own| own.named == **row);
+        let is_named = |row: &&String| answers.iter().any(|own| own.named == **row);
         let columns: Vec<String> = rows
             .iter()
             .filter(is_named)
@@ -147,8 +149,8 @@ impl Confusion {
             .chain(others)
             .collect();
         let count = |row: &String, column: &String| {
-            let here = |own: &&Answered| own.hidden == *row && own.named == *column;
-            answers.clone().filter(here).count()
+            let here = |own: &&&Answered| own.hidden == *row && own.named == *column;
+            answers.iter().filter(here).count()
         };
         let counts = rows
             .iter()
@@ -232,7 +234,12 @@ impl SuiteOutcome {
             errors: count(|verdict| matches!(verdict, Verdict::Error(_))),
             skipped: count(|verdict| matches!(verdict, Verdict::Skipped(_))),
             spread: spread(&cases),
-            confusion: Confusion::of(cases.iter().flat_map(|case| &case.answers)),
+            confusion: Confusion::of(
+                &cases
+                    .iter()
+                    .flat_map(|case| &case.answers)
+                    .collect::<Vec<_>>(),
+            ),
             cases,
         }
     }

@@ -1,0 +1,57 @@
+//! The software drive on a line in memory, byte by byte: the same run for each seed, and every fault of line and drive answered
+//! as it has to be.
+
+use crate::kit::prelude::*;
+
+#[test]
+fn one_seed_is_one_run_to_the_bit_over_every_byte_of_a_line_too() {
+    let samples = |seed: u64| {
+        let desk = Desk::new();
+        let options = format!("run --headless --port sim:rtu --json --seed {seed} --out {{}}");
+        let result = call(&options, &[desk.folder()]).expect(0).json();
+        assert_eq!(result["link"]["ok"], result["link"]["sent"]);
+        assert!(result["wire"]["bytes_accepted"].as_u64().unwrap() > 40_000);
+        let folder = PathBuf::from(word(&result, "/folder"));
+        fs::read_to_string(folder.join("samples.csv")).unwrap()
+    };
+    let first = samples(1);
+    assert!(first.len() > 10_000);
+    assert!(first == samples(1), "the same seed gave other samples");
+    assert!(first != samples(2), "another seed gave the same samples");
+}
+
+#[test]
+fn every_fault_of_line_and_drive_is_answered_as_it_has_to_be() {
+    let desk = Desk::new();
+    let suite = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/suites/faults-line.toml");
+    let done = call("test {} --json --out {}", &[&suite, desk.folder()]);
+    let found: Value = serde_json::from_str(&done.stdout).unwrap();
+    let cases = found["cases"].as_array().unwrap().iter();
+    let wrong = cases.filter(|case| case["verdict"] != "passed");
+    let wrong: Vec<String> = wrong
+        .map(|case| format!("{}: {}", case["name"], case["reason"]))
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(found["passed"].as_u64() > Some(40));
+    done.expect(0);
+}
+
+#[test]
+fn what_happens_on_a_line_is_refused_where_there_is_none() {
+    let desk = Desk::new();
+    let emulator = desk.put(
+        "e.toml",
+        &format!("{PLAIN}\n[[fault]]\nkind = \"babble\"\n"),
+    );
+    let refused = refusal(
+        "run --headless --port sim: --emulator {} --out {}",
+        &[&emulator, desk.folder()],
+    );
+    has(&refused, &["sim: has no line", "sim:rtu"]);
+    let emulator = desk.put("f.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"bable\"\n"));
+    let refused = refusal(
+        "run --headless --port sim:rtu --emulator {} --out {}",
+        &[&emulator, desk.folder()],
+    );
+    has(&refused, &["bable", "did you mean `babble`?"]);
+}
