@@ -183,10 +183,12 @@ impl Recorded {
                 self.rescued = Some(folder.to_string());
             }
             Some(Err(error)) => {
-                output::message(&format!("the record is not rescued either: {error}"))
+                output::message(&format!("the record is not rescued either: {error}"));
             }
             None => {
-                output::message("the record is not whole in memory either: what is missing is lost")
+                output::message(
+                    "the record is not whole in memory either: what is missing is lost",
+                );
             }
         }
     }

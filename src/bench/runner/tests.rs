@@ -609,8 +609,8 @@ fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_th
 
 #[test]
 fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
-    let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
     type Failing = Option<fn(String) -> LinkError>;
+    let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
     let cases: [(Option<Fault>, Failing, &str, bool, bool); 4] = [
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
