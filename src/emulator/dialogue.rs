@@ -79,13 +79,16 @@ impl Answering for SoftDrive {
         let words = DriveCommand::new(0, Control::Stop).to_registers();
         let words = words.into_iter().flat_map(u16::to_be_bytes);
         let [high, low] = COMMAND_ADDRESS.to_be_bytes();
-        let count = COMMAND_WORDS as u8;
-        let head = [16, high, low, 0, count, 2 * count];
+        let head = [16, high, low, 0, COMMAND_COUNT, 2 * COMMAND_COUNT];
         head.into_iter().chain(words).collect()
     }
 }
 
-const _: () = assert!(COMMAND_WORDS < 64, "a byte counts them");
+/// Registers of a command, as the one byte that counts them.
+const COMMAND_COUNT: u8 = {
+    assert!(COMMAND_WORDS < 64, "a byte counts their bytes too");
+    COMMAND_WORDS.to_le_bytes()[0]
+};
 
 impl Answering for ForeignDrive {
     fn soft(&self) -> &SoftDrive {
