@@ -8,6 +8,9 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::EmulatorConfigError;
+use crate::drive::Protocol;
+
 /// One fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -124,9 +127,44 @@ impl FaultKind {
     pub(super) fn needs_line(self) -> bool {
         self <= Self::PowerLost
     }
+
+    /// Where it would do nothing, as `(on what, what is allowed)`.
+    fn idle(self, in_a_guise: bool, protocol: Protocol) -> Option<(&'static str, &'static str)> {
+        const GUISE: &str = "in the guise of another drive";
+        const STREAM: &str = "on the stream";
+        let is_stream = protocol == Protocol::Stream;
+        match self {
+            Self::LocalControl if !in_a_guise => {
+                Some(("on our own drive, which has no keypad", "another profile"))
+            }
+            Self::OtherVersion | Self::ClockWraps if in_a_guise => Some((GUISE, "the profile own")),
+            Self::OtherVersion if is_stream => Some((STREAM, "modbus-rtu or modbus-tcp")),
+            Self::WrongUnit | Self::WrongRequest | Self::Exception if is_stream => {
+                Some((STREAM, "modbus-rtu or modbus-tcp"))
+            }
+            Self::ForeignFrames | Self::SecondMaster if protocol != Protocol::ModbusRtu => {
+                Some(("where no bus is shared", "modbus-rtu"))
+            }
+            _ => None,
+        }
+    }
 }
 
 impl FaultEntry {
+    /// Refuses what would do nothing on such a drive.
+    pub(super) fn suits(
+        &self,
+        in_a_guise: bool,
+        protocol: Protocol,
+    ) -> Result<(), EmulatorConfigError> {
+        self.kind
+            .idle(in_a_guise, protocol)
+            .map_or(Ok(()), |(on, allowed)| {
+                let kind = serde_json::to_string(&self.kind).unwrap_or_default();
+                Err(EmulatorConfigError::Idle { kind, on, allowed })
+            })
+    }
+
     /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`.
     pub(super) fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
         const TIME: &str = "0 to 86400 s";

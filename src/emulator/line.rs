@@ -3,7 +3,7 @@
 use super::dialogue::{Answering, Dialogue, UNIT};
 use super::pace::Pace;
 use super::spoiler::{Spoiled, Spoiler};
-use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
+use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
 use crate::drive::virtual_line::{FarEnd, VirtualLink};
 use crate::drive::{DriveLink, DriveProfile, Protocol, VirtualClock};
 
@@ -17,7 +17,9 @@ pub fn open_line(
     seed: u64,
     profile: &DriveProfile,
     clock: VirtualClock,
-) -> Box<dyn DriveLink> {
+) -> Result<Box<dyn DriveLink>, EmulatorConfigError> {
+    let protocol = Protocol::ModbusRtu;
+    config.suits(guise.is_some(), protocol)?;
     let drive: Box<dyn Answering> = match guise {
         Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
         None => Box::new(SoftDrive::new(config, seed)),
@@ -25,7 +27,6 @@ pub fn open_line(
     let mut line = guise.map_or(&config.line, |guise| &guise.line).clone();
     line.baud = profile.link.baud;
     let unit = guise.map_or(UNIT, |guise| guise.unit);
-    let protocol = Protocol::ModbusRtu;
     let far = DriveOnLine {
         spoiler: Spoiler::new(&config.faulty, protocol, unit, seed),
         drive,
@@ -33,7 +34,7 @@ pub fn open_line(
         pace: Pace::serial(&line, true),
         silent_from_s: 0.0,
     };
-    Box::new(VirtualLink::open(NAME, profile, clock, far))
+    Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
 }
 
 /// What talks by itself is known for so long ahead, s: until the host listens again.
@@ -108,7 +109,7 @@ mod tests {
         let mut profile = DriveProfile::named("own").unwrap();
         profile.link.emulated = true;
         let link = open_line(None, config, seed, &profile, clock.clone());
-        (link, clock)
+        (link.unwrap(), clock)
     }
 
     /// What an exchange of each cycle gave, and when it was over.
