@@ -100,15 +100,20 @@ impl Troubles {
         reading
     }
 
-    /// What is told; measured values that are frozen stay, and the number of the command is still echoed.
+    /// What is told; measured values that are frozen stay, and the drive's clock and state are still its own.
     pub(super) fn telemetry(&mut self, honest: Telemetry) -> Telemetry {
         if self.lurking.is_empty() {
             return honest;
         }
         if let (Some(told), true) = (self.told, self.has(FaultKind::FrozenRegisters)) {
             return Telemetry {
-                seq: honest.seq,
-                ..told
+                voltage_v: told.voltage_v,
+                current_a: told.current_a,
+                speed_rad_s: told.speed_rad_s,
+                angle_rad: told.angle_rad,
+                bus_v: told.bus_v,
+                temperature_c: told.temperature_c,
+                ..honest
             };
         }
         self.told = Some(honest);
