@@ -29,22 +29,16 @@ pub(super) trait Answering: Send {
     fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
 
     /// What comes next is asked over the connection of this number.
-    fn asked_by(&mut self, _session: u64) {}
+    fn asked_by(&mut self, session: u64);
 
-    /// Since its start, s; `None` where it does not run.
-    fn running_s(&self) -> Option<f64> {
-        None
-    }
+    /// Since its last start, s, as long as it ran; `None` where it never did.
+    fn ran_s(&self) -> Option<f64>;
 
     /// Without power nobody hears anything.
-    fn is_powered(&self) -> bool {
-        true
-    }
+    fn is_powered(&self) -> bool;
 
     /// The request with which another master might command it.
-    fn foreign_write(&self) -> Vec<u8> {
-        Vec::new()
-    }
+    fn foreign_write(&self) -> Vec<u8>;
 }
 
 /// What a stream decoder hands out.
@@ -67,8 +61,11 @@ impl Answering for SoftDrive {
         answer_stream(self, received)
     }
 
-    fn running_s(&self) -> Option<f64> {
-        Self::running_s(self)
+    /// It answers all alike.
+    fn asked_by(&mut self, _: u64) {}
+
+    fn ran_s(&self) -> Option<f64> {
+        Self::ran_s(self)
     }
 
     fn is_powered(&self) -> bool {
@@ -108,8 +105,11 @@ impl Answering for ForeignDrive {
         None
     }
 
-    fn running_s(&self) -> Option<f64> {
-        Self::running_s(self)
+    /// It answers all alike.
+    fn asked_by(&mut self, _: u64) {}
+
+    fn ran_s(&self) -> Option<f64> {
+        Self::ran_s(self)
     }
 
     fn is_powered(&self) -> bool {

@@ -222,8 +222,8 @@ impl Answering for Journaled {
         answer
     }
 
-    fn running_s(&self) -> Option<f64> {
-        self.drive.running_s()
+    fn ran_s(&self) -> Option<f64> {
+        self.drive.ran_s()
     }
 
     fn is_powered(&self) -> bool {
@@ -236,6 +236,7 @@ impl Answering for Journaled {
 
     fn asked_by(&mut self, session: u64) {
         self.journal.host = Some(session);
+        self.drive.asked_by(session);
     }
 }
 

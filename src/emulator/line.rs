@@ -82,6 +82,7 @@ impl FarEnd for DriveOnLine {
         };
         self.dialogue.idle(&mut drive, &mut answers);
         self.send(self.silent_from_s, &mut answers, &mut sent);
+        self.spoiler.silence();
         let ahead_s = now_s + AHEAD_S;
         let drive = self.drive.as_mut();
         sent.extend(self.spoiler.unasked(now_s, ahead_s, drive));
@@ -93,8 +94,8 @@ impl DriveOnLine {
     fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            let running_s = self.drive.running_s();
-            sent.extend(self.spoiler.reply(answer, end_s, due_s, running_s));
+            let ran_s = self.drive.ran_s();
+            sent.extend(self.spoiler.reply(answer, end_s, due_s, ran_s));
         }
     }
 }

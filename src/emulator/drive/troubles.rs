@@ -37,10 +37,10 @@ impl Troubles {
     }
 
     /// Brings it up to date; whether anything goes wrong.
-    pub(super) fn look(&mut self, now_s: f64, running_s: Option<f64>) -> bool {
+    pub(super) fn look(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
         self.there.clear();
         for fault in &mut self.lurking {
-            if fault.is_there(now_s, running_s) {
+            if fault.is_there(now_s, ran_s) {
                 self.there.push(fault.entry);
             }
         }
