@@ -174,7 +174,7 @@ impl Drive {
     }
 
     /// The fault is there.
-    fn is_faulty(&self) -> bool {
+    pub(crate) fn is_faulty(&self) -> bool {
         self.from_s.is_some_and(|from_s| self.now_s >= from_s)
     }
 

@@ -26,7 +26,7 @@ const RUN_S: f64 = 600.0;
 /// cycle before is off by more than twice as much at the speeds of this run.
 const ANGLE_RAD: f64 = 0.9;
 /// Cycles of a run outside its record: until the drive is found at rest, and after its last word.
-const UNRECORDED: u64 = 300;
+const UNRECORDED: u64 = 5;
 /// Pages by which a process may grow after its first hour.
 const GROWN_PAGES: u64 = 512;
 
@@ -213,7 +213,7 @@ fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
 fn a_quarter_of_an_hour_over_a_poor_line_brings_no_wrong_value() {
     let account = soak(900.0, |_, _| {});
     assert!(account.samples > 40_000, "{account:?}");
-    assert!(account.lost > 100, "the line is not poor: {account:?}");
+    assert!(account.lost > 20, "the line is not poor: {account:?}");
 }
 
 /// Alone in its process: `cargo test --lib endurance -- --ignored --nocapture`.
