@@ -120,6 +120,29 @@ fn a_motor_that_is_refused_passes_where_that_is_what_has_to_be() {
 }
 
 #[test]
+fn a_step_that_made_no_run_is_not_judged_by_the_run_of_another() {
+    let desk = Desk::new();
+    let text = "name = \"two\"\n[defaults]\nemulator = \"zk-22fc-plain\"\n[[case]]\nname = \"second\"\n\
+                [[case.step]]\nas = \"good\"\nexcite = {}\n\
+                [[case.step]]\nfault = { faults = { open_phase = true } }\n\
+                [[case.step]]\nas = \"bad\"\nexcite = {}\nstatus = 3\n";
+    let judged = |assert: &str, words: &str| {
+        let text = format!("{text}[[case.step]]\nof = \"bad\"\n{assert}\n");
+        let file = desk.put("suite.toml", &text);
+        let done = call("test {} --out {}", &[&file, &desk.path("out")]).expect(1);
+        has(&done.stderr, &[words]);
+    };
+    judged(
+        "assert = { resistance_ohm = [0.5, 2.0], outcome = \"done\" }",
+        "outcome: not in the result, has to be done; resistance_ohm: not in the result",
+    );
+    judged(
+        "signal = [{ channel = \"current_a\", at_s = 0.2, within_s = 0.1, value = 0.0, within = 0.3 }]",
+        "signal: no run was recorded",
+    );
+}
+
+#[test]
 fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let desk = Desk::new();
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\

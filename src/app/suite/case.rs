@@ -1,6 +1,6 @@
 //! One case of a suite, with one seed: its steps one after the other in a folder of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -229,6 +229,7 @@ impl<'a> Progress<'a> {
             .args(&words)
             .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
+        let before = host::runs_in(&self.folder.join("runs"));
         let begin_s = monotonic_s();
         let cannot = |error| Ended::error(format!("{}: {error}", step.name));
         let mut host_said = None;
@@ -241,6 +242,7 @@ impl<'a> Progress<'a> {
                 &words,
                 [&stdout, &stderr],
                 timeout_s,
+                &before,
             );
             let came = came?;
             self.stood_still_s = self.stood_still_s.max(came.stood_still_s);
@@ -281,7 +283,12 @@ impl<'a> Progress<'a> {
             let reason = format!("{}: it ended before anything was done to it", step.name);
             return Err(Ended::error(reason));
         }
-        self.keep(step, verb, &stdout, &done, error);
+        let run = if verb.is_live() {
+            host::newest(&self.folder.join("runs"), &before)
+        } else {
+            self.run_about(options)?
+        };
+        self.keep(step, verb, &stdout, &done, error, run);
         if let Some(left) = self.left.get_mut(&step.name)
             && let Value::Object(figures) = &mut left.result
         {
@@ -308,12 +315,6 @@ impl<'a> Progress<'a> {
     ) -> Result<(), Ended> {
         let Some(Left { result, run }) = self.left.get(&step.name) else {
             return Ok(());
-        };
-        let given = options.iter().find(|(key, _)| key == "run");
-        let given = given.and_then(|(_, run)| run.as_str());
-        let run = match given {
-            Some(given) => Some(PathBuf::from(self.resolved(given)?)),
-            None => run.clone(),
         };
         let manifest = run.as_deref().and_then(manifest_of);
         let manifest = manifest.unwrap_or_default();
@@ -389,6 +390,7 @@ impl<'a> Progress<'a> {
         words: &[String],
         files: [&Path; 2],
         timeout_s: f64,
+        before: &BTreeSet<PathBuf>,
     ) -> Result<host::Came, Ended> {
         let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
         let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
@@ -413,6 +415,7 @@ impl<'a> Progress<'a> {
             other: &mut other,
             second,
             runs: &runs,
+            before,
             folder: self.folder,
             timeout_s,
             stop: self.bench.stop,
@@ -531,19 +534,23 @@ impl<'a> Progress<'a> {
         })
     }
 
-    /// Keeps the result of a command for the steps that follow.
-    fn keep(&mut self, step: &Step, verb: Verb, stdout: &Path, done: &Done, error: Option<String>) {
+    /// Keeps the result of a command for the steps that follow. `run`: the one that a live command began, of which an
+    /// earlier step knows nothing, or the one that another is about.
+    fn keep(
+        &mut self,
+        step: &Step,
+        verb: Verb,
+        stdout: &Path,
+        done: &Done,
+        error: Option<String>,
+        run: Option<PathBuf>,
+    ) {
         let text = fs::read_to_string(stdout)
             .ok()
             .filter(|text| !text.is_empty());
         // On a screen, and where it was killed, there is only what its run has kept.
-        let kept = || host::newest(&self.folder.join("runs"));
-        let of_run = if text.is_none() && verb.is_live() {
-            kept()
-        } else {
-            None
-        };
-        let text = text.or_else(|| fs::read_to_string(of_run.as_ref()?.join("result.json")).ok());
+        let of_run = run.as_ref().filter(|_| verb.is_live());
+        let text = text.or_else(|| fs::read_to_string(of_run?.join("result.json")).ok());
         let text = text.unwrap_or_default();
         let mut result: Value = serde_json::from_str(&text).unwrap_or_default();
         if result.is_null() {
@@ -559,17 +566,22 @@ impl<'a> Progress<'a> {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
         };
-        let run = recorded
-            .and_then(Value::as_str)
-            .map(PathBuf::from)
-            .or(of_run);
-        let run = run.or_else(|| self.last_run().map(Path::to_owned));
+        let run = recorded.and_then(Value::as_str).map(PathBuf::from).or(run);
         self.left.insert(step.name.clone(), Left { result, run });
         self.last = Some(step.name.clone());
     }
 
     fn last_run(&self) -> Option<&Path> {
         self.left.get(self.last.as_ref()?)?.run.as_deref()
+    }
+
+    /// The run that a command which records none is about: the one that it is given, else that of the last command.
+    fn run_about(&self, options: &[(String, toml::Value)]) -> Result<Option<PathBuf>, Ended> {
+        let given = options.iter().find(|(key, _)| key == "run");
+        match given.and_then(|(_, run)| run.as_str()) {
+            Some(given) => Ok(Some(PathBuf::from(self.resolved(given)?))),
+            None => Ok(self.last_run().map(Path::to_owned)),
+        }
     }
 
     /// The words of a command.
@@ -599,10 +611,7 @@ impl<'a> Progress<'a> {
             words.extend(["--port".to_owned(), port.to_owned()]);
         }
         if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
-            let run = match given("run") {
-                Some(run) => Some(self.resolved(run)?),
-                None => self.last_run().map(|run| run.display().to_string()),
-            };
+            let run = self.run_about(options)?;
             let run = run.ok_or_else(|| {
                 Ended::error(format!(
                     "{}: no earlier step has recorded a run",
@@ -612,7 +621,7 @@ impl<'a> Progress<'a> {
             if verb == Verb::Add {
                 words.push("--run".to_owned());
             }
-            words.push(run);
+            words.push(run.display().to_string());
         }
         if verb.is_live() {
             words.extend(["--port".to_owned(), port.to_owned()]);

@@ -5,7 +5,7 @@
 //! this process, the command and the drive watched --> how long the machine stood still, which says nothing of any of them
 //! ```
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fs::{self, File};
 use std::io::{self, PipeReader, Read, Write as _};
 use std::path::{Path, PathBuf};
@@ -55,6 +55,8 @@ pub(super) struct Stage<'a> {
     pub(super) second: Command,
     /// Where the command puts its runs.
     pub(super) runs: &'a Path,
+    /// Runs that are not of this command.
+    pub(super) before: &'a BTreeSet<PathBuf>,
     pub(super) folder: &'a Path,
     pub(super) timeout_s: f64,
     pub(super) stop: &'a AtomicBool,
@@ -307,7 +309,7 @@ impl Watched<'_> {
         }
         if self.stage.act.act.has_screen() && now_s - self.pressed_s > KEYS_S {
             self.pressed_s = now_s;
-            if newest(self.stage.runs).is_some_and(|run| is_finished(&run)) {
+            if newest(self.stage.runs, self.stage.before).is_some_and(|run| is_finished(&run)) {
                 self.outlet.press(b'q');
             }
         }
@@ -370,7 +372,7 @@ impl Watched<'_> {
                 fs::rename(self.stage.runs, &gone)?;
                 fs::remove_dir_all(gone)?;
             }
-            Act::DiskFull => fill(child, self.stage.runs)?,
+            Act::DiskFull => fill(child, newest(self.stage.runs, self.stage.before))?,
             Act::PortAbsent | Act::PortForbidden | Act::OutForbidden => {}
         }
         let now_s = self.act_s.unwrap_or_else(monotonic_s);
@@ -450,7 +452,7 @@ impl Watched<'_> {
             .filter(|row| row.time_s >= begin_s && row.late_s > STOOD_STILL_S);
         self.gaps.extend(late.map(|row| (row.time_s, row.late_s)));
         let rows_lost = (act == Act::Kill)
-            .then(|| rows_lost(rows.last(), self.stage.runs))
+            .then(|| rows_lost(rows.last(), &newest(self.stage.runs, self.stage.before)?))
             .flatten();
         let counts = |(at_s, _): &&(f64, f64)| act_s.is_none_or(|act_s| *at_s > act_s - BEFORE_S);
         let stood_still_s = self
@@ -483,14 +485,20 @@ pub(super) fn motor(rows: &[JournalRow], begin_s: f64, act_s: f64) -> Value {
     serde_json::to_value(figures(&rows[first..], act_s)).unwrap_or_default()
 }
 
-/// The newest run in a folder of runs.
-pub(super) fn newest(runs: &Path) -> Option<PathBuf> {
-    let entries = fs::read_dir(runs).ok()?;
-    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    // The link to the newest is none.
+/// The folders in a folder of runs; the link to the newest is none.
+pub(super) fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
+    let entries = fs::read_dir(runs).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path());
     folders
         .filter(|path| path.is_dir() && !path.is_symlink())
-        .max()
+        .collect()
+}
+
+/// The newest run that was not there `before`.
+pub(super) fn newest(runs: &Path, before: &BTreeSet<PathBuf>) -> Option<PathBuf> {
+    let mut runs = runs_in(runs);
+    runs.retain(|run| !before.contains(run));
+    runs.pop_last()
 }
 
 fn is_finished(run: &Path) -> bool {
@@ -500,8 +508,8 @@ fn is_finished(run: &Path) -> bool {
 }
 
 /// Commands that the drive has applied and of which the record has no row: a reply that was on its way is one.
-fn rows_lost(last: Option<&JournalRow>, runs: &Path) -> Option<u16> {
-    let text = fs::read_to_string(newest(runs)?.join("samples.csv")).ok()?;
+fn rows_lost(last: Option<&JournalRow>, run: &Path) -> Option<u16> {
+    let text = fs::read_to_string(run.join("samples.csv")).ok()?;
     let whole = &text[..=text.rfind('\n')?];
     let (head, row) = (whole.lines().next()?, whole.lines().next_back()?);
     let place = head.split(',').position(|name| name == "seq")?;
@@ -511,11 +519,11 @@ fn rows_lost(last: Option<&JournalRow>, runs: &Path) -> Option<u16> {
 }
 
 /// What a full disk does: no file of this process grows beyond what the record of its run is now.
-fn fill(child: &Child, runs: &Path) -> io::Result<()> {
+fn fill(child: &Child, run: Option<PathBuf>) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Pid, Resource, Rlimit, prlimit};
-        let samples = newest(runs).map(|run| run.join("samples.csv"));
+        let samples = run.map(|run| run.join("samples.csv"));
         let size = samples.and_then(|path| Some(fs::metadata(path).ok()?.len()));
         let size = size.ok_or_else(|| io::Error::other("there is no record yet"))?;
         let id = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
@@ -528,7 +536,7 @@ fn fill(child: &Child, runs: &Path) -> io::Result<()> {
     }
     #[cfg(not(target_os = "linux"))]
     {
-        let _ = (child, runs);
+        let _ = (child, run);
         Err(io::ErrorKind::Unsupported.into())
     }
 }
