@@ -62,6 +62,40 @@ fn a_motor_that_does_not_do_as_it_has_to_fails_its_case() {
     assert_eq!(done.json()["skipped"], 1, "{}", done.stderr);
 }
 
+/// A command that its drive refuses before anything is done to it looks as on a machine that stood still.
+#[test]
+fn an_attempt_that_says_nothing_is_kept_and_told() {
+    let desk = Desk::new();
+    desk.put("bench.toml", &BenchFile::long("modbus-rtu").text());
+    let suite = desk.put(
+        "suite.toml",
+        "name = \"early\"\n[[case]]\nname = \"refused\"\nbench = \"bench.toml\"\nemulator = \"zk-22fc-plain\"\n\
+         port = \"emulator\"\n[[case.step]]\nfault = { faults = { open_phase = true } }\n\
+         [[case.step]]\nexcite = {}\nhost = { act = \"kill\", beyond_v = 20.0 }\nstatus = 137\n",
+    );
+    let junit = desk.path("j.xml");
+    let done = call(
+        "test {} --json --out {} --junit {}",
+        &[&suite, &desk.out(), &junit],
+    );
+    let case = &done.json()["cases"][0];
+    assert_eq!(case["attempts"], 4, "{case:#}");
+    assert!(!is_judged(case), "{case:#}");
+    let set_aside = case["set_aside"].as_array().expect("three attempts");
+    assert_eq!(set_aside.len(), 3, "{case:#}");
+    let folder = only_folder(&desk.out());
+    for attempt in 1..4 {
+        let kept = folder.join(format!("0001-attempt-{attempt}/02-excite.txt"));
+        has(&fs::read_to_string(kept).expect("its evidence"), &["open"]);
+    }
+    let first = "attempt 1 of 4: excite: exit status 3, has to be 137";
+    has(&done.stderr, &[first, "refused, attempt 4 of 4"]);
+    has(
+        &fs::read_to_string(junit).expect("a file"),
+        &["<system-out>", first],
+    );
+}
+
 /// The kernel asks its command to end in its place, and the command brings the motor to zero.
 #[test]
 #[cfg(target_os = "linux")]

@@ -26,7 +26,7 @@ use crate::workflow::suite::{
 };
 
 /// Attempts at a case in which this machine stood still.
-const ATTEMPTS: u32 = 4;
+pub(super) const ATTEMPTS: u32 = 4;
 /// Keeps the other drive of a case apart from its own.
 const ANOTHER: u64 = 1000;
 /// Watchdog of a drive in the guise of another, of which the emulator's file says nothing, s.
@@ -110,29 +110,49 @@ impl Progress<'_> {
 /// did not pass says nothing: it is tried again, and at last not judged.
 pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path) -> CaseOutcome {
     let mut attempts = 1;
+    let mut set_aside = Vec::new();
     loop {
         let (mut outcome, disturbance) = attempt(bench, case, seed, folder);
         outcome.attempts = attempts;
+        outcome.set_aside.clone_from(&set_aside);
         let disturbance = disturbance.filter(|_| outcome.verdict != Verdict::Passed);
         let Some(why) = disturbance.filter(|_| !bench.stop.load(Ordering::Acquire)) else {
             return outcome;
         };
+        let (Verdict::Failed(reason) | Verdict::Error(reason) | Verdict::Skipped(reason)) =
+            &outcome.verdict
+        else {
+            return outcome;
+        };
         if attempts == ATTEMPTS {
-            if let Verdict::Failed(reason) | Verdict::Error(reason) = &outcome.verdict {
-                let text =
-                    format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
-                outcome.verdict = Verdict::Error(text);
-            }
+            let text = format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
+            outcome.verdict = Verdict::Error(text);
             return outcome;
         }
+        let kept = beside(folder, attempts);
+        if let Err(error) = fs::rename(folder, &kept) {
+            let text = format!("{reason}; {why}, and {}: {error}", kept.display());
+            outcome.verdict = Verdict::Error(text);
+            return outcome;
+        }
+        let said = format!(
+            "attempt {attempts} of {ATTEMPTS}: {reason}; {why} ({})",
+            kept.display()
+        );
         output::message(&format!(
-            "again   {:>7.1} s  {}: {why}",
+            "again   {:>7.1} s  {}: {said}",
             outcome.took_s, case.name
         ));
+        set_aside.push(said);
         attempts += 1;
-        // What cannot be removed shows as a folder that is there already.
-        let _ = fs::remove_dir_all(folder);
     }
+}
+
+/// Where the evidence of an attempt that is not the last is kept.
+fn beside(folder: &Path, attempt: u32) -> PathBuf {
+    let mut name = folder.as_os_str().to_owned();
+    name.push(format!("-attempt-{attempt}"));
+    PathBuf::from(name)
 }
 
 fn attempt(
@@ -173,6 +193,7 @@ fn attempt(
         verdict,
         took_s: watch.took_s(),
         attempts: 1,
+        set_aside: Vec::new(),
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,

@@ -300,6 +300,8 @@ impl Watched<'_> {
             if self.is_due(now_s) {
                 self.act_s = Some(monotonic_s());
                 self.act(child)?;
+                // What we do ourselves is no machine that stands still.
+                self.last_s = monotonic_s();
             }
         } else {
             if let Some((_, act)) = self.pending.take_if(|(at_s, _)| now_s >= *at_s) {

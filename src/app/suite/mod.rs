@@ -308,11 +308,19 @@ fn line(outcome: &CaseOutcome, repeats: u64) -> String {
         Verdict::Error(reason) => ("ERROR", Some(reason)),
         Verdict::Skipped(reason) => ("skipped", Some(reason)),
     };
-    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
+    let attempt = match outcome.attempts {
+        0 | 1 => String::new(),
+        attempts => format!(", attempt {attempts} of {}", case::ATTEMPTS),
+    };
+    let mut line = format!(
+        "{word:<8}{:>7.1} s  {}{seed}{attempt}",
+        outcome.took_s, outcome.name
+    );
+    let evidence = outcome.evidence.as_ref().filter(|_| reason.is_some());
     for text in reason
         .into_iter()
-        .chain(&outcome.evidence)
-        .take(if reason.is_some() { 2 } else { 0 })
+        .chain(evidence)
+        .chain(outcome.set_aside.first())
     {
         line.push_str("\n                   ");
         line.push_str(text);
