@@ -85,7 +85,7 @@ fn an_attempt_that_says_nothing_is_kept_and_told() {
     assert_eq!(set_aside.len(), 3, "{case:#}");
     let folder = only_folder(&desk.out());
     for attempt in 1..4 {
-        let kept = folder.join(format!("0001-attempt-{attempt}/02-excite.txt"));
+        let kept = folder.join(format!("0001-attempt-{attempt}/01-excite.txt"));
         has(&fs::read_to_string(kept).expect("its evidence"), &["open"]);
     }
     let first = "attempt 1 of 4: excite: exit status 3, has to be 137";
