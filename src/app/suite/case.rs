@@ -490,6 +490,7 @@ impl<'a> Progress<'a> {
             bench,
             seed,
             watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
+            stop: self.bench.stop,
         })
     }
 
@@ -783,6 +784,7 @@ struct KeptOrder<'a> {
     bench: BenchFile,
     seed: u64,
     watchdog_s: f64,
+    stop: &'a AtomicBool,
 }
 
 impl KeptOrder<'_> {
@@ -796,6 +798,7 @@ impl KeptOrder<'_> {
             protocol: self.bench.link.protocol,
             seed: self.seed,
             watchdog_s: self.watchdog_s,
+            stop: self.stop,
         }
     }
 }

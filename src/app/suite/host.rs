@@ -170,8 +170,7 @@ fn start(
     if !has_screen {
         let ((out, to_out), (err, to_err)) = (io::pipe()?, io::pipe()?);
         for pipe in [&out, &err] {
-            let flags = rustix::fs::fcntl_getfl(pipe)?;
-            rustix::fs::fcntl_setfl(pipe, flags | rustix::fs::OFlags::NONBLOCK)?;
+            process::do_not_block(pipe)?;
         }
         command.stdin(Stdio::null()).stdout(to_out).stderr(to_err);
         let pipes = [

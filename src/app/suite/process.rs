@@ -6,6 +6,7 @@
 
 use std::fs::File;
 use std::io;
+use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -103,6 +104,15 @@ fn tied(command: &mut Command, has_terminal: bool) {
     unsafe {
         command.pre_exec(prepare);
     }
+}
+
+/// From now on a read of this end returns at once.
+pub(super) fn do_not_block(end: impl AsFd) -> io::Result<()> {
+    let flags = rustix::fs::fcntl_getfl(&end)?;
+    Ok(rustix::fs::fcntl_setfl(
+        &end,
+        flags | rustix::fs::OFlags::NONBLOCK,
+    )?)
 }
 
 /// Sends a signal; a process that has just ended hears nothing.
