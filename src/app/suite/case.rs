@@ -285,7 +285,8 @@ impl<'a> Progress<'a> {
         let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
-            End::Asked | End::Killed => None,
+            End::Asked(status) => status,
+            End::Killed => None,
         };
         self.outcomes.push(StepOutcome {
             name: step.name.clone(),
@@ -524,11 +525,11 @@ impl<'a> Progress<'a> {
                     status: Some(INTERRUPTED),
                 });
             }
-            End::Asked => {
-                let reason = format!(
-                    "{name}: not done in {timeout_s} s; it was ended, the motor stopped by its guard"
-                );
-                return Err(Ended::error(reason));
+            End::Asked(status) => {
+                let how = asked_to_end(status, error);
+                return Err(Ended::error(format!(
+                    "{name}: not done in {timeout_s} s; {how}"
+                )));
             }
             End::Killed => {
                 let reason = format!(
@@ -827,6 +828,22 @@ fn merge(table: &mut toml::Table, changes: &toml::Table) {
     }
 }
 
+/// How a command ended that was asked to, and what is known of the motor: what the command says of it, if it is an end by
+/// its guard.
+fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
+    let ended = match status {
+        Some(status) => format!("asked to end, it did with exit status {status}"),
+        None => "asked to end, it was gone without a word".to_owned(),
+    };
+    match (status, said) {
+        (Some(INTERRUPTED), Some(said)) => format!("{ended}: {said}"),
+        (_, said) => {
+            let said = said.map_or_else(String::new, |said| format!(": {said}"));
+            format!("{ended}{said}; how it left the motor is not known")
+        }
+    }
+}
+
 /// The error that a command ended with, as it says it to programs.
 fn error_said(stderr: &Path) -> Option<String> {
     let text = fs::read_to_string(stderr).ok()?;
@@ -838,4 +855,30 @@ fn error_said(stderr: &Path) -> Option<String> {
     };
     let said: Value = serde_json::from_str(line).ok()?;
     said.pointer("/error/message")?.as_str().map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_command_says_how_it_left_its_motor() {
+        let words = "stopped before the end; the drive confirmed zero output";
+        assert_eq!(
+            asked_to_end(Some(INTERRUPTED), Some(words)),
+            format!("asked to end, it did with exit status 130: {words}")
+        );
+        for (status, said) in [
+            (Some(INTERRUPTED), None),
+            (Some(LINK), Some("link lost")),
+            (Some(0), None),
+            (None, None),
+        ] {
+            let text = asked_to_end(status, said);
+            assert!(
+                text.ends_with("how it left the motor is not known"),
+                "{text}"
+            );
+        }
+    }
 }

@@ -432,7 +432,7 @@ impl Watched<'_> {
         let second = match self.second.take() {
             Some(second) => match process::attend(second, timeout_s, stop, LOOK, |_| Ok(()))?.end {
                 End::Status(status) => Some(status),
-                End::Asked | End::Killed => None,
+                End::Asked(_) | End::Killed => None,
             },
             None => None,
         };

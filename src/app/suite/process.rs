@@ -27,8 +27,8 @@ const GRACE: Duration = Duration::from_secs(15);
 pub(super) enum End {
     /// By itself, with this exit status.
     Status(u8),
-    /// It did not end in its time, and did so when it was asked to.
-    Asked,
+    /// It did not end in its time, and did so when it was asked to: with this exit status, or by a signal.
+    Asked(Option<u8>),
     /// It had to be killed, or was by a signal.
     Killed,
 }
@@ -152,7 +152,7 @@ pub(super) fn attend(
             return Err(error);
         }
         if let Some(status) = child.try_wait()? {
-            break ended(status);
+            break code_of(status).map_or(End::Killed, End::Status);
         }
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
             break end(&mut child, period, &mut look)?;
@@ -166,9 +166,8 @@ pub(super) fn attend(
     })
 }
 
-fn ended(status: ExitStatus) -> End {
-    let code = status.code().and_then(|code| u8::try_from(code).ok());
-    code.map_or(End::Killed, End::Status)
+fn code_of(status: ExitStatus) -> Option<u8> {
+    status.code().and_then(|code| u8::try_from(code).ok())
 }
 
 fn end(
@@ -181,8 +180,8 @@ fn end(
     while asked.took_s() < GRACE.as_secs_f64() {
         // What it looks at may be gone with the end that was asked for.
         let _ = look(child);
-        if child.try_wait()?.is_some() {
-            return Ok(End::Asked);
+        if let Some(status) = child.try_wait()? {
+            return Ok(End::Asked(code_of(status)));
         }
         std::thread::sleep(period);
     }
@@ -212,7 +211,14 @@ mod tests {
             "trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done",
             0.3,
         );
-        assert_eq!((done.end, out.as_str()), (End::Asked, "stopped\n"));
+        assert_eq!(
+            (done.end, out.as_str()),
+            (End::Asked(Some(130)), "stopped\n")
+        );
+        let (done, _) = shell("trap 'exit 6' TERM; while :; do sleep 0.01; done", 0.3);
+        assert_eq!(done.end, End::Asked(Some(6)));
+        // It has no answer to the signal.
+        assert_eq!(shell("exec sleep 60", 0.3).0.end, End::Asked(None));
         assert_eq!(shell("kill -KILL $$", 60.0).0.end, End::Killed);
     }
 }
