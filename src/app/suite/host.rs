@@ -289,12 +289,19 @@ struct Watched<'a> {
 }
 
 impl Watched<'_> {
-    fn look(&mut self, child: &mut Child) -> io::Result<()> {
+    fn look(&mut self, child: Option<&Child>) -> io::Result<()> {
         let now_s = monotonic_s();
-        self.watch_machine(now_s, child);
         if self.is_read {
             self.outlet.read();
         }
+        let Some(child) = child else {
+            // What it said at last; nothing can be done to it any more.
+            if self.act_s.is_some() {
+                self.listen(now_s);
+            }
+            return Ok(());
+        };
+        self.watch_machine(now_s, child);
         if self.act_s.is_none() {
             if self.is_due(now_s) {
                 self.act_s = Some(monotonic_s());
@@ -477,6 +484,15 @@ impl Watched<'_> {
             found,
             stood_still_s,
         })
+    }
+}
+
+impl Drop for Watched<'_> {
+    /// Whatever cut it short, the second host does not run on unwatched.
+    fn drop(&mut self) {
+        if let Some(mut second) = self.second.take() {
+            let _ = process::end(&mut second, LOOK, &mut |_| Ok(()));
+        }
     }
 }
 

@@ -136,17 +136,18 @@ pub(super) fn finish(
     attend(start(command)?, timeout_s, stop, LOOK, |_| Ok(()))
 }
 
-/// Waits for the end of a process, with a `look` at it every `period`.
+/// Waits for the end of a process, with a `look` at it every `period`, and a last one at what it left: there is no process any
+/// more that anything could be done to, and its number may be another's.
 pub(super) fn attend(
     mut child: Child,
     timeout_s: f64,
     stop: &AtomicBool,
     period: Duration,
-    mut look: impl FnMut(&mut Child) -> io::Result<()>,
+    mut look: impl FnMut(Option<&Child>) -> io::Result<()>,
 ) -> io::Result<Done> {
     let watch = Watch::start();
     let end = loop {
-        if let Err(error) = look(&mut child) {
+        if let Err(error) = look(Some(&child)) {
             // Whatever became of the look, no command runs on unwatched.
             end(&mut child, period, &mut |_| Ok(()))?;
             return Err(error);
@@ -159,7 +160,7 @@ pub(super) fn attend(
         }
         std::thread::sleep(period);
     };
-    look(&mut child)?;
+    look(None)?;
     Ok(Done {
         end,
         took_s: watch.took_s(),
@@ -170,16 +171,17 @@ fn code_of(status: ExitStatus) -> Option<u8> {
     status.code().and_then(|code| u8::try_from(code).ok())
 }
 
-fn end(
+/// Asks a process to end, and kills it where it does not.
+pub(super) fn end(
     child: &mut Child,
     period: Duration,
-    look: &mut impl FnMut(&mut Child) -> io::Result<()>,
+    look: &mut impl FnMut(Option<&Child>) -> io::Result<()>,
 ) -> io::Result<End> {
     signal(child, Signal::SIGTERM);
     let asked = Watch::start();
     while asked.took_s() < GRACE.as_secs_f64() {
         // What it looks at may be gone with the end that was asked for.
-        let _ = look(child);
+        let _ = look(Some(child));
         if let Some(status) = child.try_wait()? {
             return Ok(End::Asked(code_of(status)));
         }
@@ -201,6 +203,28 @@ mod tests {
         command.args(["-c", script]);
         let done = finish(command, &out, &err, timeout_s, &AtomicBool::new(false)).unwrap();
         (done, std::fs::read_to_string(out).unwrap())
+    }
+
+    #[test]
+    fn the_last_look_has_no_process_that_anything_could_be_done_to() {
+        for (script, timeout_s) in [("sleep 0.1", 60.0), ("exec sleep 60", 0.1)] {
+            let mut command = Command::new("sh");
+            command.args(["-c", script]);
+            let mut looks = Vec::new();
+            let look = |child: Option<&Child>| {
+                // While it is shown it is there, though it may have ended.
+                let is_there = child.map(|child| {
+                    let id = i32::try_from(child.id()).unwrap();
+                    kill(Pid::from_raw(id), None).is_ok()
+                });
+                looks.push(is_there);
+                Ok(())
+            };
+            let child = start(command).unwrap();
+            attend(child, timeout_s, &AtomicBool::new(false), LOOK, look).unwrap();
+            assert_eq!(looks.pop(), Some(None));
+            assert!(looks.len() > 1 && looks.iter().all(|look| *look == Some(true)));
+        }
     }
 
     #[test]
