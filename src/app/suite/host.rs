@@ -360,7 +360,7 @@ impl Watched<'_> {
                 self.line(Carries::Gone);
                 let other = (self.stage.other)()?;
                 if let Some(line) = self.stage.line {
-                    line.lead_to(other.address.clone());
+                    line.lead_to(&other.address)?;
                 }
                 self.other = Some(other);
             }
@@ -444,11 +444,9 @@ impl Watched<'_> {
             None => None,
         };
         let second_said = fs::read_to_string(self.stage.folder.join("second-host.txt")).ok();
-        // A drive that was never meant to be written to.
-        let touched = self.other.as_mut().map(|other| {
-            let is_touched =
-                |row: &JournalRow| row.seq != 0 || row.output_on || row.state != "disabled";
-            other.rows().iter().any(is_touched)
+        let touched = self.other.as_mut().and_then(|other| {
+            let end_s = monotonic_s();
+            is_touched(other.rows_at_rest(), end_s)
         });
         let begin_s = self.begin_s;
         let after = |at_s: Option<f64>| at_s.zip(self.act_s).map(|(at_s, act_s)| at_s - act_s);
@@ -511,6 +509,15 @@ pub(super) fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
         .collect()
 }
 
+/// Whether anything was written to a drive that was never meant to be written to; not known where its journal does not reach
+/// to the end of the command.
+fn is_touched(rows: &[JournalRow], end_s: f64) -> Option<bool> {
+    let is_written = |row: &JournalRow| row.seq != 0 || row.output_on || row.state != "disabled";
+    let is_whole = rows.last().is_some_and(|row| row.time_s >= end_s);
+    let found = rows.iter().any(is_written);
+    (found || is_whole).then_some(found)
+}
+
 /// The newest run that was not there `before`.
 pub(super) fn newest(runs: &Path, before: &BTreeSet<PathBuf>) -> Option<PathBuf> {
     let mut runs = runs_in(runs);
@@ -571,4 +578,30 @@ fn kept_waiting_s(process: u32, waits: &mut HashMap<PathBuf, u64>) -> f64 {
         }
     }
     longest as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_whose_journal_is_behind_is_not_said_to_be_untouched() {
+        let row = |time_s: f64, seq: u16| JournalRow {
+            time_s,
+            set_point_v: 0.0,
+            output_on: false,
+            voltage_v: 0.0,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            state: "disabled".to_owned(),
+            fault: "none".to_owned(),
+            host: None,
+            seq,
+            late_s: 0.0,
+        };
+        assert_eq!(is_touched(&[], 1.0), None);
+        assert_eq!(is_touched(&[row(0.9, 0)], 1.0), None);
+        assert_eq!(is_touched(&[row(0.9, 0), row(1.1, 0)], 1.0), Some(false));
+        assert_eq!(is_touched(&[row(0.9, 3)], 1.0), Some(true));
+    }
 }
