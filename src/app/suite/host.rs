@@ -542,7 +542,8 @@ fn rows_lost(last: Option<&JournalRow>, run: &Path) -> Option<u16> {
     Some(last?.seq.wrapping_sub(low))
 }
 
-/// What a full disk does: no file of this process grows beyond what the record of its run is now.
+/// No file of this process grows beyond what the record of its run is now. It stands for a full disk, which the program
+/// handles as the same; what the system says is another word (EFBIG, not ENOSPC).
 fn fill(child: &Child, run: Option<PathBuf>) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {

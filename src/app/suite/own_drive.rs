@@ -19,7 +19,7 @@ use crate::emulator::JournalRow;
 const SETTLES_S: f64 = 0.3;
 /// Longest wait for a drive that can be opened, s.
 const READY_S: f64 = 60.0;
-/// Longest wait for them, s: a machine that stands still.
+/// Longest wait beyond that, s: a machine that stands still.
 const PATIENCE_S: f64 = 10.0;
 
 /// What is asked of it.
@@ -121,9 +121,10 @@ impl OwnDrive {
 
     /// The same once it has noted whatever a watchdog would still do, if it is there to note anything.
     pub(super) fn rows_at_rest(&mut self) -> &[JournalRow] {
-        let until_s = process::monotonic_s() + self.watchdog_s + SETTLES_S;
+        let settles_s = self.watchdog_s + SETTLES_S;
+        let until_s = process::monotonic_s() + settles_s;
         let watch = Watch::start();
-        while watch.took_s() < PATIENCE_S
+        while watch.took_s() < settles_s + PATIENCE_S
             && self.child.try_wait().is_ok_and(|ended| ended.is_none())
             && self.rows().last().is_none_or(|row| row.time_s < until_s)
         {
