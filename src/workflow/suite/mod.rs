@@ -131,6 +131,25 @@ pub struct SignalLimit {
 }
 
 impl SignalLimit {
+    /// What is wrong with it, and what is allowed.
+    fn refusal(&self) -> Option<(String, String)> {
+        let wrong = |key: &str, value: f64, allowed: &str| {
+            let what = format!("signal: {key} = {value} is not allowed");
+            Some((what, format!("allowed: {allowed}")))
+        };
+        for (key, value) in [("at_s", self.at_s), ("value", self.value)] {
+            if !value.is_finite() {
+                return wrong(key, value, "a number");
+            }
+        }
+        for (key, width) in [("within_s", self.within_s), ("within", self.within)] {
+            if !(width.is_finite() && width >= 0.0) {
+                return wrong(key, width, "a width, not negative");
+            }
+        }
+        None
+    }
+
     /// What was found, in words, where no sample around the instant has the value. `points`: time from the start of the run,
     /// s, and value.
     pub fn fails(&self, points: impl Iterator<Item = (f64, f64)>) -> Option<String> {
@@ -552,6 +571,9 @@ fn read_assert(
             let help = help_for_unknown(&signal.channel, Channel::ALL.map(Channel::key));
             return Err((at, what, help));
         }
+        if let Some((what, help)) = signal.refusal() {
+            return Err((at, what, help));
+        }
     }
     Ok(Action::Assert {
         of,
@@ -727,6 +749,16 @@ timeout_s = 9.0
                 "of = \"fit\"",
                 "of = \"fir\"",
                 "no earlier step is named so",
+            ),
+            (
+                "within = 2.0",
+                "within = inf",
+                "signal: within = inf is not allowed",
+            ),
+            (
+                "within_s = 0.1",
+                "within_s = nan",
+                "signal: within_s = NaN is not allowed",
             ),
             (
                 "timeout_s = 9.0",
