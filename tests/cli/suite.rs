@@ -217,6 +217,26 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
 }
 
 #[test]
+fn what_a_suite_goes_without_on_a_real_drive_is_said_before_anybody_consents() {
+    let desk = Desk::new();
+    let text = "name = \"bold\"\n[[case]]\nname = \"unproven\"\nrepeat = 2\n\
+                [[case.step]]\nexcite = { waive_watchdog = true, waive_direction = false }\n\
+                [[case.step]]\nspeed = { reset_fault = true, waive_watchdog = true }\n\
+                [[case]]\nname = \"careful\"\n[[case.step]]\nexcite = { waive_plausibility = false }\n";
+    let said =
+        "case \"unproven\" sets waive_watchdog, reset_fault: checks that keep a real motor safe";
+    for consent in ["", "--hardware"] {
+        let options = format!("--port /dev/ttyNONE {consent}");
+        let done = tested(&desk, text, &options).expect(3);
+        let told = done.stderr.replace("\n  ", " ");
+        assert_eq!(told.matches(said).count(), 1, "{told}");
+        assert!(!told.contains("\"careful\" sets"), "{told}");
+    }
+    let done = tested(&desk, text, "--port sim: --list").expect(0);
+    assert!(!done.stderr.contains("unproven"), "{}", done.stderr);
+}
+
+#[test]
 fn shipped_suites_are_read_and_listed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/suites");
     for entry in fs::read_dir(root).unwrap() {
