@@ -10,10 +10,6 @@ use crate::app::analyse::{Analysed, AnalysisRequest, Form, analyse, analysis_of}
 
 /// Analyse many runs, each by itself, into one table: a row a run, with its parameters, their intervals and verdicts
 #[derive(clap::Args)]
-#[expect(
-    clippy::doc_markdown,
-    reason = "the help in a terminal shows backticks as they are"
-)]
 #[command(after_help = "Examples:
   drivebench analyse runs --out fleet.csv                     every run below the folder
   drivebench analyse runs --out fleet.csv --resume            only what is new or was changed

@@ -220,7 +220,7 @@ pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
             ));
             lines.extend(
                 drift
-                    .drifted()
+                    .in_question()
                     .map(|change| format!("  {}", change.sentence)),
             );
             lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));

@@ -339,8 +339,10 @@ impl<'a> Progress<'a> {
             if let Some(Value::Object(figures)) =
                 self.left.get_mut(&step.name).map(|left| &mut left.result)
             {
-                let drifted: Vec<&str> =
-                    drift.drifted().map(|change| change.key.as_str()).collect();
+                let drifted: Vec<&str> = drift
+                    .in_question()
+                    .map(|change| change.key.as_str())
+                    .collect();
                 figures.insert("drift".to_owned(), drifted.into());
                 figures.insert("drift_percent".to_owned(), drift.largest_percent().into());
             }

@@ -16,10 +16,12 @@ use super::temperature;
 use crate::numerics::statistics::mean;
 use crate::plant::MotorKey;
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
-use crate::text::number::{probability, significant, with_unit};
+use crate::text::number::{exponent_of, fixed, places, probability, significant};
 
 /// Probability that any parameter at all is named where nothing has changed.
 pub const FALSE_ALARM: f64 = 0.01;
+/// Degrees of freedom below which repeats hardly tell how far a machine moves of itself: two runs beside one are one.
+const FEW: f64 = 3.0;
 /// Standard deviations that a value has to be from zero for its change to be told in per cent of it.
 const CLEAR_OF_ZERO: f64 = 5.0;
 /// Copper: relative change of resistance per kelvin, from 20 °C.
@@ -40,7 +42,11 @@ pub struct Change {
     pub interval_95: [f64; 2],
     /// That chance alone gives a change like this to any of the parameters that were compared.
     pub by_chance: f64,
+    /// That the noise within the runs alone gives it to this parameter.
+    pub by_noise: f64,
     pub drifted: bool,
+    /// Beyond the noise within the runs, and yet not named: the repeats are too few to tell how far the machine moves of itself.
+    pub unsettled: bool,
     /// What may be behind it; none where it is not shown, or where nothing is known.
     pub possible_cause: Option<String>,
     pub sentence: String,
@@ -80,10 +86,16 @@ impl Drift {
         self.changes.iter().filter(|change| change.drifted)
     }
 
-    /// Largest change that was shown, either way, in per cent; zero where none was.
+    /// What has drifted, and what may have: of all others it was shown how little they can have changed.
+    pub fn in_question(&self) -> impl Iterator<Item = &Change> {
+        let changes = self.changes.iter();
+        changes.filter(|change| change.drifted || change.unsettled)
+    }
+
+    /// Largest change of these, either way, in per cent; zero where there is none.
     pub fn largest_percent(&self) -> f64 {
         let sizes = self
-            .drifted()
+            .in_question()
             .map(|change| change.percent.map_or(f64::INFINITY, f64::abs));
         sizes.fold(0.0, f64::max)
     }
@@ -160,8 +172,12 @@ pub fn between(
         }
     }
     correct(&mut changes);
+    let freedom = (before.len() + after.len()) as f64 - 2.0;
+    let compared = changes.len() as f64;
     for change in &mut changes {
         change.drifted = change.by_chance < FALSE_ALARM;
+        let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
+        change.unsettled = is_beyond_noise && !change.drifted && freedom < FEW;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
         change.sentence = sentence(change, since);
     }
@@ -221,7 +237,8 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
     let half_of_spread = student.map_or(0.0, |(std, student)| std * student.inverse_cdf(0.975));
     let half = half_of_spread.max(TWO_SIDED_95 * by_noise);
     let normal = Normal::standard();
-    let mut by_chance = 2.0 * normal.sf(change.abs() / by_noise);
+    let of_noise = 2.0 * normal.sf(change.abs() / by_noise);
+    let mut by_chance = of_noise;
     if let Some((std, student)) = student.filter(|(std, _)| *std > 0.0) {
         by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
     }
@@ -241,7 +258,9 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
         change,
         interval_95: [change - half, change + half],
         by_chance,
+        by_noise: of_noise,
         drifted: false,
+        unsettled: false,
         possible_cause: None,
         sentence: String::new(),
     }
@@ -306,27 +325,28 @@ fn cause(change: &Change) -> Option<String> {
     })
 }
 
-fn in_percent(value: f64) -> String {
-    let text = significant(value, 2);
-    if value > 0.0 {
-        format!("+{text}")
-    } else {
-        text
-    }
+/// Three numbers with their sign, to the digits that tell the ends of the interval apart.
+fn signed(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
+    let decimals = places(exponent_of(0.5 * (high - low), 1).saturating_neg());
+    [value, low, high].map(|value| {
+        let text = fixed(value, decimals);
+        if value > 0.0 {
+            format!("+{text}")
+        } else {
+            text
+        }
+    })
 }
 
 /// The change itself, with its interval.
 fn size(change: &Change) -> String {
-    if let (Some(percent), Some([low, high])) = (change.percent, change.interval_95_percent) {
-        let [percent, low, high] = [percent, low, high].map(in_percent);
+    if let (Some(percent), Some(interval)) = (change.percent, change.interval_95_percent) {
+        let [percent, low, high] = signed(percent, interval);
         return format!("{percent} % (95 % interval {low} to {high} %)");
     }
-    let [low, high] = change.interval_95.map(in_percent);
-    let size = with_unit(&in_percent(change.change), change.unit);
-    format!(
-        "{size} (95 % interval {low} to {})",
-        with_unit(&high, change.unit)
-    )
+    let [size, low, high] = signed(change.change, change.interval_95);
+    let unit = change.unit;
+    format!("{size} {unit} (95 % interval {low} to {high} {unit})")
 }
 
 fn sentence(change: &Change, since: &str) -> String {
@@ -340,6 +360,13 @@ fn sentence(change: &Change, since: &str) -> String {
             size(change)
         );
     }
+    if change.unsettled {
+        return format!(
+            "{name} {} since {since}: beyond the noise within the runs, and too few of them to tell how far this machine moves \
+             from run to run of itself; repeat the run",
+            size(change)
+        );
+    }
     match change.at_most_percent() {
         Some(most) => format!(
             "{name}: no change larger than {} % is left open since {since}",
@@ -350,13 +377,20 @@ fn sentence(change: &Change, since: &str) -> String {
 }
 
 fn answer(changes: &[Change], since: &str) -> String {
-    let drifted: Vec<String> = changes
-        .iter()
-        .filter(|change| change.drifted)
-        .map(|change| format!("{} {}", name(&change.key), size(change)))
-        .collect();
+    let told = |is: fn(&Change) -> bool| {
+        let named = changes.iter().filter(|change| is(change));
+        let named = named.map(|change| format!("{} {}", name(&change.key), size(change)));
+        named.collect::<Vec<_>>().join("; ")
+    };
+    let (drifted, unsettled) = (
+        told(|change| change.drifted),
+        told(|change| change.unsettled),
+    );
     if !drifted.is_empty() {
-        return format!("drifted since {since}: {}", drifted.join("; "));
+        return format!("drifted since {since}: {drifted}");
+    }
+    if !unsettled.is_empty() {
+        return format!("not settled whether there is a drift since {since}: {unsettled}");
     }
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
     match open.as_deref() {

@@ -143,6 +143,23 @@ fn what_is_near_zero_is_told_in_its_unit_and_what_was_given_is_not_compared() {
 }
 
 #[test]
+fn too_few_repeats_leave_a_change_open_and_do_not_hide_it() {
+    let at = |torque: f64| run(&[("load_torque_n_m", torque, 0.001)]);
+    let two = [at(0.450), at(0.452)];
+    let open = between(&two, &[at(0.504)], "May");
+    assert!(open.changes[0].unsettled && open.drifted().next().is_none());
+    assert!(open.sentence.contains("not settled"), "{}", open.sentence);
+    assert!((open.largest_percent() - 11.75).abs() < 0.1 && open.in_question().count() == 1);
+    let more = [at(0.450), at(0.451), at(0.4505), at(0.4495)];
+    let named = between(&more, &[at(0.504)], "May");
+    assert!(named.changes[0].drifted && !named.changes[0].unsettled);
+    // What many repeats show to be its own movement is neither.
+    let restless = [at(0.40), at(0.50), at(0.42), at(0.49), at(0.45)];
+    let own = between(&restless, &[at(0.504)], "May");
+    assert_eq!(own.in_question().count(), 0, "{own:?}");
+}
+
+#[test]
 fn warmth_that_is_known_is_no_drift() {
     let at = |resistance, at_20| {
         run(&[
