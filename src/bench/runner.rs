@@ -500,7 +500,8 @@ impl Runner<'_> {
                 // A host that stamps samples has one clock for both: how long this exchange took is no part of it.
                 let host_s = (sample.time_half_width_s.and(sample.host_time_s)).map(|s| s - now_s);
                 let offset_s = host_s.unwrap_or(sample.time_s - sent_s);
-                if offset_s.is_finite() {
+                let is_of_a_restart = self.session.guard().is_of_a_restart(now_s, &sample);
+                if offset_s.is_finite() && !is_of_a_restart {
                     self.end.drive_minus_host_s = offset_s;
                 }
                 self.end.last_reply_s = now_s;
