@@ -344,7 +344,7 @@ pub(crate) fn early_end(
     stop_error: Option<&str>,
 ) -> Option<(u8, String, EarlyEnd)> {
     let unstopped =
-        stop_error.map(|error| format!("the last stop did not reach the drive: {error}"));
+        stop_error.map(|error| format!("the last stop was not confirmed: {error}"));
     let by_hand = "it was ended by hand";
     let (status, tone, title, reason) = match outcome {
         Outcome::Done if unstopped.is_none() => return None,
@@ -399,7 +399,7 @@ mod tests {
             assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
             let (status, headline, _) = early_end(&outcome, Some("no reply")).unwrap();
             assert_eq!(status, unsure, "{outcome:?}");
-            let is_said = headline.contains("did not reach") || headline.contains("lost");
+            let is_said = headline.contains("not confirmed") || headline.contains("lost");
             assert!(is_said, "{outcome:?}: {headline}");
         }
     }

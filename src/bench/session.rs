@@ -801,7 +801,11 @@ impl Session {
             ),
             None => (Level::Warning, TOLD_NOTHING.to_owned()),
             // It answers, or was not seen to run: no watchdog has acted.
-            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => {
+            Some(
+                error @ (LinkError::Refused { .. }
+                | LinkError::Sequence { .. }
+                | LinkError::Unstopped { .. }),
+            ) => {
                 let why = format!(": {error}; see that the shaft stands still");
                 (Level::Error, not(&why))
             }
@@ -814,9 +818,15 @@ impl Session {
                 not(", whose watchdog was waived: the motor may still turn"),
             ),
             Some(_) => {
-                let time = self.watchdog_s().map(|time_s| format!(" of {time_s} s"));
-                let (time, acted) = (time.unwrap_or_default(), "must have stopped the motor");
-                (Level::Error, not(&format!(": its watchdog{time} {acted}")))
+                let acts = |time_s| {
+                    format!(
+                        "; its watchdog stops the motor {time_s} s after the last word from here"
+                    )
+                };
+                let unknown =
+                    || "; no watchdog is known to stop it: see that the shaft stands still";
+                let why = self.watchdog_s().map_or_else(|| unknown().to_owned(), acts);
+                (Level::Error, not(&why))
             }
         };
         Some(Notice { level, text })
