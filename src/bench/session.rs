@@ -272,6 +272,11 @@ impl Session {
         self.word.watchdog_s.filter(is_on)
     }
 
+    /// What it ends with, or has ended with: of a stop that the drive did not confirm, what it was stopped for.
+    pub const fn ending(&self) -> Option<&Outcome> {
+        self.ending.as_ref()
+    }
+
     /// Whether it is over, by the drive's own word.
     pub fn has_stopped(&self) -> bool {
         self.phase.is_final() && self.word.tells_stop && self.word.stop == StopRequest::Sent
@@ -762,7 +767,7 @@ impl Session {
     }
 
     fn finish(&mut self, confirmed: bool) {
-        let mut outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let mut outcome = self.ending.clone().unwrap_or(Outcome::Stopped);
         if !confirmed && outcome == Outcome::Done {
             outcome = Outcome::LinkLost {
                 reason: "the drive did not confirm that its output is off".to_owned(),

@@ -619,7 +619,7 @@ fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_th
 fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
     type Failing = Option<fn(String) -> LinkError>;
     let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
-    let cases: [(Option<Fault>, Failing, &str, bool, bool); 4] = [
+    let cases: [(Option<Fault>, Failing, &str, bool, bool); 5] = [
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
         // What is gone was asked nothing; what only does not answer was.
@@ -634,6 +634,14 @@ fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
             Some(Fault::Timeout),
             Some(unanswered),
             "link silent",
+            true,
+            false,
+        ),
+        // What it was stopped for is no loss of a link that answered all; who does not obey was asked.
+        (
+            Some(Fault::IgnoresStop),
+            Some(disobeyed),
+            "the end of the sequence",
             true,
             false,
         ),
