@@ -1,4 +1,5 @@
-use std::fs;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
 use super::*;
 use crate::recording::csv_read::whole_rows;
@@ -200,11 +201,22 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let samples = kept.logs.samples().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
     // Another place takes all of it.
-    let rescued = kept.logs.rescue(&root.path().join("other"), &manifest());
-    let rescued = rescued.unwrap().unwrap();
+    let rescue = |place: &str| {
+        let place = root.path().join(place);
+        let rescued = kept.logs.rescue(&kept.folder, &place, &manifest());
+        rescued.unwrap().unwrap()
+    };
+    let rescued = rescue("other");
+    let rights = |folder: &RunFolder| fs::metadata(folder.path()).unwrap().mode() & 0o777;
+    assert_eq!(rights(&rescued), 0o700);
     let (samples_csv, events_jsonl) = expected(30);
     assert_eq!(read(rescued.samples()), samples_csv);
     assert_eq!(read(rescued.events()), events_jsonl);
+    // And it is read by whoever may read the one that it stands for.
+    fs::remove_file(&runs).unwrap();
+    fs::create_dir_all(kept.folder.path()).unwrap();
+    fs::set_permissions(kept.folder.path(), Permissions::from_mode(0o750)).unwrap();
+    assert_eq!(rights(&rescue("third")), 0o750);
     let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
     assert_eq!(run.run.rows(), 60);
     assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
