@@ -229,23 +229,28 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
     let change = to - from;
     let by_noise = (before.within / before.count() + after.within / after.count()).sqrt();
     let freedom = before.count() + after.count() - 2.0;
-    let by_spread = (freedom > 0.0).then(|| {
-        let pooled = (before.squares() + after.squares()) / freedom;
-        (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt()
-    });
-    let student = by_spread.and_then(|std| Some((std, StudentsT::new(0.0, 1.0, freedom).ok()?)));
-    let half_of_spread = student.map_or(0.0, |(std, student)| std * student.inverse_cdf(0.975));
-    let half = half_of_spread.max(TWO_SIDED_95 * by_noise);
+    let pooled = (freedom > 0.0).then(|| (before.squares() + after.squares()) / freedom);
+    let student = pooled.and_then(|pooled| Some((pooled, StudentsT::new(0.0, 1.0, freedom).ok()?)));
+    // Of `to - share * from`; the more cautious of noise and spread.
+    let half = |share: f64| {
+        let of = |earlier: f64, later: f64| {
+            (later / after.count() + share * share * earlier / before.count()).sqrt()
+        };
+        let of_spread = student.map_or(0.0, |(pooled, student)| {
+            student.inverse_cdf(0.975) * of(pooled, pooled)
+        });
+        of_spread.max(TWO_SIDED_95 * of(before.within, after.within))
+    };
     let normal = Normal::standard();
     let of_noise = 2.0 * normal.sf(change.abs() / by_noise);
     let mut by_chance = of_noise;
-    if let Some((std, student)) = student.filter(|(std, _)| *std > 0.0) {
+    if let Some((pooled, student)) = student.filter(|(pooled, _)| *pooled > 0.0) {
+        let std = (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt();
         by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
     }
-    // What is divided by is uncertain itself: a share of the interval that grows with the change.
+    // What is divided by is uncertain itself: its part of the interval grows with the ratio.
     let is_clear = from.abs() > CLEAR_OF_ZERO * (before.within / before.count()).sqrt();
-    let ratio = to / from;
-    let widened = half * (0.5 * (1.0 + ratio * ratio)).sqrt();
+    let (half, widened) = (half(1.0), half(to / from));
     let percent = |value: f64| 100.0 * value / from;
     let ends = [percent(change - widened), percent(change + widened)];
     Change {
@@ -369,7 +374,7 @@ fn sentence(change: &Change, since: &str) -> String {
     }
     match change.at_most_percent() {
         Some(most) => format!(
-            "{name}: no change larger than {} % is left open since {since}",
+            "{name}: no change larger than {} % is left open (95 %) since {since}",
             significant(most, 2)
         ),
         None => format!("{name}: no change shown since {since}: {}", size(change)),
