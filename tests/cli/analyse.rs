@@ -296,7 +296,7 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
 /// Excites and identifies; nothing may have drifted.
 const SUITE: &str = "name = \"yearly\"\n[[case]]\nname = \"as it was\"\nemulator = \"EMULATOR\"\nseed = 12\n\
     needs = [\"baseline\"]\n[[case.step]]\nexcite = { run_seed = 5 }\n[[case.step]]\nidentify = {}\n\
-    [[case.step]]\nassert = { drift = \"none\", drift_percent = \"< 5\" }\n";
+    [[case.step]]\nassert = { drift = \"none\", drift_percent = \"< 5\", drift_open_percent = \"< 5\" }\n";
 
 #[test]
 fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {

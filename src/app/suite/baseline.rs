@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::app::failure::Failure;
 use crate::app::files::read_text;
-use crate::identification::drift::{Drift, between};
+use crate::identification::drift::{Drift, between, name};
 use crate::identification::temperature;
 use crate::plant::{MotorKey, effect};
 use crate::recording::{Machine, Manifest, RunFile, RunFolder};
@@ -205,6 +205,34 @@ fn unit(key: &str) -> &'static str {
     }
 }
 
+/// The figures of a comparison, for limits: none of them where nothing was compared, and words, which no limit of a number or
+/// `none` takes, where it is not known.
+pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
+    if drift.changes.is_empty() {
+        return Vec::new();
+    }
+    let keys: Vec<&str> = drift
+        .in_question()
+        .map(|change| change.key.as_str())
+        .collect();
+    let lost: Vec<String> = drift
+        .lost()
+        .map(|own| format!("{} not compared: {}", own.key, own.reason))
+        .collect();
+    let drifted = if lost.is_empty() {
+        keys.into()
+    } else {
+        let named = keys.into_iter().map(str::to_owned).chain(lost);
+        named.collect::<Vec<_>>().join("; ").into()
+    };
+    let percent = |percent: Option<f64>| percent.map_or("not known".into(), Value::from);
+    vec![
+        ("drift", drifted),
+        ("drift_percent", percent(drift.largest_percent())),
+        ("drift_open_percent", percent(drift.open_percent())),
+    ]
+}
+
 /// What has drifted, as lines for a person: one for each step, and what is to be known of it.
 pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
     let mut lines = Vec::new();
@@ -222,6 +250,11 @@ pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
                 drift
                     .in_question()
                     .map(|change| format!("  {}", change.sentence)),
+            );
+            let not_compared = drift.not_compared.iter();
+            lines.extend(
+                not_compared
+                    .map(|own| format!("  {} not compared: {}", name(&own.key), own.reason)),
             );
             lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));
         }

@@ -65,6 +65,8 @@ impl Change {
 pub struct NotCompared {
     pub key: String,
     pub reason: String,
+    /// The earlier runs carried it: what it has done since is not known.
+    pub carried_before: bool,
 }
 
 /// All parameters of one machine at two dates.
@@ -92,12 +94,30 @@ impl Drift {
         changes.filter(|change| change.drifted || change.unsettled)
     }
 
-    /// Largest change of these, either way, in per cent; zero where there is none.
-    pub fn largest_percent(&self) -> f64 {
-        let sizes = self
-            .in_question()
-            .map(|change| change.percent.map_or(f64::INFINITY, f64::abs));
-        sizes.fold(0.0, f64::max)
+    /// What the earlier runs carried and the later ones do not.
+    pub fn lost(&self) -> impl Iterator<Item = &NotCompared> {
+        let all = self.not_compared.iter();
+        all.filter(|parameter| parameter.carried_before)
+    }
+
+    /// Largest change of what is in question, either way, in per cent: zero where nothing is. Not known where one of them has
+    /// no share, where a parameter was lost, or where nothing was compared.
+    pub fn largest_percent(&self) -> Option<f64> {
+        self.largest(
+            self.in_question()
+                .map(|change| change.percent.map(f64::abs)),
+        )
+    }
+
+    /// Largest change of any parameter that its own 95 % interval leaves open, in per cent; not known as above.
+    pub fn open_percent(&self) -> Option<f64> {
+        self.largest(self.changes.iter().map(Change::at_most_percent))
+    }
+
+    fn largest(&self, sizes: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+        let is_whole = !self.changes.is_empty() && self.lost().next().is_none();
+        let sizes: Option<Vec<f64>> = sizes.collect();
+        Some(sizes.filter(|_| is_whole)?.into_iter().fold(0.0, f64::max))
     }
 }
 
@@ -186,7 +206,7 @@ pub fn between(
         "one run on each side: how far this machine moves from run to run of itself is not known, and in no interval".to_owned()
     });
     Drift {
-        sentence: answer(&changes, since),
+        sentence: answer(&changes, &not_compared, since),
         changes,
         not_compared,
         runs_before: before.len(),
@@ -210,7 +230,8 @@ fn why_not(
     // What was given to both is no finding of either.
     let is_given = all().all(|estimate| estimate.std == Some(0.0));
     let unseen = |runs| Seen::of(key, runs).is_none();
-    let reason = match (unseen(before), unseen(after)) {
+    let sides = (unseen(before), unseen(after));
+    let reason = match sides {
         (true, true) => "not carried by the runs of either date",
         (true, false) => "not carried by the earlier runs",
         _ => "not carried by the later runs",
@@ -220,6 +241,7 @@ fn why_not(
     (!is_given).then(|| NotCompared {
         key: key.to_owned(),
         reason,
+        carried_before: !sides.0,
     })
 }
 
@@ -284,7 +306,7 @@ fn correct(changes: &mut [Change]) {
 }
 
 /// What a person calls a parameter.
-fn name(key: &str) -> String {
+pub fn name(key: &str) -> String {
     let name = match MotorKey::from_key(key) {
         Some(MotorKey::Resistance) => "resistance",
         Some(MotorKey::Inductance) => "inductance",
@@ -381,7 +403,7 @@ fn sentence(change: &Change, since: &str) -> String {
     }
 }
 
-fn answer(changes: &[Change], since: &str) -> String {
+fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
     let told = |is: fn(&Change) -> bool| {
         let named = changes.iter().filter(|change| is(change));
         let named = named.map(|change| format!("{} {}", name(&change.key), size(change)));
@@ -391,30 +413,28 @@ fn answer(changes: &[Change], since: &str) -> String {
         told(|change| change.drifted),
         told(|change| change.unsettled),
     );
-    if !drifted.is_empty() {
-        return format!("drifted since {since}: {drifted}");
-    }
-    if !unsettled.is_empty() {
-        return format!("not settled whether there is a drift since {since}: {unsettled}");
-    }
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
-    match open.as_deref() {
-        Some([]) => {
-            "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
-        }
-        Some(open) => {
-            let most = open.iter().copied().fold(0.0, f64::max);
-            let count = open.len();
-            format!(
-                "no drift shown since {since}: {count} parameters compared, no change shown larger than {} %",
-                significant(most, 2)
-            )
-        }
-        None => format!(
-            "no drift shown since {since}: {} parameters compared",
-            changes.len()
-        ),
+    let count = changes.len();
+    let mut answer = if !drifted.is_empty() {
+        format!("drifted since {since}: {drifted}")
+    } else if !unsettled.is_empty() {
+        format!("not settled whether there is a drift since {since}: {unsettled}")
+    } else if changes.is_empty() {
+        "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+    } else if let Some(open) = open {
+        let most = significant(open.into_iter().fold(0.0, f64::max), 2);
+        format!(
+            "no drift shown since {since}: {count} parameters compared, no change larger than {most} % is left open (95 % for \
+             each alone)"
+        )
+    } else {
+        format!("no drift shown since {since}: {count} parameters compared")
+    };
+    let unknown: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
+    if !unknown.is_empty() {
+        answer += &format!("; not compared: {}", unknown.join(", "));
     }
+    answer
 }
 
 #[cfg(test)]

@@ -152,7 +152,8 @@ fn a_change_is_told_with_its_interval_and_a_cause_that_is_only_possible() {
         drift.sentence,
         "drifted since 2026-03-01: friction (load torque) +12 % (95 % interval +10 to +14 %)"
     );
-    assert!((drift.largest_percent() - 12.0).abs() < 1e-9);
+    assert!((drift.largest_percent().unwrap() - 12.0).abs() < 1e-9);
+    assert!((drift.open_percent().unwrap() - 14.0).abs() < 0.1);
 }
 
 #[test]
@@ -175,8 +176,12 @@ fn what_is_near_zero_is_told_in_its_unit_and_what_was_given_is_not_compared() {
         "{}",
         change.sentence
     );
-    assert!(drift.largest_percent().is_infinite());
+    assert_eq!(
+        (drift.largest_percent(), drift.open_percent()),
+        (None, None)
+    );
     assert_eq!(drift.not_compared.len(), 1);
+    assert!(!drift.not_compared[0].carried_before);
     assert!(
         drift.not_compared[0]
             .reason
@@ -184,6 +189,39 @@ fn what_is_near_zero_is_told_in_its_unit_and_what_was_given_is_not_compared() {
     );
     let nothing = between(&[Vec::new()], &[Vec::new()], "May");
     assert!(nothing.sentence.starts_with("nothing can be said"));
+    assert_eq!(
+        (nothing.largest_percent(), nothing.open_percent()),
+        (None, None)
+    );
+}
+
+#[test]
+fn what_is_not_carried_any_more_is_open_whatever_the_others_say() {
+    let before = run(&[
+        ("load_torque_n_m", 0.45, 0.003),
+        ("inertia_kg_m2", 0.0045, 1e-5),
+    ]);
+    let mut after = run(&[("inertia_kg_m2", 0.0045, 1e-5)]);
+    after.push(ParameterEstimate::not_observable(
+        "load_torque_n_m",
+        "N.m",
+        "it never turns back",
+    ));
+    let drift = between(&[before], &[after], "May");
+    assert_eq!(drift.in_question().count(), 0);
+    assert_eq!(
+        (drift.largest_percent(), drift.open_percent()),
+        (None, None)
+    );
+    let lost: Vec<&str> = drift.lost().map(|one| one.key.as_str()).collect();
+    assert_eq!(lost, ["load_torque_n_m"]);
+    assert!(
+        drift
+            .sentence
+            .ends_with("; not compared: friction (load torque)"),
+        "{}",
+        drift.sentence
+    );
 }
 
 #[test]
@@ -193,7 +231,9 @@ fn too_few_repeats_leave_a_change_open_and_do_not_hide_it() {
     let open = between(&two, &[at(0.504)], "May");
     assert!(open.changes[0].unsettled && open.drifted().next().is_none());
     assert!(open.sentence.contains("not settled"), "{}", open.sentence);
-    assert!((open.largest_percent() - 11.75).abs() < 0.1 && open.in_question().count() == 1);
+    assert!(
+        (open.largest_percent().unwrap() - 11.75).abs() < 0.1 && open.in_question().count() == 1
+    );
     let more = [at(0.450), at(0.451), at(0.4505), at(0.4495)];
     let named = between(&more, &[at(0.504)], "May");
     assert!(named.changes[0].drifted && !named.changes[0].unsettled);
