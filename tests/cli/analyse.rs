@@ -360,7 +360,67 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
     let result = Path::new(earlier).parent().unwrap().to_owned();
     let back = test("plain.toml", &result, "").expect(1);
     has(&back.stderr, &["drift: load_torque_n_m, has to be none"]);
-    test("dry.toml", &result, "").expect(0);
+    let itself = test("dry.toml", &result, "").expect(0);
+    has(&itself.stdout, &["figure for figure as it was then"]);
+
+    // Given twice, and with the run that it is of, it is one earlier run.
+    let kept = only_folder(&desk.path(earlier).join("runs"));
+    let twice = [&result, &result.join("result.json"), &kept];
+    let twice = twice.map(|path| path.display().to_string());
+    let [first, second, run] = twice.each_ref();
+    let options = format!("--baseline {second} --baseline {run} --baseline {first}");
+    let counted = test("plain.toml", &result, &options).expect(1);
+    has(
+        &counted.stdout,
+        &["one run on each side", "3 of the baseline"],
+    );
+
+    // What was carried and is not any more, what cannot be compared at all, and a unit that has no number.
+    let doctored = |name: &str, change: &dyn Fn(&mut Value)| {
+        let mut result = read_json(result.join("result.json"));
+        change(&mut result["cases"][0]["steps"][1]["identified"]);
+        desk.put(name, &result.to_string())
+    };
+    let more = doctored("more.json", &|found| {
+        let parameters = &mut found["parameters"];
+        parameters["viscous_friction.coefficient"] = parameters["inertia_kg_m2"].clone();
+    });
+    let lost = test("dry.toml", &more, "").expect(1);
+    has(
+        &lost.stdout,
+        &[
+            "drift: viscous_friction.coefficient not compared: not carried by the later runs, has to be none",
+            "drift_percent: not known",
+            "drift_open_percent: not known",
+            "; not compared: viscous_friction.coefficient",
+        ],
+    );
+    let paths = [suite("dry.toml"), desk.path("suites"), more];
+    let paths = paths.each_ref().map(PathBuf::as_path);
+    let told = call("test {} --out {} --baseline {}", &paths).expect(1);
+    has(
+        &told.stdout,
+        &["  viscous_friction.coefficient not compared:"],
+    );
+    let less = doctored("less.json", &|found| found["parameters"] = json!({}));
+    has(
+        &test("dry.toml", &less, "").expect(1).stdout,
+        &[
+            "nothing can be said",
+            "drift: not in the result",
+            "drift_percent: not in the result",
+            "drift_open_percent: not in the result",
+        ],
+    );
+    let unnumbered = doctored("unnumbered.json", &|found| {
+        found["machine"]["drive_serial"] = "".into();
+    });
+    has(
+        &test("dry.toml", &unnumbered, "--any-machine")
+            .expect(0)
+            .stdout,
+        &["no serial number: not known to be the same unit"],
+    );
 
     // Another machine is no baseline, unless a person says so.
     let refused = test("plain.toml", &other, "").expect(1);

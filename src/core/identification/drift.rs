@@ -34,6 +34,9 @@ pub struct Change {
     pub unit: &'static str,
     pub before: f64,
     pub after: f64,
+    /// Runs of either date that carry it.
+    pub runs_before: usize,
+    pub runs_after: usize,
     /// Of the value before; null where that may as well be zero.
     pub percent: Option<f64>,
     pub interval_95_percent: Option<[f64; 2]>,
@@ -192,18 +195,30 @@ pub fn between(
         }
     }
     correct(&mut changes);
-    let freedom = (before.len() + after.len()) as f64 - 2.0;
     let compared = changes.len() as f64;
     for change in &mut changes {
         change.drifted = change.by_chance < FALSE_ALARM;
         let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
+        let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
         change.unsettled = is_beyond_noise && !change.drifted && freedom < FEW;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
         change.sentence = sentence(change, since);
     }
-    let repeats = before.len() + after.len() > 2;
-    let caution = (!repeats && !changes.is_empty()).then(|| {
-        "one run on each side: how far this machine moves from run to run of itself is not known, and in no interval".to_owned()
+    let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
+    let singles: Vec<String> = changes
+        .iter()
+        .filter(single)
+        .map(|change| name(&change.key))
+        .collect();
+    let of = if singles.len() == changes.len() {
+        String::new()
+    } else {
+        format!(" with {}", singles.join(", "))
+    };
+    let caution = (!singles.is_empty()).then(|| {
+        format!(
+            "one run on each side{of}: how far this machine moves from run to run of itself is not known, and in no interval"
+        )
     });
     Drift {
         sentence: answer(&changes, &not_compared, since),
@@ -280,6 +295,8 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
         unit: before.unit,
         before: from,
         after: to,
+        runs_before: before.values.len(),
+        runs_after: after.values.len(),
         percent: is_clear.then(|| percent(change)),
         interval_95_percent: is_clear.then(|| [ends[0].min(ends[1]), ends[0].max(ends[1])]),
         change,

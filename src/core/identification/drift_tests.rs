@@ -121,6 +121,22 @@ fn one_run_each_does_not_know_the_spread_and_says_so() {
     );
     let repeated = between(&runs(3, 0.0, &mut rng), &runs(1, 0.0, &mut rng), "May");
     assert_eq!(repeated.caution, None);
+    // Repeats that do not carry a parameter say nothing of it.
+    let bare = || run(&[("inertia_kg_m2", 0.0045, 1e-5)]);
+    let both = |torque| {
+        run(&[
+            ("inertia_kg_m2", 0.0045, 1e-5),
+            ("load_torque_n_m", torque, 0.001),
+        ])
+    };
+    let once = between(&[both(0.45), bare(), bare()], &[both(0.45)], "May");
+    let caution = once
+        .caution
+        .expect("one value of the friction on each side");
+    assert!(
+        caution.contains("each side with friction (load torque):"),
+        "{caution}"
+    );
 }
 
 #[test]
@@ -237,6 +253,10 @@ fn too_few_repeats_leave_a_change_open_and_do_not_hide_it() {
     let more = [at(0.450), at(0.451), at(0.4505), at(0.4495)];
     let named = between(&more, &[at(0.504)], "May");
     assert!(named.changes[0].drifted && !named.changes[0].unsettled);
+    // Runs that do not carry it are no repeats of it.
+    let bare = || run(&[("inertia_kg_m2", 0.0045, 1e-5)]);
+    let beside = [at(0.450), at(0.452), bare(), bare()];
+    assert!(between(&beside, &[at(0.504)], "May").changes[0].unsettled);
     // What many repeats show to be its own movement is neither.
     let restless = [at(0.40), at(0.50), at(0.42), at(0.49), at(0.45)];
     let own = between(&restless, &[at(0.504)], "May");
