@@ -161,9 +161,31 @@ fn only_what_is_still_true_is_kept() {
     fs::write(&samples, format!("{head}\n{last}\n")).unwrap();
     assert_eq!(kept(""), 6);
     assert_eq!(fs::read_to_string(desk.path("fleet.csv")).unwrap(), whole);
-    // Another analysis has rows of its own.
-    assert_eq!(kept("--scheme weak-form"), 0);
-    assert_eq!(kept(""), 0);
+    // Another analysis has rows of its own: those of the one before are counted, and not lost for runs that are not named.
+    let spring = runs.join("03");
+    let sum = |runs: &Path, options: &str| {
+        let text = format!("analyse {{}} --out {{}} --resume --json {options}");
+        call(&text, &[runs, &desk.path("fleet.csv")])
+    };
+    let refused = sum(&spring, "--scheme weak-form").expect(2).error();
+    has(&refused, &["4 rows of other options", "not named now"]);
+    assert_eq!(fs::read_to_string(desk.path("fleet.csv")).unwrap(), whole);
+    assert!(!desk.path("fleet.csv.part").exists());
+    let other = sum(&runs, "--scheme weak-form").expect(1).json();
+    assert_eq!((&other["kept"], &other["left_out"]), (&0.into(), &7.into()));
+    let back = sum(&runs, "").expect(1).json();
+    assert_eq!((&back["kept"], &back["left_out"]), (&0.into(), &7.into()));
+    let fewer = sum(&spring, "").expect(0).json();
+    assert_eq!((&fewer["kept"], &fewer["left_out"]), (&3.into(), &4.into()));
+    // What somebody else wrote is not gone on with, neither as a table nor as a journal.
+    let samples = fs::read_to_string(&samples).unwrap();
+    for (name, out) in [("s.csv", "s.csv"), ("t.csv.part", "t.csv")] {
+        let (file, out) = (desk.put(name, &samples), desk.path(out));
+        let error = refusal("analyse {} --out {} --resume", &[&spring, &out]);
+        has(&error, &[name, "its columns are others"]);
+        assert_eq!(fs::read_to_string(&file).unwrap(), samples, "{name}");
+    }
+    assert!(!desk.path("s.csv.part").exists() && !desk.path("t.csv").exists());
 }
 
 #[test]
@@ -188,6 +210,24 @@ fn what_is_no_run_is_said_before_anything_is_written() {
     has(
         &fs::read_to_string(&table).unwrap(),
         &["empty,unread,", "without a samples.csv"],
+    );
+    // A line break in a path is a blank in its row, and the row is there.
+    let broken = desk.path("line\nbreak");
+    fs::create_dir_all(&broken).unwrap();
+    let table = desk.path("broken.csv");
+    for (options, kept) in [("", 0), ("--resume", 1)] {
+        let text = format!("analyse {{}} --out {{}} --json {options}");
+        let done = call(&text, &[&broken, &table]).expect(2);
+        has(&done.stdout, &[&format!("\"kept\": {kept}")]);
+        has(
+            &fs::read_to_string(&table).unwrap(),
+            &["line break,unread,"],
+        );
+    }
+    fs::create_dir_all(desk.path("line break")).unwrap();
+    refusals(
+        "analyse {} {} => two runs have this name",
+        &[&broken, &desk.path("line break")],
     );
 }
 

@@ -214,6 +214,11 @@ pub(super) fn content(run: &Path) -> String {
     format!("{hash:016x}")
 }
 
+/// The run as the column `run` names it.
+pub(super) fn name(run: &Path) -> String {
+    Cell::word(run.display().to_string()).text()
+}
+
 /// What is known of a run, as far as its analysis came.
 #[derive(Default)]
 struct Found {
@@ -439,7 +444,7 @@ fn cells(
     let count = |of: fn(&About) -> Option<u64>| about.and_then(of).map_or(Cell::Empty, Cell::Count);
     let size = |of: fn(&About) -> usize| Cell::count(about.map(of));
     let mut cells = vec![
-        Cell::word(run.display().to_string()),
+        Cell::word(name(run)),
         Cell::word(status.name()),
         Cell::word(reason),
         word(|about| about.manifest.name.clone()),
