@@ -5,8 +5,8 @@
 //!                                              '- no further ahead than WINDOW -'-> table.rs: journal -> FILE
 //! ```
 //!
-//! Nothing of a run is in memory once its row is written, and no worker runs further ahead of the last written row than the
-//! window: memory does not grow with the number of runs.
+//! Of a run whose row is written its path and the place of its row are in memory, some hundred bytes; no worker runs further
+//! ahead of the last written row than the window. Parquet is made of the whole table at the end.
 
 mod inputs;
 mod row;
