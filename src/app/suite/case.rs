@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
 
-use super::baseline::{Baseline, manifest_of};
+use super::baseline::{Baseline, figures as drift_figures, manifest_of};
 use super::host::{self, STOOD_STILL_S, Stage};
 use super::line::Line;
 use super::own_drive::{self, DriveOrder, OwnDrive};
@@ -362,12 +362,8 @@ impl<'a> Progress<'a> {
             if let Some(Value::Object(figures)) =
                 self.left.get_mut(&step.name).map(|left| &mut left.result)
             {
-                let drifted: Vec<&str> = drift
-                    .in_question()
-                    .map(|change| change.key.as_str())
-                    .collect();
-                figures.insert("drift".to_owned(), drifted.into());
-                figures.insert("drift_percent".to_owned(), drift.largest_percent().into());
+                let own = drift_figures(&drift).into_iter();
+                figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
             }
             found.drift = Some(drift);
         }
