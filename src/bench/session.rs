@@ -11,7 +11,7 @@
 
 mod actions;
 
-pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
+pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
 use serde_json::{Value, json};
 
@@ -97,59 +97,6 @@ impl BrakeOrder {
             held_since_s: None,
             resting_since_s: None,
         }
-    }
-}
-
-/// Where a session stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Phase {
-    /// No valid reply yet, or the drive was found running or in fault.
-    Connecting,
-    Safe,
-    /// Output on at zero; waits for the drive to run, and for the start.
-    Armed,
-    Running,
-    RampDown,
-    /// Stop is sent in every cycle until the drive confirms it.
-    Stopping,
-    Done,
-    Stopped,
-    Tripped,
-    LinkLost,
-}
-
-impl Phase {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Connecting => "connecting",
-            Self::Safe => "safe",
-            Self::Armed => "armed",
-            Self::Running => "running",
-            Self::RampDown => "ramp down",
-            Self::Stopping => "stopping",
-            Self::Done => "done",
-            Self::Stopped => "stopped",
-            Self::Tripped => "tripped",
-            Self::LinkLost => "link lost",
-        }
-    }
-
-    pub const fn is_final(self) -> bool {
-        matches!(
-            self,
-            Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost
-        )
-    }
-
-    /// Whether commands and samples belong to the record of the run.
-    pub const fn is_recorded(self) -> bool {
-        self.is_energised() || matches!(self, Self::Stopping)
-    }
-
-    /// Whether the drive's output may be on.
-    pub const fn is_energised(self) -> bool {
-        matches!(self, Self::Armed | Self::Running | Self::RampDown)
     }
 }
 
@@ -270,6 +217,11 @@ impl Session {
     pub fn watchdog_s(&self) -> Option<f64> {
         let is_on = |time_s: &f64| *time_s > 0.0 && !self.word.is_unwatched;
         self.word.watchdog_s.filter(is_on)
+    }
+
+    /// What it ends with, or has ended with: of a stop that the drive did not confirm, what it was stopped for.
+    pub const fn ending(&self) -> Option<&Outcome> {
+        self.ending.as_ref()
     }
 
     /// Whether it is over, by the drive's own word.
@@ -762,7 +714,7 @@ impl Session {
     }
 
     fn finish(&mut self, confirmed: bool) {
-        let mut outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let mut outcome = self.ending.clone().unwrap_or(Outcome::Stopped);
         if !confirmed && outcome == Outcome::Done {
             outcome = Outcome::LinkLost {
                 reason: "the drive did not confirm that its output is off".to_owned(),
@@ -801,7 +753,11 @@ impl Session {
             ),
             None => (Level::Warning, TOLD_NOTHING.to_owned()),
             // It answers, or was not seen to run: no watchdog has acted.
-            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => {
+            Some(
+                error @ (LinkError::Refused { .. }
+                | LinkError::Sequence { .. }
+                | LinkError::Unstopped { .. }),
+            ) => {
                 let why = format!(": {error}; see that the shaft stands still");
                 (Level::Error, not(&why))
             }
@@ -814,9 +770,15 @@ impl Session {
                 not(", whose watchdog was waived: the motor may still turn"),
             ),
             Some(_) => {
-                let time = self.watchdog_s().map(|time_s| format!(" of {time_s} s"));
-                let (time, acted) = (time.unwrap_or_default(), "must have stopped the motor");
-                (Level::Error, not(&format!(": its watchdog{time} {acted}")))
+                let acts = |time_s| {
+                    format!(
+                        "; its watchdog stops the motor {time_s} s after the last word from here"
+                    )
+                };
+                let unknown =
+                    || "; no watchdog is known to stop it: see that the shaft stands still";
+                let why = self.watchdog_s().map_or_else(|| unknown().to_owned(), acts);
+                (Level::Error, not(&why))
             }
         };
         Some(Notice { level, text })

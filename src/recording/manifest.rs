@@ -73,7 +73,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Whether nothing that both say of themselves differs, and both say something.
+    /// Whether nothing that both say of themselves differs, and both say something. Without serial numbers they may be two
+    /// units of a kind.
     pub fn is_like(&self, other: &Self) -> bool {
         let is_known = |machine: &Self| !machine.drive.is_empty() && !machine.motor.is_empty();
         is_known(self) && self == other

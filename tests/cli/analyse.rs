@@ -161,9 +161,31 @@ fn only_what_is_still_true_is_kept() {
     fs::write(&samples, format!("{head}\n{last}\n")).unwrap();
     assert_eq!(kept(""), 6);
     assert_eq!(fs::read_to_string(desk.path("fleet.csv")).unwrap(), whole);
-    // Another analysis has rows of its own.
-    assert_eq!(kept("--scheme weak-form"), 0);
-    assert_eq!(kept(""), 0);
+    // Another analysis has rows of its own: those of the one before are counted, and not lost for runs that are not named.
+    let spring = runs.join("03");
+    let sum = |runs: &Path, options: &str| {
+        let text = format!("analyse {{}} --out {{}} --resume --json {options}");
+        call(&text, &[runs, &desk.path("fleet.csv")])
+    };
+    let refused = sum(&spring, "--scheme weak-form").expect(2).error();
+    has(&refused, &["4 rows of other options", "not named now"]);
+    assert_eq!(fs::read_to_string(desk.path("fleet.csv")).unwrap(), whole);
+    assert!(!desk.path("fleet.csv.part").exists());
+    let other = sum(&runs, "--scheme weak-form").expect(1).json();
+    assert_eq!((&other["kept"], &other["left_out"]), (&0.into(), &7.into()));
+    let back = sum(&runs, "").expect(1).json();
+    assert_eq!((&back["kept"], &back["left_out"]), (&0.into(), &7.into()));
+    let fewer = sum(&spring, "").expect(0).json();
+    assert_eq!((&fewer["kept"], &fewer["left_out"]), (&3.into(), &4.into()));
+    // What somebody else wrote is not gone on with, neither as a table nor as a journal.
+    let samples = fs::read_to_string(&samples).unwrap();
+    for (name, out) in [("s.csv", "s.csv"), ("t.csv.part", "t.csv")] {
+        let (file, out) = (desk.put(name, &samples), desk.path(out));
+        let error = refusal("analyse {} --out {} --resume", &[&spring, &out]);
+        has(&error, &[name, "its columns are others"]);
+        assert_eq!(fs::read_to_string(&file).unwrap(), samples, "{name}");
+    }
+    assert!(!desk.path("s.csv.part").exists() && !desk.path("t.csv").exists());
 }
 
 #[test]
@@ -188,6 +210,24 @@ fn what_is_no_run_is_said_before_anything_is_written() {
     has(
         &fs::read_to_string(&table).unwrap(),
         &["empty,unread,", "without a samples.csv"],
+    );
+    // A line break in a path is a blank in its row, and the row is there.
+    let broken = desk.path("line\nbreak");
+    fs::create_dir_all(&broken).unwrap();
+    let table = desk.path("broken.csv");
+    for (options, kept) in [("", 0), ("--resume", 1)] {
+        let text = format!("analyse {{}} --out {{}} --json {options}");
+        let done = call(&text, &[&broken, &table]).expect(2);
+        has(&done.stdout, &[&format!("\"kept\": {kept}")]);
+        has(
+            &fs::read_to_string(&table).unwrap(),
+            &["line break,unread,"],
+        );
+    }
+    fs::create_dir_all(desk.path("line break")).unwrap();
+    refusals(
+        "analyse {} {} => two runs have this name",
+        &[&broken, &desk.path("line break")],
     );
 }
 
@@ -296,7 +336,7 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
 /// Excites and identifies; nothing may have drifted.
 const SUITE: &str = "name = \"yearly\"\n[[case]]\nname = \"as it was\"\nemulator = \"EMULATOR\"\nseed = 12\n\
     needs = [\"baseline\"]\n[[case.step]]\nexcite = { run_seed = 5 }\n[[case.step]]\nidentify = {}\n\
-    [[case.step]]\nassert = { drift = \"none\", drift_percent = \"< 5\" }\n";
+    [[case.step]]\nassert = { drift = \"none\", drift_percent = \"< 5\", drift_open_percent = \"< 5\" }\n";
 
 #[test]
 fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
@@ -360,7 +400,67 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
     let result = Path::new(earlier).parent().unwrap().to_owned();
     let back = test("plain.toml", &result, "").expect(1);
     has(&back.stderr, &["drift: load_torque_n_m, has to be none"]);
-    test("dry.toml", &result, "").expect(0);
+    let itself = test("dry.toml", &result, "").expect(0);
+    has(&itself.stdout, &["figure for figure as it was then"]);
+
+    // Given twice, and with the run that it is of, it is one earlier run.
+    let kept = only_folder(&desk.path(earlier).join("runs"));
+    let twice = [&result, &result.join("result.json"), &kept];
+    let twice = twice.map(|path| path.display().to_string());
+    let [first, second, run] = twice.each_ref();
+    let options = format!("--baseline {second} --baseline {run} --baseline {first}");
+    let counted = test("plain.toml", &result, &options).expect(1);
+    has(
+        &counted.stdout,
+        &["one run on each side", "3 of the baseline"],
+    );
+
+    // What was carried and is not any more, what cannot be compared at all, and a unit that has no number.
+    let doctored = |name: &str, change: &dyn Fn(&mut Value)| {
+        let mut result = read_json(result.join("result.json"));
+        change(&mut result["cases"][0]["steps"][1]["identified"]);
+        desk.put(name, &result.to_string())
+    };
+    let more = doctored("more.json", &|found| {
+        let parameters = &mut found["parameters"];
+        parameters["viscous_friction.coefficient"] = parameters["inertia_kg_m2"].clone();
+    });
+    let lost = test("dry.toml", &more, "").expect(1);
+    has(
+        &lost.stdout,
+        &[
+            "drift: viscous_friction.coefficient not compared: not carried by the later runs, has to be none",
+            "drift_percent: not known",
+            "drift_open_percent: not known",
+            "; not compared: viscous_friction.coefficient",
+        ],
+    );
+    let paths = [suite("dry.toml"), desk.path("suites"), more];
+    let paths = paths.each_ref().map(PathBuf::as_path);
+    let told = call("test {} --out {} --baseline {}", &paths).expect(1);
+    has(
+        &told.stdout,
+        &["  viscous_friction.coefficient not compared:"],
+    );
+    let less = doctored("less.json", &|found| found["parameters"] = json!({}));
+    has(
+        &test("dry.toml", &less, "").expect(1).stdout,
+        &[
+            "nothing can be said",
+            "drift: not in the result",
+            "drift_percent: not in the result",
+            "drift_open_percent: not in the result",
+        ],
+    );
+    let unnumbered = doctored("unnumbered.json", &|found| {
+        found["machine"]["drive_serial"] = "".into();
+    });
+    has(
+        &test("dry.toml", &unnumbered, "--any-machine")
+            .expect(0)
+            .stdout,
+        &["no serial number: not known to be the same unit"],
+    );
 
     // Another machine is no baseline, unless a person says so.
     let refused = test("plain.toml", &other, "").expect(1);

@@ -5,14 +5,14 @@
 //!                                              '- no further ahead than WINDOW -'-> table.rs: journal -> FILE
 //! ```
 //!
-//! Nothing of a run is in memory once its row is written, and no worker runs further ahead of the last written row than the
-//! window: memory does not grow with the number of runs.
+//! Of a run whose row is written its path and the place of its row are in memory, some hundred bytes; no worker runs further
+//! ahead of the last written row than the window. Parquet is made of the whole table at the end.
 
 mod inputs;
 mod row;
 mod table;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -73,7 +73,7 @@ pub(crate) struct Analysed {
     pub(crate) unread: usize,
     /// Rows of an earlier time that are still true, among these.
     pub(crate) kept: usize,
-    /// Rows of runs that were not named, which are not in the table any more.
+    /// Rows of runs that were not named, of other options and of other versions, which are not in the table any more.
     pub(crate) left_out: usize,
     pub(crate) output: Option<String>,
 }
@@ -99,7 +99,10 @@ impl Analysed {
         );
         for (count, what) in [
             (self.kept, "rows kept from before"),
-            (self.left_out, "rows of runs that are not named left out"),
+            (
+                self.left_out,
+                "rows of other runs, options or versions left out",
+            ),
         ] {
             if count > 0 {
                 let _ = write!(text, "; {count} {what}");
@@ -147,13 +150,22 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
     }
     let columns = Columns::of(model);
     let mut runs = inputs::runs(request.runs)?;
+    let mut named = HashSet::with_capacity(runs.len());
+    for run in &runs {
+        if !named.insert(row::name(run)) {
+            let headline = format!("{}: two runs have this name in the table", row::name(run));
+            let help = "rename one: a line break, and a letter that is none, are shown as another";
+            return Err(Failure::usage(headline, help));
+        }
+    }
     if let Some(shard) = request.shard {
         runs = block(runs, shard);
     }
     let all = columns.all();
     let table = request
         .out
-        .map(|path| Table::open(path, all.clone(), &request.analysis, request.resume));
+        .map(|path| Table::open(path, all.clone(), &request.analysis, request.resume, &named));
+    drop(named);
     let sink = Sink {
         table: table.transpose()?,
         columns: all,
@@ -194,8 +206,7 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
         ..line.sum
     };
     if let Some(table) = line.sink.table {
-        let names: Vec<String> = runs.iter().map(|run| run.display().to_string()).collect();
-        sum.left_out = table.finish(&names)?;
+        sum.left_out = table.finish(&runs)?;
         sum.output = request.out.map(|path| path.display().to_string());
     }
     Ok(sum)
@@ -294,7 +305,7 @@ fn work(
             .sink
             .table
             .as_ref()
-            .and_then(|table| table.kept(&run.display().to_string(), &content));
+            .and_then(|table| table.kept(&row::name(run), &content));
         let ready = kept.map_or_else(
             || {
                 let (cells, status) = row::row(run, &content, request, columns);

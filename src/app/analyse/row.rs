@@ -9,7 +9,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::super::evidence::{BASELINE, EvidenceFiles, Judging, prepare};
-use super::super::failure::{Failure, INTERNAL, NOT_IDENTIFIABLE};
+use super::super::failure::{Failure, INTERNAL};
 use super::super::identify::{OneRun, identify, is_usable};
 use super::super::output;
 use super::AnalysisRequest;
@@ -214,6 +214,11 @@ pub(super) fn content(run: &Path) -> String {
     format!("{hash:016x}")
 }
 
+/// The run as the column `run` names it.
+pub(super) fn name(run: &Path) -> String {
+    Cell::word(run.display().to_string()).text()
+}
+
 /// What is known of a run, as far as its analysis came.
 #[derive(Default)]
 struct Found {
@@ -223,6 +228,7 @@ struct Found {
 }
 
 /// What a run says of itself.
+#[derive(Default)]
 struct About {
     manifest: Manifest,
     machine: Machine,
@@ -268,26 +274,7 @@ pub(super) fn row(
             ))
         })
     });
-    let (status, reason) = match ended {
-        Err(failure) => {
-            let status = if failure.status == NOT_IDENTIFIABLE && found.about.is_some() {
-                Status::NotIdentified
-            } else {
-                Status::Unread
-            };
-            (status, failure.headline().to_owned())
-        }
-        Ok(()) => match &found.one {
-            Some(one) if one.parameters.iter().any(is_found) => (Status::Ok, String::new()),
-            one => {
-                let reason = one
-                    .iter()
-                    .flat_map(|one| &one.parameters)
-                    .find_map(|p| p.reason.clone());
-                (Status::NotIdentified, reason.unwrap_or_default())
-            }
-        },
-    };
+    let (status, reason) = judged(ended, &found);
     let cells = cells(
         run,
         content,
@@ -298,6 +285,28 @@ pub(super) fn row(
         said,
     );
     (cells, status)
+}
+
+/// How far it came, and why no further. What was read is not unread whatever comes behind it.
+fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
+    let reason = ended
+        .err()
+        .map(|failure| match (failure.headline(), &found.one) {
+            (headline, Some(_)) => format!("no diagnosis: {headline}"),
+            (headline, None) => headline.to_owned(),
+        });
+    let parameters = || found.one.iter().flat_map(|one| &one.parameters);
+    if found.about.is_none() {
+        (Status::Unread, reason.unwrap_or_default())
+    } else if parameters().any(is_found) {
+        (Status::Ok, reason.unwrap_or_default())
+    } else {
+        let own = || parameters().find_map(|parameter| parameter.reason.clone());
+        (
+            Status::NotIdentified,
+            reason.or_else(own).unwrap_or_default(),
+        )
+    }
 }
 
 fn is_found(parameter: &ParameterEstimate) -> bool {
@@ -439,7 +448,7 @@ fn cells(
     let count = |of: fn(&About) -> Option<u64>| about.and_then(of).map_or(Cell::Empty, Cell::Count);
     let size = |of: fn(&About) -> usize| Cell::count(about.map(of));
     let mut cells = vec![
-        Cell::word(run.display().to_string()),
+        Cell::word(name(run)),
         Cell::word(status.name()),
         Cell::word(reason),
         word(|about| about.manifest.name.clone()),
@@ -524,5 +533,39 @@ mod tests {
         assert_eq!(Cell::quantity(Some(f64::NAN)), Cell::Empty);
         assert_eq!(Cell::quantity(Some(0.1)).text(), "0.1");
         assert_eq!(Cell::Empty.json(), Value::Null);
+    }
+
+    #[test]
+    fn what_was_read_and_identified_stays_so_where_its_diagnosis_fails() {
+        let refused = || Err(Failure::usage("the hold-out is short", ""));
+        let mut found = Found::default();
+        let unread = (Status::Unread, "the hold-out is short".to_owned());
+        assert_eq!(judged(refused(), &found), unread);
+        found.about = Some(About::default());
+        let (status, _) = judged(refused(), &found);
+        assert_eq!(status, Status::NotIdentified);
+        let of = |parameter| Identified {
+            rows_used: 1,
+            input: "",
+            scheme: "",
+            parameters: vec![parameter],
+            residual: None,
+            notes: Vec::new(),
+        };
+        let reason = "no diagnosis: the hold-out is short".to_owned();
+        let nothing = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
+        found.one = Some(of(nothing));
+        assert_eq!(
+            judged(Ok(()), &found),
+            (Status::NotIdentified, "sample faster".to_owned())
+        );
+        assert_eq!(
+            judged(refused(), &found),
+            (Status::NotIdentified, reason.clone())
+        );
+        let inertia = ParameterEstimate::found("inertia_kg_m2", "kg.m2", 0.004, 1e-5, None);
+        found.one = Some(of(inertia));
+        assert_eq!(judged(Ok(()), &found), (Status::Ok, String::new()));
+        assert_eq!(judged(refused(), &found), (Status::Ok, reason));
     }
 }

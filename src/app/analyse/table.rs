@@ -5,9 +5,9 @@
 //!              '-- killed --> --resume: rows of FILE.part and FILE that are still true are kept
 //! ```
 //!
-//! Only the place of each row is in memory.
+//! Only the place of each row is in memory. What another program, other columns or other options wrote is not overwritten.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use super::super::export::{parquet, require_parquet};
 use super::super::failure::Failure;
 use super::super::{output, signals};
-use super::row::{Cell, KNOWN_BY, RUN, STATUS, Status};
+use super::row::{self, Cell, KNOWN_BY, RUN, STATUS, Status};
 use crate::recording::ColumnKind;
 
 /// Where a row stands and what it is known by.
@@ -40,15 +40,19 @@ pub(super) struct Table {
     /// The journal, and the table of an earlier time.
     sources: Vec<File>,
     rows: HashMap<String, Place>,
+    /// Rows of other options or versions, of runs that are analysed anew.
+    replaced: usize,
 }
 
 impl Table {
-    /// Opens the journal of the table at `path`. With `resume` the rows of an earlier time by the same `analysis` are known.
+    /// Opens the journal of the table at `path`. With `resume` the rows of an earlier time by the same `analysis` are known;
+    /// those of another have to be of runs that are `named` now.
     pub(super) fn open(
         path: &Path,
         columns: Vec<(String, ColumnKind)>,
         analysis: &str,
         resume: bool,
+        named: &HashSet<String>,
     ) -> Result<Self, Failure> {
         let is_parquet = is_parquet(path)?;
         let part = beside(path, "part");
@@ -70,6 +74,12 @@ impl Table {
             let help = "keep the table as CSV, which is: DuckDB, Polars and pandas read it as well";
             return Err(Failure::usage(headline, help));
         }
+        let names: Vec<&str> = columns.iter().map(|(name, _)| name.as_str()).collect();
+        let header = line_of(&names);
+        if resume {
+            refuse_other(path, &header, false)?;
+            refuse_other(&part, &header, true)?;
+        }
         let cannot = |error: &std::io::Error| output::cannot_write(&part, error);
         let mut options = OpenOptions::new();
         let journal = options.read(true).append(true).create(true).open(&part);
@@ -81,9 +91,11 @@ impl Table {
                 "wait for its end, or give another name to --out",
             ));
         }
-        let names: Vec<&str> = columns.iter().map(|(name, _)| name.as_str()).collect();
-        let header = line_of(&names);
-        let mut rows = HashMap::new();
+        let mut known = Known {
+            analysis,
+            rows: HashMap::new(),
+            others: Vec::new(),
+        };
         let mut sources = vec![journal.try_clone().map_err(|error| cannot(&error))?];
         if resume && path.exists() {
             let mut table = File::open(path).map_err(|error| {
@@ -92,12 +104,27 @@ impl Table {
                     "check the path",
                 )
             })?;
-            known(&mut table, 1, &header, analysis, &mut rows).map_err(|error| cannot(&error))?;
+            known
+                .read(&mut table, 1, &header)
+                .map_err(|error| cannot(&error))?;
             sources.push(table);
         }
-        // What was torn when the program was killed is cut; a journal of other columns has no row that is still true.
-        let end =
-            known(&mut journal, 0, &header, analysis, &mut rows).map_err(|error| cannot(&error))?;
+        // What was torn when the program was killed is cut.
+        let end = known.read(&mut journal, 0, &header);
+        let end = end.map_err(|error| cannot(&error))?;
+        let others = known.others.iter().flatten();
+        let lost = others.filter(|run| !named.contains(*run)).count();
+        if lost > 0 {
+            if end == 0 {
+                let _ = fs::remove_file(&part);
+            }
+            let headline = format!(
+                "{}: {lost} rows of other options or versions, of runs that are not named now, would be lost",
+                path.display()
+            );
+            let help = "name those runs too, or give another name to --out";
+            return Err(Failure::usage(headline, help));
+        }
         journal.set_len(end).map_err(|error| cannot(&error))?;
         let mut table = Self {
             path: path.to_owned(),
@@ -105,7 +132,8 @@ impl Table {
             journal,
             end,
             sources,
-            rows,
+            rows: known.rows,
+            replaced: known.others.len(),
         };
         if table.end == 0 {
             table.append(&header)?;
@@ -144,8 +172,8 @@ impl Table {
     }
 
     /// Writes the rows of these runs in this order as the table, whole or not at all; the journal goes. Gives the number of
-    /// rows of other runs, which are left out.
-    pub(super) fn finish(mut self, runs: &[String]) -> Result<usize, Failure> {
+    /// rows of other runs, options and versions, which are left out.
+    pub(super) fn finish(mut self, runs: &[PathBuf]) -> Result<usize, Failure> {
         let new = beside(&self.path, "new");
         let path = self.path.clone();
         let cannot = |error: std::io::Error| output::cannot_write(&path, &error);
@@ -167,18 +195,18 @@ impl Table {
             .map_err(cannot)?;
         fs::rename(&new, &self.path).map_err(cannot)?;
         fs::remove_file(beside(&self.path, "part")).map_err(cannot)?;
-        Ok(self.rows.len().saturating_sub(runs.len()))
+        Ok(self.replaced + self.rows.len().saturating_sub(runs.len()))
     }
 
-    fn assemble(&mut self, new: &Path, runs: &[String]) -> std::io::Result<()> {
+    fn assemble(&mut self, new: &Path, runs: &[PathBuf]) -> std::io::Result<()> {
         let mut out = BufWriter::new(File::create(new)?);
         let names: Vec<&str> = self.columns.iter().map(|(name, _)| name.as_str()).collect();
         out.write_all(line_of(&names).as_bytes())?;
         let mut line = Vec::new();
         for run in runs {
-            let Some(place) = self.rows.get(run) else {
-                continue;
-            };
+            let place = self.rows.get(&row::name(run));
+            let none = || std::io::Error::other(format!("no row of {}", run.display()));
+            let place = place.ok_or_else(none)?;
             let source = &mut self.sources[place.source];
             source.seek(SeekFrom::Start(place.offset))?;
             line.resize(place.length, 0);
@@ -220,66 +248,88 @@ pub(super) fn line_of<T: AsRef<[u8]>>(cells: &[T]) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Takes over the rows of a file that are of this analysis; gives the end of its last whole row, or 0 where it has other
-/// columns.
-fn known(
-    file: &mut File,
-    source: usize,
-    header: &str,
-    analysis: &str,
-    rows: &mut HashMap<String, Place>,
-) -> std::io::Result<u64> {
-    file.rewind()?;
-    let mut lines = BufReader::new(&*file);
-    let mut line = Vec::new();
-    let (mut offset, mut is_first) = (0, true);
-    loop {
-        line.clear();
-        let length = lines.read_until(b'\n', &mut line)?;
-        if line.last() != Some(&b'\n') || (is_first && line != header.as_bytes()) {
-            return Ok(offset);
-        }
-        if !std::mem::take(&mut is_first) {
-            let mut record = csv::StringRecord::new();
-            let mut reader = csv::ReaderBuilder::new()
-                .has_headers(false)
-                .from_reader(&line[..]);
-            if reader.read_record(&mut record).unwrap_or(false) {
-                let place = Place {
-                    source,
-                    offset,
-                    length,
-                    status: Status::Ok,
-                    content: String::new(),
-                };
-                take(&record, &place, analysis, rows);
-            }
-        }
-        offset += length as u64;
+/// Refuses to go on with a file that has not exactly the columns of this table: it is another's. A journal may end within
+/// them, where the program was killed.
+fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Failure> {
+    if !path.exists() {
+        return Ok(());
     }
+    let mut first = Vec::new();
+    let read = File::open(path).and_then(|file| {
+        let mut start = BufReader::new(file).take(header.len() as u64);
+        start.read_until(b'\n', &mut first)
+    });
+    if let Err(error) = read {
+        let headline = format!("{}: cannot read: {error}", path.display());
+        return Err(Failure::usage(headline, "check the path"));
+    }
+    let is_ours = first == header.as_bytes();
+    if is_ours || may_be_torn && header.as_bytes().starts_with(&first) {
+        return Ok(());
+    }
+    let headline = format!(
+        "{}: not a table of this analysis: its columns are others",
+        path.display()
+    );
+    let help =
+        "another --model has other columns, another version may have; give another name to --out";
+    Err(Failure::usage(headline, help))
 }
 
-fn take(
-    record: &csv::StringRecord,
-    place: &Place,
-    analysis: &str,
-    rows: &mut HashMap<String, Place>,
-) {
-    let from_end = |back: usize| record.len().checked_sub(back).and_then(|at| record.get(at));
-    let (program, by, content) = (from_end(KNOWN_BY), from_end(2), from_end(1));
-    let status = record.get(STATUS).and_then(Status::named);
-    if let (Some(run), Some(status), Some(content)) = (record.get(RUN), status, content)
-        && program == Some(env!("CARGO_PKG_VERSION"))
-        && by == Some(analysis)
-    {
-        let content = content.to_owned();
-        rows.insert(
-            run.to_owned(),
-            Place {
-                status,
-                content,
-                ..place.clone()
-            },
-        );
+/// What earlier rows tell.
+struct Known<'a> {
+    analysis: &'a str,
+    rows: HashMap<String, Place>,
+    /// The runs of rows that are of another analysis; none where a row does not say.
+    others: Vec<Option<String>>,
+}
+
+impl Known<'_> {
+    /// Takes over the rows of a file; gives the end of its last whole row.
+    fn read(&mut self, file: &mut File, source: usize, header: &str) -> std::io::Result<u64> {
+        file.rewind()?;
+        let mut lines = BufReader::new(&*file);
+        let mut line = Vec::new();
+        let (mut offset, mut is_first) = (0, true);
+        loop {
+            line.clear();
+            let length = lines.read_until(b'\n', &mut line)?;
+            if line.last() != Some(&b'\n') || (is_first && line != header.as_bytes()) {
+                return Ok(offset);
+            }
+            if !std::mem::take(&mut is_first) {
+                let mut record = csv::StringRecord::new();
+                let mut reader = csv::ReaderBuilder::new()
+                    .has_headers(false)
+                    .from_reader(&line[..]);
+                let is_read = reader.read_record(&mut record).unwrap_or(false);
+                let taken = is_read.then(|| self.take(&record, (source, offset, length)));
+                if taken.is_none_or(|taken| taken.is_none()) {
+                    self.others.push(record.get(RUN).map(str::to_owned));
+                }
+            }
+            offset += length as u64;
+        }
+    }
+
+    /// Takes over a row of this analysis.
+    fn take(
+        &mut self,
+        record: &csv::StringRecord,
+        (source, offset, length): (usize, u64, usize),
+    ) -> Option<()> {
+        let from_end = |back: usize| record.len().checked_sub(back).and_then(|at| record.get(at));
+        let status = Status::named(record.get(STATUS)?)?;
+        let is_own =
+            from_end(KNOWN_BY)? == env!("CARGO_PKG_VERSION") && from_end(2)? == self.analysis;
+        let place = is_own.then(|| Place {
+            source,
+            offset,
+            length,
+            status,
+            content: from_end(1).unwrap_or_default().to_owned(),
+        })?;
+        self.rows.insert(record.get(RUN)?.to_owned(), place);
+        Some(())
     }
 }

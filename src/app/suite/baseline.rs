@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::app::failure::Failure;
 use crate::app::files::read_text;
-use crate::identification::drift::{Drift, between};
+use crate::identification::drift::{Drift, between, name};
 use crate::identification::temperature;
 use crate::plant::{MotorKey, effect};
 use crate::recording::{Machine, Manifest, RunFile, RunFolder};
@@ -59,8 +59,10 @@ impl Baseline {
         found: &IdentifiedStep,
         mut identify: impl FnMut(&Path) -> Result<Value, String>,
     ) -> Result<Drift, String> {
-        let (mut before, mut since, mut others) = (Vec::new(), Vec::new(), Vec::new());
-        let mut is_alike = true;
+        let mut before: Vec<Vec<ParameterEstimate>> = Vec::new();
+        let (mut since, mut others) = (Vec::new(), Vec::new());
+        let (mut is_alike, mut is_unit_known) = (true, !found.machine.drive_serial.is_empty());
+        let (mut runs, mut repeated) = (Vec::new(), 0);
         for source in &self.sources {
             let earlier = match source {
                 Source::Run { path, manifest } => {
@@ -69,7 +71,14 @@ impl Baseline {
                         others.push(format!("{}: {machine}", path.display()));
                         continue;
                     }
+                    is_unit_known &= !machine.drive_serial.is_empty();
                     is_alike &= manifest.excitation() == found.excitation;
+                    let run = (&manifest.stamp, manifest.seed, machine);
+                    if !manifest.stamp.is_empty() && runs.contains(&run) {
+                        repeated += 1;
+                        continue;
+                    }
+                    runs.push(run);
                     let parameters = identify(path)?;
                     vec![(parameters, manifest.began().unwrap_or_default())]
                 }
@@ -82,13 +91,22 @@ impl Baseline {
                         others.push(format!("{}: {}", source.name(), other.machine));
                     }
                     let same = steps.iter().filter(is_same);
+                    is_unit_known &= same
+                        .clone()
+                        .all(|step| !step.machine.drive_serial.is_empty());
                     is_alike &= same.clone().all(|step| step.excitation == found.excitation);
                     same.map(|step| (step.parameters.clone(), began.clone()))
                         .collect()
                 }
             };
             for (parameters, began) in earlier {
-                before.push(estimates(&parameters));
+                let parameters = estimates(&parameters);
+                // Under another path, or in the result of the suite that made it, a run is no repeat.
+                if before.iter().any(|known| has_figures(&parameters, known)) {
+                    repeated += 1;
+                    continue;
+                }
+                before.push(parameters);
                 since.push(began.get(..10).unwrap_or("an unknown date").to_owned());
             }
         }
@@ -103,12 +121,32 @@ impl Baseline {
                 )
             });
         };
-        let mut drift = between(&before, &[estimates(&found.parameters)], &first);
-        if !is_alike {
-            let excited = "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift";
-            let cautions = drift.caution.into_iter().chain([excited.to_owned()]);
-            drift.caution = Some(cautions.collect::<Vec<_>>().join("; "));
-        }
+        let now = estimates(&found.parameters);
+        let is_itself = before.iter().any(|known| has_figures(&now, known));
+        let mut drift = between(&before, &[now], &first);
+        let said = [
+            (
+                is_alike,
+                "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift",
+            ),
+            (
+                is_unit_known,
+                "no serial number: not known to be the same unit",
+            ),
+            (
+                !is_itself,
+                "figure for figure as it was then: the same run, or a software drive that repeats itself",
+            ),
+        ];
+        let said = said.into_iter().filter(|(is_well, _)| !is_well);
+        let repeats =
+            format!("{repeated} of the baseline are a run that is in it already, and not counted");
+        let cautions = drift
+            .caution
+            .into_iter()
+            .chain(said.map(|(_, said)| said.to_owned()));
+        let cautions: Vec<String> = cautions.chain((repeated > 0).then_some(repeats)).collect();
+        drift.caution = (!cautions.is_empty()).then(|| cautions.join("; "));
         Ok(drift)
     }
 
@@ -191,6 +229,17 @@ fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
     read.collect()
 }
 
+/// Whether what was found is the same to the last digit, as two measurements never are.
+fn has_figures(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
+    let carried = |all: &[ParameterEstimate]| -> Vec<(String, u64)> {
+        let all = all.iter();
+        all.filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits())))
+            .collect()
+    };
+    let figures = carried(one);
+    !figures.is_empty() && figures == carried(other)
+}
+
 fn unit(key: &str) -> &'static str {
     let of_effect = || {
         let (id, own) = key.split_once('.')?;
@@ -203,6 +252,34 @@ fn unit(key: &str) -> &'static str {
         None if key == temperature::KEY => MotorKey::Resistance.unit(),
         None => of_effect().unwrap_or_default(),
     }
+}
+
+/// The figures of a comparison, for limits: none of them where nothing was compared, and words, which no limit of a number or
+/// `none` takes, where it is not known.
+pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
+    if drift.changes.is_empty() {
+        return Vec::new();
+    }
+    let keys: Vec<&str> = drift
+        .in_question()
+        .map(|change| change.key.as_str())
+        .collect();
+    let lost: Vec<String> = drift
+        .lost()
+        .map(|own| format!("{} not compared: {}", own.key, own.reason))
+        .collect();
+    let drifted = if lost.is_empty() {
+        keys.into()
+    } else {
+        let named = keys.into_iter().map(str::to_owned).chain(lost);
+        named.collect::<Vec<_>>().join("; ").into()
+    };
+    let percent = |percent: Option<f64>| percent.map_or("not known".into(), Value::from);
+    vec![
+        ("drift", drifted),
+        ("drift_percent", percent(drift.largest_percent())),
+        ("drift_open_percent", percent(drift.open_percent())),
+    ]
 }
 
 /// What has drifted, as lines for a person: one for each step, and what is to be known of it.
@@ -222,6 +299,11 @@ pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
                 drift
                     .in_question()
                     .map(|change| format!("  {}", change.sentence)),
+            );
+            let not_compared = drift.not_compared.iter();
+            lines.extend(
+                not_compared
+                    .map(|own| format!("  {} not compared: {}", name(&own.key), own.reason)),
             );
             lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));
         }

@@ -34,6 +34,9 @@ pub struct Change {
     pub unit: &'static str,
     pub before: f64,
     pub after: f64,
+    /// Runs of either date that carry it.
+    pub runs_before: usize,
+    pub runs_after: usize,
     /// Of the value before; null where that may as well be zero.
     pub percent: Option<f64>,
     pub interval_95_percent: Option<[f64; 2]>,
@@ -65,6 +68,8 @@ impl Change {
 pub struct NotCompared {
     pub key: String,
     pub reason: String,
+    /// The earlier runs carried it: what it has done since is not known.
+    pub carried_before: bool,
 }
 
 /// All parameters of one machine at two dates.
@@ -92,12 +97,30 @@ impl Drift {
         changes.filter(|change| change.drifted || change.unsettled)
     }
 
-    /// Largest change of these, either way, in per cent; zero where there is none.
-    pub fn largest_percent(&self) -> f64 {
-        let sizes = self
-            .in_question()
-            .map(|change| change.percent.map_or(f64::INFINITY, f64::abs));
-        sizes.fold(0.0, f64::max)
+    /// What the earlier runs carried and the later ones do not.
+    pub fn lost(&self) -> impl Iterator<Item = &NotCompared> {
+        let all = self.not_compared.iter();
+        all.filter(|parameter| parameter.carried_before)
+    }
+
+    /// Largest change of what is in question, either way, in per cent: zero where nothing is. Not known where one of them has
+    /// no share, where a parameter was lost, or where nothing was compared.
+    pub fn largest_percent(&self) -> Option<f64> {
+        self.largest(
+            self.in_question()
+                .map(|change| change.percent.map(f64::abs)),
+        )
+    }
+
+    /// Largest change of any parameter that its own 95 % interval leaves open, in per cent; not known as above.
+    pub fn open_percent(&self) -> Option<f64> {
+        self.largest(self.changes.iter().map(Change::at_most_percent))
+    }
+
+    fn largest(&self, sizes: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+        let is_whole = !self.changes.is_empty() && self.lost().next().is_none();
+        let sizes: Option<Vec<f64>> = sizes.collect();
+        Some(sizes.filter(|_| is_whole)?.into_iter().fold(0.0, f64::max))
     }
 }
 
@@ -172,21 +195,33 @@ pub fn between(
         }
     }
     correct(&mut changes);
-    let freedom = (before.len() + after.len()) as f64 - 2.0;
     let compared = changes.len() as f64;
     for change in &mut changes {
         change.drifted = change.by_chance < FALSE_ALARM;
         let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
+        let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
         change.unsettled = is_beyond_noise && !change.drifted && freedom < FEW;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
         change.sentence = sentence(change, since);
     }
-    let repeats = before.len() + after.len() > 2;
-    let caution = (!repeats && !changes.is_empty()).then(|| {
-        "one run on each side: how far this machine moves from run to run of itself is not known, and in no interval".to_owned()
+    let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
+    let singles: Vec<String> = changes
+        .iter()
+        .filter(single)
+        .map(|change| name(&change.key))
+        .collect();
+    let of = if singles.len() == changes.len() {
+        String::new()
+    } else {
+        format!(" with {}", singles.join(", "))
+    };
+    let caution = (!singles.is_empty()).then(|| {
+        format!(
+            "one run on each side{of}: how far this machine moves from run to run of itself is not known, and in no interval"
+        )
     });
     Drift {
-        sentence: answer(&changes, since),
+        sentence: answer(&changes, &not_compared, since),
         changes,
         not_compared,
         runs_before: before.len(),
@@ -210,7 +245,8 @@ fn why_not(
     // What was given to both is no finding of either.
     let is_given = all().all(|estimate| estimate.std == Some(0.0));
     let unseen = |runs| Seen::of(key, runs).is_none();
-    let reason = match (unseen(before), unseen(after)) {
+    let sides = (unseen(before), unseen(after));
+    let reason = match sides {
         (true, true) => "not carried by the runs of either date",
         (true, false) => "not carried by the earlier runs",
         _ => "not carried by the later runs",
@@ -220,6 +256,7 @@ fn why_not(
     (!is_given).then(|| NotCompared {
         key: key.to_owned(),
         reason,
+        carried_before: !sides.0,
     })
 }
 
@@ -229,23 +266,28 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
     let change = to - from;
     let by_noise = (before.within / before.count() + after.within / after.count()).sqrt();
     let freedom = before.count() + after.count() - 2.0;
-    let by_spread = (freedom > 0.0).then(|| {
-        let pooled = (before.squares() + after.squares()) / freedom;
-        (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt()
-    });
-    let student = by_spread.and_then(|std| Some((std, StudentsT::new(0.0, 1.0, freedom).ok()?)));
-    let half_of_spread = student.map_or(0.0, |(std, student)| std * student.inverse_cdf(0.975));
-    let half = half_of_spread.max(TWO_SIDED_95 * by_noise);
+    let pooled = (freedom > 0.0).then(|| (before.squares() + after.squares()) / freedom);
+    let student = pooled.and_then(|pooled| Some((pooled, StudentsT::new(0.0, 1.0, freedom).ok()?)));
+    // Of `to - share * from`; the more cautious of noise and spread.
+    let half = |share: f64| {
+        let of = |earlier: f64, later: f64| {
+            (later / after.count() + share * share * earlier / before.count()).sqrt()
+        };
+        let of_spread = student.map_or(0.0, |(pooled, student)| {
+            student.inverse_cdf(0.975) * of(pooled, pooled)
+        });
+        of_spread.max(TWO_SIDED_95 * of(before.within, after.within))
+    };
     let normal = Normal::standard();
     let of_noise = 2.0 * normal.sf(change.abs() / by_noise);
     let mut by_chance = of_noise;
-    if let Some((std, student)) = student.filter(|(std, _)| *std > 0.0) {
+    if let Some((pooled, student)) = student.filter(|(pooled, _)| *pooled > 0.0) {
+        let std = (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt();
         by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
     }
-    // What is divided by is uncertain itself: a share of the interval that grows with the change.
+    // What is divided by is uncertain itself: its part of the interval grows with the ratio.
     let is_clear = from.abs() > CLEAR_OF_ZERO * (before.within / before.count()).sqrt();
-    let ratio = to / from;
-    let widened = half * (0.5 * (1.0 + ratio * ratio)).sqrt();
+    let (half, widened) = (half(1.0), half(to / from));
     let percent = |value: f64| 100.0 * value / from;
     let ends = [percent(change - widened), percent(change + widened)];
     Change {
@@ -253,6 +295,8 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
         unit: before.unit,
         before: from,
         after: to,
+        runs_before: before.values.len(),
+        runs_after: after.values.len(),
         percent: is_clear.then(|| percent(change)),
         interval_95_percent: is_clear.then(|| [ends[0].min(ends[1]), ends[0].max(ends[1])]),
         change,
@@ -279,7 +323,7 @@ fn correct(changes: &mut [Change]) {
 }
 
 /// What a person calls a parameter.
-fn name(key: &str) -> String {
+pub fn name(key: &str) -> String {
     let name = match MotorKey::from_key(key) {
         Some(MotorKey::Resistance) => "resistance",
         Some(MotorKey::Inductance) => "inductance",
@@ -369,14 +413,14 @@ fn sentence(change: &Change, since: &str) -> String {
     }
     match change.at_most_percent() {
         Some(most) => format!(
-            "{name}: no change larger than {} % is left open since {since}",
+            "{name}: no change larger than {} % is left open (95 %) since {since}",
             significant(most, 2)
         ),
         None => format!("{name}: no change shown since {since}: {}", size(change)),
     }
 }
 
-fn answer(changes: &[Change], since: &str) -> String {
+fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
     let told = |is: fn(&Change) -> bool| {
         let named = changes.iter().filter(|change| is(change));
         let named = named.map(|change| format!("{} {}", name(&change.key), size(change)));
@@ -386,30 +430,28 @@ fn answer(changes: &[Change], since: &str) -> String {
         told(|change| change.drifted),
         told(|change| change.unsettled),
     );
-    if !drifted.is_empty() {
-        return format!("drifted since {since}: {drifted}");
-    }
-    if !unsettled.is_empty() {
-        return format!("not settled whether there is a drift since {since}: {unsettled}");
-    }
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
-    match open.as_deref() {
-        Some([]) => {
-            "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
-        }
-        Some(open) => {
-            let most = open.iter().copied().fold(0.0, f64::max);
-            let count = open.len();
-            format!(
-                "no drift shown since {since}: {count} parameters compared, no change shown larger than {} %",
-                significant(most, 2)
-            )
-        }
-        None => format!(
-            "no drift shown since {since}: {} parameters compared",
-            changes.len()
-        ),
+    let count = changes.len();
+    let mut answer = if !drifted.is_empty() {
+        format!("drifted since {since}: {drifted}")
+    } else if !unsettled.is_empty() {
+        format!("not settled whether there is a drift since {since}: {unsettled}")
+    } else if changes.is_empty() {
+        "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+    } else if let Some(open) = open {
+        let most = significant(open.into_iter().fold(0.0, f64::max), 2);
+        format!(
+            "no drift shown since {since}: {count} parameters compared, no change larger than {most} % is left open (95 % for \
+             each alone)"
+        )
+    } else {
+        format!("no drift shown since {since}: {count} parameters compared")
+    };
+    let unknown: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
+    if !unknown.is_empty() {
+        answer += &format!("; not compared: {}", unknown.join(", "));
     }
+    answer
 }
 
 #[cfg(test)]
