@@ -222,6 +222,22 @@ fn unfinished_marks(text: &str) -> Vec<(usize, String)> {
         .collect()
 }
 
+/// Words such as `SECONDS_DONE` where a figure has to come, which no code of a page holds.
+fn placeholders(page: &str) -> Vec<String> {
+    // Fences of code blocks begin with three of the marks that enclose code in a line.
+    let prose = page.split("```").step_by(2);
+    let prose = prose.flat_map(|text| text.split('`').step_by(2));
+    let words = prose.flat_map(|text| text.split(|c: char| c != '_' && !c.is_alphanumeric()));
+    let is_one = |word: &&str| {
+        let all = word
+            .chars()
+            .all(|c| c == '_' || c.is_ascii_uppercase() || c.is_ascii_digit());
+        all && word.trim_matches('_').contains('_')
+            && word.contains(|c: char| c.is_ascii_uppercase())
+    };
+    words.filter(is_one).map(str::to_owned).collect()
+}
+
 #[test]
 fn every_arrow_goes_down() {
     let violations: Vec<String> = rust_files(&["src"])
@@ -347,6 +363,30 @@ fn nothing_is_left_unfinished() {
     }
     let fake = format!("fn a() {{}}\n// {}{} later\n", "TO", "DO");
     assert_eq!(unfinished_marks(&fake).len(), 1);
+}
+
+#[test]
+fn no_page_waits_for_its_figures() {
+    let below = ["docs", "firmware-protocol"].into_iter().flat_map(files);
+    let own = [
+        "README.md",
+        "CHANGELOG.md",
+        "ARCHITECTURE.md",
+        "CONTRIBUTING.md",
+    ];
+    let pages = below.chain(own.map(PathBuf::from));
+    for path in pages.filter(|path| path.extension().is_some_and(|ending| ending == "md")) {
+        let text = read(&path);
+        let found = (placeholders(&text), unfinished_marks(&text));
+        assert!(
+            found.0.is_empty() && found.1.is_empty(),
+            "{}: {found:?}",
+            path.display()
+        );
+    }
+    let fake =
+        "| a | SECONDS_A |\n`NO_COLOR`\n```sh\nCI_TOTAL=1\n```\nB_C, `--s SECONDS`, A, 1_000";
+    assert_eq!(placeholders(fake), ["SECONDS_A", "B_C"]);
 }
 
 /// The file's text parsed by the reader of its folder; the reason where it is refused.

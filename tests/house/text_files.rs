@@ -57,6 +57,36 @@ fn options() -> Vec<String> {
         .into()
 }
 
+#[test]
+fn every_key_of_a_suite_stands_in_its_example() {
+    let words: Vec<&str> = SUITE
+        .split(|c: char| c != '_' && !c.is_alphanumeric())
+        .collect();
+    let step = "name = \"a\"\n[[case]]\nname = \"b\"\n[[case.step]]\nexcite = {}\n";
+    for (wrong, known) in [
+        ("wrong = 1".to_owned(), "defaults"),
+        (
+            "name = \"a\"\n[defaults]\nwrong = 1".to_owned(),
+            "timeout_s",
+        ),
+        ("name = \"a\"\n[[case]]\nwrong = 1".to_owned(), "repeat"),
+        (
+            "name = \"a\"\n[[case]]\nneeds = [\"wrong\"]".to_owned(),
+            "baseline",
+        ),
+        (format!("{step}wrong = 1"), "commission"),
+        (format!("{step}host = {{ wrong = 1 }}"), "for_s"),
+        (format!("{step}signal = [{{ wrong = 1 }}]"), "channel"),
+    ] {
+        let error = Suite::parse("suite.toml", &wrong, |_| options()).expect_err(&wrong);
+        let keys = error.help.strip_prefix("allowed: ").expect(&error.message);
+        assert!(keys.split(", ").any(|key| key == known), "{keys}");
+        for key in keys.split(", ") {
+            assert!(words.contains(&key), "{key} of {wrong:?}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 

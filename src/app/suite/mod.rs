@@ -16,7 +16,6 @@ mod line;
 mod own_drive;
 mod process;
 
-use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -174,31 +173,24 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         (on_a_line, 1),
         (in_memory, cores),
     ] {
-        let queue = Mutex::new(VecDeque::from(part));
         let done = Mutex::new(&mut outcomes);
-        std::thread::scope(|scope| {
-            for _ in 0..at_once {
-                scope.spawn(|| {
-                    while let Some((index, job)) = lock(&queue).pop_front() {
-                        let bench = Bench {
-                            program: &program,
-                            home,
-                            port: job.port.clone(),
-                            hardware: is_real(job),
-                            threads: (cores / at_once).max(1),
-                            stop: &stop,
-                            baseline: baseline.as_ref(),
-                        };
-                        let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
-                        output::message(&line(&outcome, job.case.repeat));
-                        if outcome.verdict == Verdict::Passed && !request.keep {
-                            // What cannot be removed stays; it is in nobody's way.
-                            let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
-                        }
-                        lock(&done)[index] = Some(outcome);
-                    }
-                });
+        each(part, at_once, |(index, job)| {
+            let bench = Bench {
+                program: &program,
+                home,
+                port: job.port.clone(),
+                hardware: is_real(job),
+                threads: (cores / at_once).max(1),
+                stop: &stop,
+                baseline: baseline.as_ref(),
+            };
+            let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
+            output::message(&line(&outcome, job.case.repeat));
+            if outcome.verdict == Verdict::Passed && !request.keep {
+                // What cannot be removed stays; it is in nobody's way.
+                let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
             }
+            lock(&done)[index] = Some(outcome);
         });
     }
     let mut cases: Vec<CaseOutcome> = outcomes.into_iter().flatten().collect();
@@ -365,4 +357,48 @@ fn machine() -> String {
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Works on each in their order, on so many at once.
+fn each<T: Send>(
+    all: impl IntoIterator<Item = T, IntoIter: Send>,
+    at_once: usize,
+    work: impl Fn(T) + Sync,
+) {
+    let all = Mutex::new(all.into_iter());
+    // Its lock ends here: in the head of a loop it would be held while that one is worked on.
+    let next = || lock(&all).next();
+    std::thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(|| {
+                while let Some(one) = next() {
+                    work(one);
+                }
+            });
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Condvar;
+    use std::time::Duration;
+
+    #[test]
+    fn as_many_as_are_allowed_are_worked_on_at_once() {
+        let (begun, changed) = (Mutex::new(Vec::new()), Condvar::new());
+        each(0..2, 2, |one| {
+            lock(&begun).push(one);
+            changed.notify_all();
+            // Each waits for the other: the time is only there to fail in.
+            let waited = changed
+                .wait_timeout_while(lock(&begun), Duration::from_secs(60), |all| all.len() < 2)
+                .unwrap();
+            assert!(!waited.1.timed_out(), "one after the other");
+        });
+        each(2..9, 1, |one| lock(&begun).push(one));
+        let all = begun.into_inner().unwrap();
+        assert_eq!(all[2..], [2, 3, 4, 5, 6, 7, 8]);
+    }
 }
