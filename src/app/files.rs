@@ -134,7 +134,7 @@ pub struct Recorded {
     pub(crate) capture: Option<PathBuf>,
     /// `None` when the rows are not needed any more.
     logs: Option<KeptLogs>,
-    /// Why the record on the disk is not whole, and the folder where the whole of it is then, where there is one.
+    /// Why the record on the disk is not whole, and the folder where samples and events are then, where there is one.
     unkept: Option<String>,
     rescued: Option<String>,
 }
@@ -176,17 +176,19 @@ impl Recorded {
     fn rescue(&mut self) {
         let place = std::env::temp_dir();
         let logs = self.logs.as_ref();
-        match logs.and_then(|logs| logs.rescue(&place, &self.manifest)) {
+        match logs.and_then(|logs| logs.rescue(&self.folder, &place, &self.manifest)) {
             Some(Ok(folder)) => {
                 let folder = folder.path().display();
-                output::message(&format!("the whole record is in {folder}"));
+                output::message(&format!("samples and events are in {folder}"));
                 self.rescued = Some(folder.to_string());
             }
             Some(Err(error)) => {
-                output::message(&format!("the record is not rescued either: {error}"))
+                output::message(&format!("the record is not rescued either: {error}"));
             }
             None => {
-                output::message("the record is not whole in memory either: what is missing is lost")
+                output::message(
+                    "the record is not whole in memory either: what is missing is lost",
+                );
             }
         }
     }
@@ -307,7 +309,9 @@ impl Recorded {
         let folder = self.folder.path().display();
         let headline = format!("the record could not be kept: {reason}");
         let help = match &self.rescued {
-            Some(rescued) => format!("the result is printed, and the whole record is in {rescued}"),
+            Some(rescued) => {
+                format!("the result is printed, and samples and events are in {rescued}")
+            }
             None => format!(
                 "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
             ),
@@ -341,8 +345,7 @@ pub(crate) fn early_end(
     outcome: &Outcome,
     stop_error: Option<&str>,
 ) -> Option<(u8, String, EarlyEnd)> {
-    let unstopped =
-        stop_error.map(|error| format!("the last stop did not reach the drive: {error}"));
+    let unstopped = stop_error.map(|error| format!("the last stop was not confirmed: {error}"));
     let by_hand = "it was ended by hand";
     let (status, tone, title, reason) = match outcome {
         Outcome::Done if unstopped.is_none() => return None,
@@ -397,7 +400,7 @@ mod tests {
             assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
             let (status, headline, _) = early_end(&outcome, Some("no reply")).unwrap();
             assert_eq!(status, unsure, "{outcome:?}");
-            let is_said = headline.contains("did not reach") || headline.contains("lost");
+            let is_said = headline.contains("not confirmed") || headline.contains("lost");
             assert!(is_said, "{outcome:?}: {headline}");
         }
     }

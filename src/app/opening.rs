@@ -124,6 +124,7 @@ pub(crate) fn in_memory(
             "give --port sim:rtu, or --port emulator",
         ));
     }
+    config.suits(guise.is_some(), bench.link.protocol)?;
     let seed = bench.emulator.seed;
     Ok(if let Some(guise) = guise {
         let drive = ForeignDrive::new(guise, config, seed);
@@ -150,7 +151,8 @@ pub(crate) fn on_a_line(
             "set link.protocol to modbus-rtu, or give --port sim:",
         ));
     }
-    Ok(open_line(guise, config, bench.emulator.seed, profile, time))
+    let seed = bench.emulator.seed;
+    Ok(open_line(guise, config, seed, profile, time)?)
 }
 
 /// What an exchange of the bench's protocol takes over its line, for a drive in memory.
@@ -170,6 +172,7 @@ pub(crate) fn serve(
     seed: u64,
     guise: Option<Guise>,
 ) -> Result<ServerHandle, Failure> {
+    config.suits(guise.is_some(), protocol)?;
     let local = Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)));
     let endpoint = match protocol {
         drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),

@@ -5,7 +5,7 @@
 //! ```
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use super::controls::{Controls, DriveCell, DriveWord};
@@ -219,6 +219,9 @@ impl Rig {
                 "the small steps that find an unknown motor would let a vertical load fall",
                 "give the motor's data in [motor], or take the load off",
             ));
+        }
+        if !at_rest && !self.has_recorded {
+            self.can_record()?;
         }
         self.energises(controls, 0.0);
         let plate = self.bench.nameplate().filter(|_| !self.escalates);
@@ -481,6 +484,18 @@ impl Rig {
             recorded.keep_parquet();
         }
         Ok(recorded)
+    }
+
+    /// The first move is made only where a folder for the record can be: one is made and removed again, where that of the
+    /// runs is or would be.
+    fn can_record(&self) -> Result<(), Failure> {
+        let mut places = self.asked.out.ancestors();
+        let place = places.find(|place| place.exists());
+        let place = place.unwrap_or(Path::new("."));
+        let made = RunFolder::create(place, &utc_stamp(now()), &self.bench.name)?;
+        let path = made.path();
+        let headline = |error| format!("{}: cannot remove: {error}", path.display());
+        std::fs::remove_dir(path).map_err(|error| Failure::new(USAGE, headline(error)))
     }
 
     /// A run whose record cannot be begun is refused, with nothing energised; one that follows others goes on in memory.

@@ -23,7 +23,8 @@ use super::trip::{Trip, TripKind};
 use crate::drive::CommandTimes;
 use crate::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
 
-/// By more than this no clock of a drive runs back that was on all the time, s.
+/// By more than this, or than the silence that is allowed, the clock of a drive that was on all the time and that of this
+/// host do not part between two samples, s.
 const RESTARTED_S: f64 = 0.1;
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
 const ALLOWED_IN_A_ROW: u32 = 3;
@@ -75,7 +76,7 @@ pub struct Guard {
     shaper: Shaper,
     trip: Option<Trip>,
     seen: [bool; WATCHED.len()],
-    last_sample_time_s: Option<f64>,
+    last_sample: Option<Seen>,
     last_valid_s: Option<f64>,
     last_step_s: Option<f64>,
     counts: Counts,
@@ -84,6 +85,13 @@ pub struct Guard {
     plausibility: Plausibility,
     /// Longest time of braking at the bound of the winding, s.
     braking_s: f64,
+}
+
+/// When a sample came, by the host's time and by its own, s.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    host_s: f64,
+    sample_s: f64,
 }
 
 /// What is counted from the begin of a run on.
@@ -157,7 +165,7 @@ impl Guard {
             limits,
             trip: None,
             seen: [false; WATCHED.len()],
-            last_sample_time_s: None,
+            last_sample: None,
             last_valid_s: None,
             last_step_s: None,
             counts: Counts::default(),
@@ -311,8 +319,7 @@ impl Guard {
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
         self.shaper.hear(now_s);
-        let last_s = self.last_sample_time_s;
-        let is_newer = last_s.is_none_or(|last_s| sample.time_s > last_s);
+        let is_newer = (self.last_sample).is_none_or(|last| sample.time_s > last.sample_s);
         for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
             *seen |= sample.get(channel).is_some();
         }
@@ -335,14 +342,17 @@ impl Guard {
                     Some(self.plausibility.explained(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
-                .or_else(|| Self::switched_on_again(now_s, sample.time_s, last_s?))
+                .or_else(|| self.switched_on_again(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample.time_s, is_newer))
                 .or(doubt)
         } else {
             None
         };
         if sample.time_s.is_finite() {
-            self.last_sample_time_s = Some(sample.time_s);
+            self.last_sample = Some(Seen {
+                host_s: now_s,
+                sample_s: sample.time_s,
+            });
         }
         found.and_then(|trip| self.latch(trip))
     }
@@ -527,21 +537,41 @@ impl Guard {
         }
     }
 
-    /// A drive whose time runs back was off in between: what it was told before is over.
-    fn switched_on_again(now_s: f64, drive_s: f64, last_s: f64) -> Option<Trip> {
-        let back_s = last_s - drive_s;
-        (back_s > RESTARTED_S).then(|| {
-            let what = format!(
-                "the drive's time ran back by {back_s:.3} s: it was switched off and on again"
-            );
-            Trip::new(TripKind::ClockStuck, now_s, (back_s, RESTARTED_S), what)
-        })
+    /// By how much the drive's clock went on since the last sample, by how much the host's, and how far they may part, s,
+    /// where they part by more.
+    fn restart(&self, now_s: f64, sample: &Sample) -> Option<(f64, f64, f64)> {
+        let last = self.last_sample?;
+        let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
+        // No clock that was on all the time runs back at all.
+        let most_s = if drive_s < 0.0 {
+            RESTARTED_S
+        } else {
+            self.limits.link_silence_s.max(RESTARTED_S)
+        };
+        ((drive_s - host_s).abs() > most_s).then_some((drive_s, host_s, most_s))
+    }
+
+    /// Whether this sample is of a drive that began its time anew: nothing is to be read off its clock.
+    pub fn is_of_a_restart(&self, now_s: f64, sample: &Sample) -> bool {
+        let tripped = self.tripped().map(|trip| trip.kind);
+        tripped == Some(TripKind::Restarted) || self.restart(now_s, sample).is_some()
+    }
+
+    /// A drive whose time jumps was off in between, and what it was told before is over. After a power-up its counter is
+    /// anywhere against where it was: back, or ahead.
+    fn switched_on_again(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let (drive_s, host_s, most_s) = self.restart(now_s, sample)?;
+        let what = format!(
+            "the drive's time went by {drive_s:.3} s while {host_s:.3} s passed here: it was switched off and on again"
+        );
+        let figures = ((drive_s - host_s).abs(), most_s);
+        Some(Trip::new(TripKind::Restarted, now_s, figures, what))
     }
 
     fn stuck_clock(&mut self, now_s: f64, drive_s: f64, advanced: bool) -> Option<Trip> {
         let stuck = &mut self.counts.stuck_clock;
         *stuck = if advanced { 0 } else { *stuck + 1 };
-        let what = format!("drive time stays at {drive_s} s");
+        let what = format!("drive time stays at {drive_s:.3} s");
         Self::too_often(TripKind::ClockStuck, now_s, *stuck, &what)
     }
 

@@ -295,9 +295,7 @@ impl Runner<'_> {
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
         self.tell_record(now_s);
-        let stop = self
-            .stop
-            .stop(self.cause(&outcome), self.session.watchdog_s());
+        let stop = self.stop.stop(self.session.watchdog_s());
         self.tell_stop(now_s, &outcome, stop.as_ref());
         self.publish(
             now_s,
@@ -331,9 +329,7 @@ impl Runner<'_> {
 
     /// The stop with which every run ends: a routine where the drive has said before that its output is off.
     fn note_last_stop(&mut self, told_s: f64, now_s: f64, failed: Option<&LinkError>) {
-        // What failed for want of an answer was asked; what found the link gone was not.
-        self.stop
-            .asked(told_s, failed.is_none_or(LinkError::is_transient));
+        self.stop.asked(told_s, self.link.0.has_sent_command());
         match failed {
             // Who does not tell whether the output is off has not confirmed that it is.
             None if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
@@ -356,21 +352,6 @@ impl Runner<'_> {
                 text: stop.sentence(),
             });
         }
-    }
-
-    /// What the output had to go off for.
-    fn cause(&self, outcome: &Outcome) -> String {
-        let tripped = self.session.guard().tripped();
-        let text = match (outcome, tripped) {
-            (Outcome::Done, _) => "the end of the sequence",
-            (Outcome::Stopped, _) => "the request to stop",
-            (Outcome::Interrupted, _) => "the interruption",
-            (Outcome::Tripped(trip), _) => trip.kind.name(),
-            (Outcome::LinkLost { .. }, Some(trip)) if trip.kind.is_link() => trip.kind.name(),
-            (Outcome::LinkLost { .. }, _) => "the loss of the link",
-            (Outcome::NotStarted { reason }, _) => reason,
-        };
-        text.to_owned()
     }
 
     /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
@@ -427,7 +408,8 @@ impl Runner<'_> {
             self.session.step(now_s, input, &mut actions);
             let phase = self.session.phase();
             let offset_s = self.end.drive_minus_host_s;
-            self.stop.phase(now_s, phase, offset_s);
+            let session = &self.session;
+            self.stop.phase(now_s, phase, offset_s, || cause(session));
             if self.session.has_stopped() {
                 self.stop.confirmed(now_s);
             }
@@ -500,7 +482,8 @@ impl Runner<'_> {
                 // A host that stamps samples has one clock for both: how long this exchange took is no part of it.
                 let host_s = (sample.time_half_width_s.and(sample.host_time_s)).map(|s| s - now_s);
                 let offset_s = host_s.unwrap_or(sample.time_s - sent_s);
-                if offset_s.is_finite() {
+                let is_of_a_restart = self.session.guard().is_of_a_restart(now_s, &sample);
+                if offset_s.is_finite() && !is_of_a_restart {
                     self.end.drive_minus_host_s = offset_s;
                 }
                 self.end.last_reply_s = now_s;
@@ -625,6 +608,18 @@ impl Runner<'_> {
                 (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
             }
         });
+    }
+}
+
+/// What the output has to go off for, as it is decided.
+fn cause(session: &Session) -> &'static str {
+    match (session.ending(), session.guard().tripped()) {
+        (Some(Outcome::Done), _) => "the end of the sequence",
+        (Some(Outcome::Interrupted), _) => "the interruption",
+        (Some(Outcome::Tripped(trip)), _) => trip.kind.name(),
+        (Some(Outcome::LinkLost { .. }), Some(trip)) if trip.kind.is_link() => trip.kind.name(),
+        (Some(Outcome::LinkLost { .. }), _) => "the loss of the link",
+        (Some(Outcome::Stopped | Outcome::NotStarted { .. }) | None, _) => "the request to stop",
     }
 }
 

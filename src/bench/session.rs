@@ -272,6 +272,11 @@ impl Session {
         self.word.watchdog_s.filter(is_on)
     }
 
+    /// What it ends with, or has ended with: of a stop that the drive did not confirm, what it was stopped for.
+    pub const fn ending(&self) -> Option<&Outcome> {
+        self.ending.as_ref()
+    }
+
     /// Whether it is over, by the drive's own word.
     pub fn has_stopped(&self) -> bool {
         self.phase.is_final() && self.word.tells_stop && self.word.stop == StopRequest::Sent
@@ -762,7 +767,7 @@ impl Session {
     }
 
     fn finish(&mut self, confirmed: bool) {
-        let mut outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let mut outcome = self.ending.clone().unwrap_or(Outcome::Stopped);
         if !confirmed && outcome == Outcome::Done {
             outcome = Outcome::LinkLost {
                 reason: "the drive did not confirm that its output is off".to_owned(),
@@ -801,7 +806,11 @@ impl Session {
             ),
             None => (Level::Warning, TOLD_NOTHING.to_owned()),
             // It answers, or was not seen to run: no watchdog has acted.
-            Some(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => {
+            Some(
+                error @ (LinkError::Refused { .. }
+                | LinkError::Sequence { .. }
+                | LinkError::Unstopped { .. }),
+            ) => {
                 let why = format!(": {error}; see that the shaft stands still");
                 (Level::Error, not(&why))
             }
@@ -814,9 +823,15 @@ impl Session {
                 not(", whose watchdog was waived: the motor may still turn"),
             ),
             Some(_) => {
-                let time = self.watchdog_s().map(|time_s| format!(" of {time_s} s"));
-                let (time, acted) = (time.unwrap_or_default(), "must have stopped the motor");
-                (Level::Error, not(&format!(": its watchdog{time} {acted}")))
+                let acts = |time_s| {
+                    format!(
+                        "; its watchdog stops the motor {time_s} s after the last word from here"
+                    )
+                };
+                let unknown =
+                    || "; no watchdog is known to stop it: see that the shaft stands still";
+                let why = self.watchdog_s().map_or_else(|| unknown().to_owned(), acts);
+                (Level::Error, not(&why))
             }
         };
         Some(Notice { level, text })

@@ -22,9 +22,9 @@ pub struct Stop {
     pub sent_after_ms: Option<f64>,
     /// Until the drive said that its output is off, ms; null: it never did.
     pub confirmed_after_ms: Option<f64>,
-    /// Requests to stop until then.
+    /// Attempts to stop until then: those of the cycles, and the last one, in which the link itself asks several times.
     pub attempts: u64,
-    /// Command silence after which the drive stops the motor by itself, s; null: it has no watchdog that can be read.
+    /// Command silence after which the drive stops the motor by itself, s; null: none is known of, or it was waived.
     pub watchdog_s: Option<f64>,
 }
 
@@ -35,21 +35,21 @@ impl Stop {
             .ramp_ms
             .map_or_else(String::new, |ms| format!(" and a ramp of {ms:.0} ms"));
         let cause = format!("{}{after_ramp}", self.cause);
-        let requests = match self.attempts {
-            1 => "1 request".to_owned(),
-            count => format!("{count} requests"),
+        let attempts = match self.attempts {
+            1 => "1 attempt".to_owned(),
+            count => format!("{count} attempts"),
         };
         let sent = self.sent_after_ms.map_or_else(
             || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
         );
         match (self.confirmed_after_ms, self.watchdog_s) {
-            (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({requests})"),
+            (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({attempts})"),
             (None, Some(watchdog_s)) => format!(
-                "stop NOT confirmed by the drive: {sent}, {requests}; without a word from here its watchdog stops the motor after {watchdog_s} s"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s"
             ),
             (None, None) => format!(
-                "stop NOT confirmed by the drive: {sent}, {requests}; it has no watchdog that could be read: see that the shaft stands still"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still"
             ),
         }
     }
@@ -71,6 +71,7 @@ pub(super) struct StopWatch {
     was_on: bool,
     asked_s: Option<f64>,
     decided_s: Option<f64>,
+    cause: &'static str,
     sent_s: Option<f64>,
     confirmed_s: Option<f64>,
     attempts: u64,
@@ -82,8 +83,15 @@ pub(super) struct StopWatch {
 }
 
 impl StopWatch {
-    /// A step of the session came to this phase; `drive_minus_host_s` leads to the samples' time axis.
-    pub(super) fn phase(&mut self, now_s: f64, phase: Phase, drive_minus_host_s: f64) {
+    /// A step of the session came to this phase, if it was a decision for this cause; `drive_minus_host_s` leads to the
+    /// samples' time axis.
+    pub(super) fn phase(
+        &mut self,
+        now_s: f64,
+        phase: Phase,
+        drive_minus_host_s: f64,
+        cause: impl FnOnce() -> &'static str,
+    ) {
         self.was_on |= phase.is_energised();
         if !self.was_on {
             return;
@@ -93,6 +101,7 @@ impl StopWatch {
         }
         if (phase == Phase::Stopping || phase.is_final()) && self.decided_s.is_none() {
             self.decided_s = Some(now_s);
+            self.cause = cause();
             self.decided_at = Some((now_s + drive_minus_host_s, self.rows));
         }
     }
@@ -133,11 +142,11 @@ impl StopWatch {
     }
 
     /// `None`: the output was never on.
-    pub(super) fn stop(&self, cause: String, watchdog_s: Option<f64>) -> Option<Stop> {
+    pub(super) fn stop(&self, watchdog_s: Option<f64>) -> Option<Stop> {
         let decided_s = self.decided_s?;
         let after_ms = |at_s: f64| 1e3 * (at_s - decided_s).max(0.0);
         Some(Stop {
-            cause,
+            cause: self.cause.to_owned(),
             ramp_ms: self.asked_s.map(|asked_s| 1e3 * (decided_s - asked_s)),
             sent_after_ms: self.sent_s.map(after_ms),
             confirmed_after_ms: self.confirmed_s.map(after_ms),
@@ -166,27 +175,29 @@ mod tests {
     #[test]
     fn a_stop_is_timed_from_its_decision_and_the_rows_before_it_are_kept() {
         let mut watch = StopWatch::default();
-        assert_eq!(watch.stop(String::new(), None), None);
-        watch.phase(0.0, Phase::Running, 5.0);
+        assert_eq!(watch.stop(None), None);
+        watch.phase(0.0, Phase::Running, 5.0, || "nothing");
         for k in 0..500_u32 {
             watch.rows(std::iter::once(5.0 + 0.01 * f64::from(k)));
         }
-        watch.phase(4.995, Phase::Stopping, 5.0);
+        watch.phase(4.995, Phase::Stopping, 5.0, || "over-current");
+        // What is found out later was not what it had to stop for.
+        watch.phase(5.0, Phase::LinkLost, 5.0, || "the loss of the link");
         watch.asked(4.996, false);
         watch.asked(5.005, true);
         watch.rows([10.01, 10.02].into_iter());
         watch.confirmed(5.020);
         watch.asked(5.1, true);
-        let stop = watch.stop("over-current".to_owned(), Some(0.2)).unwrap();
+        let stop = watch.stop(Some(0.2)).unwrap();
         assert_eq!(stop.attempts, 2);
         assert_eq!(
             stop.sentence(),
-            "stop sent 10.0 ms after over-current, confirmed after 25.0 ms (2 requests)"
+            "stop sent 10.0 ms after over-current, confirmed after 25.0 ms (2 attempts)"
         );
         let last = watch.last_seconds().unwrap();
         assert_eq!((last.from_row, last.to_row), (300, 502));
         watch.withdraw();
-        let stop = watch.stop("over-current".to_owned(), Some(0.2)).unwrap();
+        let stop = watch.stop(Some(0.2)).unwrap();
         has(stop.sentence(), "NOT confirmed");
         has(stop.sentence(), "its watchdog stops the motor after 0.2 s");
     }
@@ -194,16 +205,16 @@ mod tests {
     #[test]
     fn a_ramp_counts_apart_and_a_request_that_never_got_out_is_said() {
         let mut watch = StopWatch::default();
-        watch.phase(1.0, Phase::RampDown, 0.0);
-        watch.phase(1.5, Phase::Stopping, 0.0);
+        watch.phase(1.0, Phase::RampDown, 0.0, || "nothing");
+        watch.phase(1.5, Phase::Stopping, 0.0, || "the end");
         watch.asked(1.5, false);
-        let stop = watch.stop("the end".to_owned(), None).unwrap();
+        let stop = watch.stop(None).unwrap();
         assert_eq!((stop.ramp_ms, stop.sent_after_ms), (Some(500.0), None));
         has(
             stop.sentence(),
             "after the end and a ramp of 500 ms no request",
         );
-        has(stop.sentence(), "no watchdog that could be read");
+        has(stop.sentence(), "no watchdog is known");
         assert_eq!(watch.last_seconds(), None);
     }
 }

@@ -125,6 +125,8 @@ pub(super) struct ScriptedDrive {
     speed_rad_s: f64,
     angle_rad: f64,
     statistics: LinkStatistics,
+    /// Nothing of the last request got out.
+    is_unsent: bool,
 }
 
 impl ScriptedDrive {
@@ -180,6 +182,7 @@ impl DriveLink for ScriptedDrive {
         let faults = self.faults_now();
         let has = |wanted| faults.contains(&wanted);
         self.statistics.sent += 1;
+        self.is_unsent = has(Fault::Gone);
         if !has(Fault::ClockStops) {
             self.time_s += self.period_s;
         }
@@ -236,12 +239,19 @@ impl DriveLink for ScriptedDrive {
     fn stop(&mut self) -> Result<(), LinkError> {
         self.note("stop");
         self.stops += 1;
+        self.is_unsent = false;
         if let Some(error) = self.stop_fails {
-            return Err(error(self.name().0));
+            let error = error(self.name().0);
+            self.is_unsent = matches!(error, LinkError::Gone { .. });
+            return Err(error);
         }
         self.state = DriveState::Disabled;
         self.voltage_v = 0.0;
         Ok(())
+    }
+
+    fn has_sent_command(&self) -> bool {
+        !self.is_unsent
     }
 
     fn confirms_stop(&self) -> bool {

@@ -28,6 +28,8 @@ pub enum TripKind {
     SignalMissing,
     /// The drive's time, or the host's, does not advance.
     ClockStuck,
+    /// The drive's time jumps: it was switched off and on again.
+    Restarted,
     /// The drive reports a fault of its own.
     DriveFault,
     /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
@@ -83,6 +85,7 @@ impl TripKind {
             Self::HostGap => "host stood still",
             Self::SignalMissing => "signal missing",
             Self::ClockStuck => "clock stuck",
+            Self::Restarted => "drive restarted",
             Self::DriveFault => "drive fault",
             Self::NotRunning => "drive does not run",
             Self::LocalControl => "local control",

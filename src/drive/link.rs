@@ -112,6 +112,7 @@ impl LinkStatistics {
                 | LinkError::Version { .. }
                 | LinkError::Identity { .. }
                 | LinkError::Refused { .. }
+                | LinkError::Unstopped { .. }
                 | LinkError::Sequence { .. },
             ) => &mut self.mismatch,
             Err(LinkError::Exception { .. }) => &mut self.exception,

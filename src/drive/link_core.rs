@@ -121,14 +121,20 @@ pub(crate) fn stop_confirmed(
     name: &str,
     mut ask: impl FnMut() -> Result<Sample, LinkError>,
 ) -> Result<(), LinkError> {
-    let text = format!("the drive still runs after {STOP_ATTEMPTS} requests to stop");
-    let mut last = LinkError::Corrupt(name.to_owned(), text);
+    let unstopped = |what: &str| {
+        let text = format!("the drive answers, and {what} after {STOP_ATTEMPTS} requests to stop");
+        LinkError::Unstopped(name.to_owned(), text)
+    };
+    let mut last = unstopped("has not confirmed anything");
     for _ in 0..STOP_ATTEMPTS {
         match ask() {
             Ok(sample) if sample.applied.is_some() && sample.state != Some(DriveState::Running) => {
                 return Ok(());
             }
-            Ok(_) => {}
+            Ok(sample) if sample.state == Some(DriveState::Running) => {
+                last = unstopped("still runs");
+            }
+            Ok(_) => last = unstopped("does not confirm that it has stopped"),
             Err(error @ LinkError::Gone { .. }) => return Err(error),
             Err(error) => last = error,
         }

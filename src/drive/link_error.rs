@@ -48,6 +48,9 @@ pub enum LinkError {
     /// Nothing was sent: the profile or its limits forbid it.
     #[error("{}: not sent: {}", whom(.0), .1)]
     Refused(String, String),
+    /// The drive answers, and does not say that it has stopped.
+    #[error("{}: {}", whom(.0), .1)]
+    Unstopped(String, String),
     /// The drive did not do what a step of a command waits for.
     #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
     Sequence {
@@ -94,6 +97,9 @@ impl LinkError {
             }
             Self::Version { .. } => "use the drivebench release that matches the drive's firmware",
             Self::Identity { .. } => "check that the profile is the one of this drive",
+            Self::Unstopped { .. } => {
+                "switch its supply off; then look at its display, and at who else commands it"
+            }
             Self::Refused { .. } => "see the drive's profile: what it maps, and its limits",
             Self::Sequence { .. } => {
                 "look at the drive's display (enable input, local control, a fault) and at the line of the profile; then start again"

@@ -587,10 +587,16 @@ impl DriveLink for ModbusLink {
     /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
     fn stop(&mut self) -> Result<(), LinkError> {
         let (stop, name) = (self.core.stop_command(), self.core.name.clone());
-        stop_confirmed(&name, || {
+        let mut is_sent = false;
+        let stopped = stop_confirmed(&name, || {
+            self.core.is_unsent = true;
             self.listen()?;
-            self.command(stop)
-        })
+            let answer = self.command(stop);
+            is_sent |= !self.core.is_unsent;
+            answer
+        });
+        self.core.is_unsent = !is_sent;
+        stopped
     }
 
     fn has_sent_command(&self) -> bool {

@@ -149,7 +149,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if matches!(wanted, Wanted::Run(_)) {
             self.patience.check(self.bus.now_s())?;
         }
+        self.points.has_written = false;
         let result = self.exchanges(wanted, seq);
+        if !matches!(wanted, Wanted::Run(_)) {
+            // A drive that is at rest already is told nothing more.
+            self.is_unsent = !was_sent(&result) && !self.points.has_written;
+        }
         self.patience.note(self.bus.now_s(), &result);
         result
     }
@@ -543,6 +548,49 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Ok(())
     }
 
+    /// Stops, and looks whether the drive says so; where it does not, coasts.
+    fn stop_or_coast(&mut self) -> Result<(), LinkError> {
+        self.bus.bound(f64::INFINITY);
+        // Where this fails the next exchange goes on with the stop, whatever it asks for.
+        self.latched = true;
+        self.begin_stop();
+        let (mut first, mut runs) = (None, false);
+        for command in ["stop", "stop", "coast"] {
+            if command == "coast" && self.map.commands.coast.is_empty() {
+                continue;
+            }
+            let carried = self.carry_out(command);
+            // A drive that says that it does not run may have refused a word of its stop, as one in fault does.
+            let refused = matches!(carried, Err(LinkError::Exception { .. }));
+            let result = match carried {
+                Err(error) if !(refused && self.confirms_stop()) => Err(error),
+                carried => self.rests().map(|rests| (rests, carried.err())),
+            };
+            match result {
+                Ok((true, _)) => {
+                    self.mode = Mode::Off;
+                    self.latched = false;
+                    return Ok(());
+                }
+                Ok((false, error)) => {
+                    runs = true;
+                    first = first.or(error);
+                }
+                Err(error @ LinkError::Gone { .. }) => return Err(error),
+                Err(error) => first = first.or(Some(error)),
+            }
+        }
+        match first {
+            Some(error) if !runs => Err(error),
+            first => {
+                let before = first.map(|error| format!("; before that {error}"));
+                let before = before.unwrap_or_default();
+                let reason = format!("the drive still reports that it runs{before}");
+                Err(self.broken_off("stop", (1, 1), reason))
+            }
+        }
+    }
+
     fn check_identity(&mut self) -> Result<(), LinkError> {
         for check in self.map.identity.clone() {
             let wrong = match check {
@@ -607,11 +655,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 }
 
-/// Whether a request that ended so has left.
+/// Whether a request that ended so has left, as far as that is known.
 const fn was_sent<T>(result: &Result<T, LinkError>) -> bool {
     !matches!(
         result,
-        Err(LinkError::Unproven { .. } | LinkError::Refused { .. })
+        Err(LinkError::Unproven { .. } | LinkError::Refused { .. } | LinkError::Gone { .. })
     )
 }
 
@@ -715,47 +763,11 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.cycle(&Wanted::Run(Some((&point.name, value / si))), command.seq)
     }
 
-    /// Stops, and looks whether the drive says so; where it does not, coasts.
     fn stop(&mut self) -> Result<(), LinkError> {
-        self.bus.bound(f64::INFINITY);
-        // Where this fails the next exchange goes on with the stop, whatever it asks for.
-        self.latched = true;
-        self.begin_stop();
-        let (mut first, mut runs) = (None, false);
-        for command in ["stop", "stop", "coast"] {
-            if command == "coast" && self.map.commands.coast.is_empty() {
-                continue;
-            }
-            let carried = self.carry_out(command);
-            // A drive that says that it does not run may have refused a word of its stop, as one in fault does.
-            let refused = matches!(carried, Err(LinkError::Exception { .. }));
-            let result = match carried {
-                Err(error) if !(refused && self.confirms_stop()) => Err(error),
-                carried => self.rests().map(|rests| (rests, carried.err())),
-            };
-            match result {
-                Ok((true, _)) => {
-                    self.mode = Mode::Off;
-                    self.latched = false;
-                    return Ok(());
-                }
-                Ok((false, error)) => {
-                    runs = true;
-                    first = first.or(error);
-                }
-                Err(error @ LinkError::Gone { .. }) => return Err(error),
-                Err(error) => first = first.or(Some(error)),
-            }
-        }
-        match first {
-            Some(error) if !runs => Err(error),
-            first => {
-                let before = first.map(|error| format!("; before that {error}"));
-                let before = before.unwrap_or_default();
-                let reason = format!("the drive still reports that it runs{before}");
-                Err(self.broken_off("stop", (1, 1), reason))
-            }
-        }
+        self.points.has_written = false;
+        let stopped = self.stop_or_coast();
+        self.is_unsent = !was_sent(&stopped) && !self.points.has_written;
+        stopped
     }
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).

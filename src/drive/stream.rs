@@ -324,7 +324,14 @@ impl DriveLink for StreamLink {
 
     fn stop(&mut self) -> Result<(), LinkError> {
         let (stop, name) = (self.core.stop_command(), self.core.name.clone());
-        stop_confirmed(&name, || self.exchange(stop))
+        let mut is_sent = false;
+        let stopped = stop_confirmed(&name, || {
+            let answer = self.exchange(stop);
+            is_sent |= !self.core.is_unsent;
+            answer
+        });
+        self.core.is_unsent = !is_sent;
+        stopped
     }
 
     fn has_sent_command(&self) -> bool {

@@ -264,7 +264,7 @@ impl DriveLink for VirtualLink {
     }
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
-        self.within(|link| link.identify())
+        self.within(DriveLink::identify)
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
@@ -280,11 +280,11 @@ impl DriveLink for VirtualLink {
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
-        self.within(|link| link.stop())
+        self.within(DriveLink::stop)
     }
 
     fn recognise(&mut self) -> Result<Identity, LinkError> {
-        self.within(|link| link.recognise())
+        self.within(DriveLink::recognise)
     }
 
     fn found(&self) -> Option<Sample> {
@@ -292,11 +292,11 @@ impl DriveLink for VirtualLink {
     }
 
     fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
-        self.within(|link| link.compare_set_points())
+        self.within(DriveLink::compare_set_points)
     }
 
     fn bring_to_rest(&mut self) -> Result<(), LinkError> {
-        self.within(|link| link.bring_to_rest())
+        self.within(DriveLink::bring_to_rest)
     }
 
     fn has_sent_command(&self) -> bool {

@@ -7,6 +7,7 @@ use super::fault::FaultEntry;
 use super::truth::effect::{HiddenEffect, flux_saturation};
 use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
+use crate::drive::Protocol;
 
 /// Names and texts of files under `bench-configs/emulators`.
 macro_rules! embedded {
@@ -62,6 +63,12 @@ pub enum EmulatorConfigError {
         "{file}: two hidden effects put a second inertia behind the shaft (expected one at most)"
     )]
     TwoShafts { file: String },
+    #[error("[[fault]] kind = {kind} does nothing {on} (expected {allowed})")]
+    Idle {
+        kind: String,
+        on: &'static str,
+        allowed: &'static str,
+    },
     #[error("there is no embedded emulator {name:?}")]
     Unknown { name: String },
 }
@@ -71,7 +78,7 @@ impl EmulatorConfigError {
     pub fn help(&self) -> String {
         match self {
             Self::Text(error) => error.help.clone(),
-            Self::Value { .. } | Self::Hidden { .. } => {
+            Self::Value { .. } | Self::Hidden { .. } | Self::Idle { .. } => {
                 "see bench-configs/emulators/example.toml for every key, its unit and its default"
                     .to_owned()
             }
@@ -335,6 +342,12 @@ impl EmulatorConfig {
     /// Whether what goes wrong needs a line to go wrong on.
     pub fn needs_line(&self) -> bool {
         self.faulty.iter().any(|fault| fault.kind.needs_line())
+    }
+
+    /// Refuses faults that would do nothing on such a drive.
+    pub fn suits(&self, in_a_guise: bool, link: Protocol) -> Result<(), EmulatorConfigError> {
+        let mut faults = self.faulty.iter();
+        faults.try_for_each(|fault| fault.suits(in_a_guise, link))
     }
 
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {

@@ -29,22 +29,16 @@ pub(super) trait Answering: Send {
     fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
 
     /// What comes next is asked over the connection of this number.
-    fn asked_by(&mut self, _session: u64) {}
+    fn asked_by(&mut self, session: u64);
 
-    /// Since its start, s; `None` where it does not run.
-    fn running_s(&self) -> Option<f64> {
-        None
-    }
+    /// Since its last start, s, as long as it ran; `None` where it never did.
+    fn ran_s(&self) -> Option<f64>;
 
     /// Without power nobody hears anything.
-    fn is_powered(&self) -> bool {
-        true
-    }
+    fn is_powered(&self) -> bool;
 
     /// The request with which another master might command it.
-    fn foreign_write(&self) -> Vec<u8> {
-        Vec::new()
-    }
+    fn foreign_write(&self) -> Vec<u8>;
 }
 
 /// What a stream decoder hands out.
@@ -67,8 +61,11 @@ impl Answering for SoftDrive {
         answer_stream(self, received)
     }
 
-    fn running_s(&self) -> Option<f64> {
-        Self::running_s(self)
+    /// It answers all alike.
+    fn asked_by(&mut self, _: u64) {}
+
+    fn ran_s(&self) -> Option<f64> {
+        Self::ran_s(self)
     }
 
     fn is_powered(&self) -> bool {
@@ -79,13 +76,16 @@ impl Answering for SoftDrive {
         let words = DriveCommand::new(0, Control::Stop).to_registers();
         let words = words.into_iter().flat_map(u16::to_be_bytes);
         let [high, low] = COMMAND_ADDRESS.to_be_bytes();
-        let count = COMMAND_WORDS as u8;
-        let head = [16, high, low, 0, count, 2 * count];
+        let head = [16, high, low, 0, COMMAND_COUNT, 2 * COMMAND_COUNT];
         head.into_iter().chain(words).collect()
     }
 }
 
-const _: () = assert!(COMMAND_WORDS < 64, "a byte counts them");
+/// Registers of a command, as the one byte that counts them.
+const COMMAND_COUNT: u8 = {
+    assert!(COMMAND_WORDS < 64, "a byte counts their bytes too");
+    COMMAND_WORDS.to_le_bytes()[0]
+};
 
 impl Answering for ForeignDrive {
     fn soft(&self) -> &SoftDrive {
@@ -105,8 +105,11 @@ impl Answering for ForeignDrive {
         None
     }
 
-    fn running_s(&self) -> Option<f64> {
-        Self::running_s(self)
+    /// It answers all alike.
+    fn asked_by(&mut self, _: u64) {}
+
+    fn ran_s(&self) -> Option<f64> {
+        Self::ran_s(self)
     }
 
     fn is_powered(&self) -> bool {

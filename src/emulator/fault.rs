@@ -8,6 +8,9 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::EmulatorConfigError;
+use crate::drive::Protocol;
+
 /// One fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -124,9 +127,44 @@ impl FaultKind {
     pub(super) fn needs_line(self) -> bool {
         self <= Self::PowerLost
     }
+
+    /// Where it would do nothing, as `(on what, what is allowed)`.
+    fn idle(self, in_a_guise: bool, protocol: Protocol) -> Option<(&'static str, &'static str)> {
+        const GUISE: &str = "in the guise of another drive";
+        const STREAM: &str = "on the stream";
+        let is_stream = protocol == Protocol::Stream;
+        match self {
+            Self::LocalControl if !in_a_guise => {
+                Some(("on our own drive, which has no keypad", "another profile"))
+            }
+            Self::OtherVersion | Self::ClockWraps if in_a_guise => Some((GUISE, "the profile own")),
+            Self::OtherVersion if is_stream => Some((STREAM, "modbus-rtu or modbus-tcp")),
+            Self::WrongUnit | Self::WrongRequest | Self::Exception if is_stream => {
+                Some((STREAM, "modbus-rtu or modbus-tcp"))
+            }
+            Self::ForeignFrames | Self::SecondMaster if protocol != Protocol::ModbusRtu => {
+                Some(("where no bus is shared", "modbus-rtu"))
+            }
+            _ => None,
+        }
+    }
 }
 
 impl FaultEntry {
+    /// Refuses what would do nothing on such a drive.
+    pub(super) fn suits(
+        &self,
+        in_a_guise: bool,
+        protocol: Protocol,
+    ) -> Result<(), EmulatorConfigError> {
+        self.kind
+            .idle(in_a_guise, protocol)
+            .map_or(Ok(()), |(on, allowed)| {
+                let kind = serde_json::to_string(&self.kind).unwrap_or_default();
+                Err(EmulatorConfigError::Idle { kind, on, allowed })
+            })
+    }
+
     /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`.
     pub(super) fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
         const TIME: &str = "0 to 86400 s";
@@ -199,12 +237,13 @@ impl Lurking {
         }
     }
 
-    /// Whether it is there at `now_s` of the drive's time; `running_s`: since its start, where it runs.
-    pub(super) fn is_there(&mut self, now_s: f64, running_s: Option<f64>) -> bool {
+    /// Whether it is there at `now_s` of the drive's time; `ran_s`: since its last start, as long as it ran. A drive that has
+    /// stopped in the same instant has reached it all the same.
+    pub(super) fn is_there(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
         let starts = || {
-            running_s
+            ran_s
                 .zip(self.entry.from_s)
-                .is_some_and(|(r, f)| r >= f)
+                .is_some_and(|(ran_s, from_s)| ran_s >= from_s)
         };
         if self.begun_s.is_none() && starts() {
             self.begun_s = Some(now_s);
@@ -214,13 +253,8 @@ impl Lurking {
     }
 
     /// Whether it is there and hits this reply.
-    pub(super) fn hits(
-        &mut self,
-        now_s: f64,
-        running_s: Option<f64>,
-        dice: &mut ChaCha8Rng,
-    ) -> bool {
-        self.is_there(now_s, running_s) && dice.random::<f64>() < self.entry.share
+    pub(super) fn hits(&mut self, now_s: f64, ran_s: Option<f64>, dice: &mut ChaCha8Rng) -> bool {
+        self.is_there(now_s, ran_s) && dice.random::<f64>() < self.entry.share
     }
 }
 
@@ -245,6 +279,53 @@ mod tests {
         assert!(!fault.is_there(6.7, Some(1.6)));
         assert!(!fault.is_there(9.0, Some(1.0)), "once");
         assert!(Lurking::new(entry("kind = \"trip\"")).is_there(0.0, None));
+    }
+
+    #[test]
+    fn a_drive_that_stops_in_the_same_instant_has_reached_it() {
+        let config = "kind = \"trip\"\nfrom_s = 1.0";
+        let line = "kind = \"black_hole\"\nfrom_s = 1.0";
+        let mut plain = crate::emulator::EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        plain.faulty = vec![entry(config)];
+        let mut drive = crate::emulator::SoftDrive::new(&plain, 1);
+        let mut hole = Lurking::new(entry(line));
+        let told = |volts| firmware_protocol::DriveCommand::new(1, volts);
+        for _ in 0..12 {
+            assert!(!hole.is_there(drive.time_s(), drive.ran_s()));
+            drive.command(told(firmware_protocol::Control::Voltage(5.0)));
+            drive.advance_to(drive.time_s() + 0.1);
+            if drive.state() == firmware_protocol::State::Fault {
+                break;
+            }
+        }
+        assert_eq!(drive.fault(), firmware_protocol::Fault::Internal);
+        assert!(hole.is_there(drive.time_s(), drive.ran_s()));
+    }
+
+    #[test]
+    fn what_would_do_nothing_is_refused_with_what_is_allowed() {
+        let suits = |kind: &str, in_a_guise, protocol| {
+            let entry = entry(&format!("kind = {kind:?}"));
+            entry.suits(in_a_guise, protocol).map_err(|e| e.to_string())
+        };
+        let (rtu, tcp, stream) = (Protocol::ModbusRtu, Protocol::ModbusTcp, Protocol::Stream);
+        assert_eq!(suits("local_control", true, rtu), Ok(()));
+        assert_eq!(
+            suits("local_control", false, rtu),
+            Err("[[fault]] kind = \"local_control\" does nothing on our own drive, which has no keypad (expected another profile)".to_owned())
+        );
+        for kind in ["other_version", "clock_wraps"] {
+            assert!(suits(kind, true, rtu).is_err(), "{kind}");
+            assert_eq!(suits(kind, false, rtu), Ok(()));
+        }
+        for kind in ["wrong_unit", "wrong_request", "exception", "other_version"] {
+            assert!(suits(kind, false, stream).is_err(), "{kind}");
+            assert_eq!(suits(kind, false, tcp), Ok(()));
+        }
+        for kind in ["foreign_frames", "second_master"] {
+            assert!(suits(kind, false, tcp).is_err() && suits(kind, false, stream).is_err());
+            assert_eq!(suits(kind, false, rtu), Ok(()));
+        }
     }
 
     #[test]

@@ -71,13 +71,20 @@ impl JournalRow {
         Some(Self {
             time_s: number(0)?,
             set_point_v: number(1)?,
-            output_on: cells[2] == "1",
+            output_on: match cells[2] {
+                "0" => false,
+                "1" => true,
+                _ => return None,
+            },
             voltage_v: number(3)?,
             current_a: number(4)?,
             speed_rad_s: number(5)?,
             state: cells[6].to_owned(),
             fault: cells[7].to_owned(),
-            host: cells[8].parse().ok(),
+            host: match cells[8] {
+                "" => None,
+                host => Some(host.parse().ok()?),
+            },
             seq: cells[9].parse().ok()?,
             late_s: number(10)?,
         })
@@ -215,8 +222,8 @@ impl Answering for Journaled {
         answer
     }
 
-    fn running_s(&self) -> Option<f64> {
-        self.drive.running_s()
+    fn ran_s(&self) -> Option<f64> {
+        self.drive.ran_s()
     }
 
     fn is_powered(&self) -> bool {
@@ -229,6 +236,7 @@ impl Answering for Journaled {
 
     fn asked_by(&mut self, session: u64) {
         self.journal.host = Some(session);
+        self.drive.asked_by(session);
     }
 }
 
@@ -258,16 +266,22 @@ mod tests {
             rows.windows(2)
                 .all(|pair| pair[1].time_s - pair[0].time_s < 0.0111)
         );
-        assert!(rows[0].output_on && rows[0].set_point_v == 20.0 && rows[0].host == Some(3));
+        assert!(rows[0].output_on && rows[0].host == Some(3));
+        assert!((rows[0].set_point_v - 20.0).abs() < 1e-9);
         // Nobody commands it any more: its watchdog of 0.5 s is in it to the millisecond.
         let off = rows.iter().find(|row| !row.output_on).unwrap();
         assert!((off.time_s - 100.5).abs() < 0.0021, "{off:?}");
         assert_eq!((off.fault.as_str(), off.set_point_v), ("watchdog", 0.0));
         assert!((off.late_s - 1.5).abs() < 0.0021, "{off:?}");
         assert_eq!(JournalRow::parse("1.0,2"), None);
-        assert_eq!(
-            JournalRow::parse(&off.text().replace('\n', "")),
-            Some(off.clone())
-        );
+        let line = off.text().trim_end().to_owned();
+        assert_eq!(JournalRow::parse(&line), Some(off.clone()));
+        // What is not told is not taken for an output that is off, or for nobody's request.
+        for (told, otherwise) in [(",0,0,", ",0,,"), (",0,0,", ",0,true,"), (",3,1,", ",x,1,")] {
+            assert!(line.contains(told), "{line}");
+            assert_eq!(JournalRow::parse(&line.replacen(told, otherwise, 1)), None);
+        }
+        let nobody = JournalRow::parse(&line.replacen(",3,1,", ",,1,", 1));
+        assert_eq!(nobody.unwrap().host, None);
     }
 }

@@ -3,7 +3,7 @@
 use super::dialogue::{Answering, Dialogue, UNIT};
 use super::pace::Pace;
 use super::spoiler::{Spoiled, Spoiler};
-use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
+use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
 use crate::drive::virtual_line::{FarEnd, VirtualLink};
 use crate::drive::{DriveLink, DriveProfile, Protocol, VirtualClock};
 
@@ -17,7 +17,9 @@ pub fn open_line(
     seed: u64,
     profile: &DriveProfile,
     clock: VirtualClock,
-) -> Box<dyn DriveLink> {
+) -> Result<Box<dyn DriveLink>, EmulatorConfigError> {
+    let protocol = Protocol::ModbusRtu;
+    config.suits(guise.is_some(), protocol)?;
     let drive: Box<dyn Answering> = match guise {
         Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
         None => Box::new(SoftDrive::new(config, seed)),
@@ -25,7 +27,6 @@ pub fn open_line(
     let mut line = guise.map_or(&config.line, |guise| &guise.line).clone();
     line.baud = profile.link.baud;
     let unit = guise.map_or(UNIT, |guise| guise.unit);
-    let protocol = Protocol::ModbusRtu;
     let far = DriveOnLine {
         spoiler: Spoiler::new(&config.faulty, protocol, unit, seed),
         drive,
@@ -33,7 +34,7 @@ pub fn open_line(
         pace: Pace::serial(&line, true),
         silent_from_s: 0.0,
     };
-    Box::new(VirtualLink::open(NAME, profile, clock, far))
+    Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
 }
 
 /// What talks by itself is known for so long ahead, s: until the host listens again.
@@ -81,6 +82,7 @@ impl FarEnd for DriveOnLine {
         };
         self.dialogue.idle(&mut drive, &mut answers);
         self.send(self.silent_from_s, &mut answers, &mut sent);
+        self.spoiler.silence();
         let ahead_s = now_s + AHEAD_S;
         let drive = self.drive.as_mut();
         sent.extend(self.spoiler.unasked(now_s, ahead_s, drive));
@@ -92,8 +94,8 @@ impl DriveOnLine {
     fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            let running_s = self.drive.running_s();
-            sent.extend(self.spoiler.reply(answer, end_s, due_s, running_s));
+            let ran_s = self.drive.ran_s();
+            sent.extend(self.spoiler.reply(answer, end_s, due_s, ran_s));
         }
     }
 }
@@ -108,7 +110,7 @@ mod tests {
         let mut profile = DriveProfile::named("own").unwrap();
         profile.link.emulated = true;
         let link = open_line(None, config, seed, &profile, clock.clone());
-        (link, clock)
+        (link.unwrap(), clock)
     }
 
     /// What an exchange of each cycle gave, and when it was over.

@@ -24,7 +24,7 @@ use super::session::Port;
 use super::session::{Commander, Counters, FarEnd, Session, Turn};
 use super::spoiler::Spoiler;
 use super::tcp::{TcpPort, TcpPorts};
-use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
+use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
 use crate::drive::Protocol;
 
 /// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
@@ -76,6 +76,8 @@ pub enum ServerError {
         over: &'static str,
         allowed: &'static str,
     },
+    #[error(transparent)]
+    Fault(#[from] EmulatorConfigError),
     #[error("the emulator's thread ended before it was ready")]
     Thread,
 }
@@ -84,7 +86,7 @@ impl ServerError {
     /// Whether the command was wrong: nothing could be served so, whatever the machine does.
     pub fn is_usage(&self) -> bool {
         match self {
-            Self::Transport { .. } => true,
+            Self::Transport { .. } | Self::Fault(_) => true,
             Self::Pty { source, .. } => matches!(
                 source.kind(),
                 io::ErrorKind::AlreadyExists
@@ -106,6 +108,7 @@ impl ServerError {
             Self::Transport { .. } => {
                 "modbus-rtu and stream run over --pty, modbus-tcp and stream over --listen"
             }
+            Self::Fault(_) => "bench-configs/emulators/example.toml says where each kind happens",
             Self::Thread => "start it again with RUST_BACKTRACE=1 and report what it prints",
         }
     }
@@ -211,6 +214,7 @@ pub fn spawn_as(
         let (stop, counters) = (Arc::clone(&stop), Arc::clone(&counters));
         thread::spawn(move || {
             let guise = guise.as_ref();
+            config.suits(guise.is_some(), link)?;
             let server = Server::new(guise, &config, seed, link, &stop, &counters);
             server.serve(&endpoint, |address| {
                 let line = ready_line(link, address, &config, guise);
@@ -257,6 +261,7 @@ pub fn serve(
         link,
         journal,
     } = served;
+    config.suits(guise.is_some(), link)?;
     let counters = Counters::default();
     let mut server = Server::new(guise, config, seed, link, stop, &counters);
     if let Some(journal) = journal {

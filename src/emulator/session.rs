@@ -162,6 +162,7 @@ impl Session {
             };
             self.dialogue.idle(&mut drive, &mut self.answers);
             self.send(now, far);
+            far.spoiler.silence();
         }
         for (due, bytes) in far.spoiler.unasked(now, now + LONGEST_WAIT_S, far.drive) {
             self.under_way(due, bytes);
@@ -218,8 +219,8 @@ impl Session {
     fn send(&mut self, end_s: f64, far: &mut FarEnd<'_>) {
         for answer in std::mem::take(&mut self.answers) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            let running_s = far.drive.running_s();
-            for (due, bytes) in far.spoiler.reply(answer, end_s, due_s, running_s) {
+            let ran_s = far.drive.ran_s();
+            for (due, bytes) in far.spoiler.reply(answer, end_s, due_s, ran_s) {
                 self.under_way(due, bytes);
             }
         }

@@ -3,6 +3,8 @@
 //! It stands between codec and port, in virtual time and behind a pseudo-terminal or TCP alike; the drive and the host each
 //! speak as they always do.
 
+use std::collections::BTreeSet;
+
 use firmware_protocol::modbus::{rtu, tcp};
 use firmware_protocol::stream;
 use rand::{Rng, RngCore, SeedableRng};
@@ -27,6 +29,9 @@ const SPLIT_S: f64 = 0.016;
 const BURSTS: [usize; 4] = [3, 40, 1500, 1 << 16];
 const AGAIN_S: [f64; 4] = [0.0, 0.000_3, 0.002_5, 0.009];
 
+/// Bytes of a request that are kept: those of the longest frame of Modbus.
+const LONGEST_REQUEST: usize = 260;
+
 /// Keeps what happens on the line apart from the noise of the same seed.
 const OWN_DICE: u64 = 0x51B0_7A1F_95C3_E26D;
 
@@ -36,7 +41,7 @@ pub(super) struct Spoiler {
     unit: u8,
     faults: Vec<Lurking>,
     dice: ChaCha8Rng,
-    /// Bytes of the host since the last reply: the request.
+    /// Bytes of the host since the last reply or silence: the request.
     request: Vec<u8>,
     held: Vec<Vec<u8>>,
 }
@@ -59,22 +64,27 @@ impl Spoiler {
 
     /// A byte of the host.
     pub(super) fn hear(&mut self, byte: u8) {
-        if !self.faults.is_empty() {
+        if !self.faults.is_empty() && self.request.len() < LONGEST_REQUEST {
             self.request.push(byte);
         }
     }
 
-    fn is_there(&mut self, kind: FaultKind, now_s: f64, running_s: Option<f64>) -> bool {
+    /// The host is silent: what it said is over, answered or not.
+    pub(super) fn silence(&mut self) {
+        self.request.clear();
+    }
+
+    fn is_there(&mut self, kind: FaultKind, now_s: f64, ran_s: Option<f64>) -> bool {
         let mut of_kind = self.faults.iter_mut().filter(|f| f.entry.kind == kind);
-        of_kind.any(|fault| fault.is_there(now_s, running_s))
+        of_kind.any(|fault| fault.is_there(now_s, ran_s))
     }
 
     /// The exception with which a request is refused.
-    fn refusal(&mut self, now_s: f64, running_s: Option<f64>) -> Option<u8> {
+    fn refusal(&mut self, now_s: f64, ran_s: Option<f64>) -> Option<u8> {
         let refuses = |fault: &&mut Lurking| fault.entry.kind == FaultKind::Exception;
         let mut refusing = self.faults.iter_mut().filter(refuses);
         refusing.find_map(|fault| {
-            let hits = fault.hits(now_s, running_s, &mut self.dice);
+            let hits = fault.hits(now_s, ran_s, &mut self.dice);
             hits.then(|| fault.entry.code.unwrap_or(4))
         })
     }
@@ -85,7 +95,7 @@ impl Spoiler {
         answer: Vec<u8>,
         now_s: f64,
         due_s: f64,
-        running_s: Option<f64>,
+        ran_s: Option<f64>,
     ) -> Vec<Timed> {
         if self.faults.is_empty() {
             return vec![(due_s, answer)];
@@ -94,7 +104,7 @@ impl Spoiler {
         let mut out: Vec<Timed> = self.held.drain(..).map(|late| (due_s, late)).collect();
         let of_reply = |fault: &&mut Lurking| is_of_reply(fault.entry.kind);
         let hit = self.faults.iter_mut().filter(of_reply).find_map(|fault| {
-            let hits = fault.hits(now_s, running_s, &mut self.dice);
+            let hits = fault.hits(now_s, ran_s, &mut self.dice);
             hits.then_some(fault.entry)
         });
         match hit {
@@ -122,8 +132,11 @@ impl Spoiler {
                 answer.insert(self.below(length + 1), byte);
             }
             FaultKind::BitFlipped => {
-                for _ in 0..=self.below(3) {
-                    answer[self.below(length)] ^= 1 << self.below(8);
+                let bits: BTreeSet<usize> = (0..=self.below(3))
+                    .map(|_| self.below(8 * length))
+                    .collect();
+                for bit in bits {
+                    answer[bit / 8] ^= 1 << (bit % 8);
                 }
             }
             FaultKind::Truncated => answer.truncate(self.below(length)),
@@ -200,7 +213,7 @@ impl Spoiler {
             if !matches!(
                 kind,
                 FaultKind::Babble | FaultKind::ForeignFrames | FaultKind::SecondMaster
-            ) || !fault.is_there(now_s, drive.running_s())
+            ) || !fault.is_there(now_s, drive.ran_s())
             {
                 continue;
             }
@@ -286,9 +299,9 @@ pub(super) struct Spoiled<'a> {
 
 impl Spoiled<'_> {
     fn is_deaf(&mut self) -> bool {
-        let running_s = self.drive.running_s();
+        let ran_s = self.drive.ran_s();
         let hole = FaultKind::BlackHole;
-        !self.drive.is_powered() || self.spoiler.is_there(hole, self.now_s, running_s)
+        !self.drive.is_powered() || self.spoiler.is_there(hole, self.now_s, ran_s)
     }
 }
 
@@ -306,8 +319,8 @@ impl Answering for Spoiled<'_> {
         if self.is_deaf() {
             return Vec::new();
         }
-        let running_s = self.drive.running_s();
-        match (request, self.spoiler.refusal(self.now_s, running_s)) {
+        let ran_s = self.drive.ran_s();
+        match (request, self.spoiler.refusal(self.now_s, ran_s)) {
             ([function, ..], Some(code)) => vec![function | 0x80, code],
             _ => self.drive.modbus(request),
         }
@@ -321,5 +334,52 @@ impl Answering for Spoiled<'_> {
             return None;
         }
         self.drive.stream(received)
+    }
+
+    fn asked_by(&mut self, session: u64) {
+        self.drive.asked_by(session);
+    }
+
+    fn ran_s(&self) -> Option<f64> {
+        self.drive.ran_s()
+    }
+
+    fn is_powered(&self) -> bool {
+        self.drive.is_powered()
+    }
+
+    fn foreign_write(&self) -> Vec<u8> {
+        self.drive.foreign_write()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(kind: &str) -> Spoiler {
+        let fault = toml::from_str(&format!("kind = {kind:?}")).unwrap();
+        Spoiler::new(&[fault], Protocol::ModbusRtu, 1, 7)
+    }
+
+    #[test]
+    fn an_echo_is_the_request_and_nothing_that_was_asked_before() {
+        let mut line = line("echo");
+        (0..100_000).for_each(|_| line.hear(9));
+        assert_eq!(line.request.len(), LONGEST_REQUEST);
+        line.silence();
+        [1, 2, 3].map(|byte| line.hear(byte));
+        let sent = line.reply(vec![4], 0.0, 0.1, None);
+        assert_eq!(sent, [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
+    }
+
+    #[test]
+    fn of_a_reply_one_bit_to_three_are_wrong_and_none_is_right_again() {
+        let mut line = line("bit_flipped");
+        let wrong = (0..2000).map(|_| {
+            let sent = line.reply(vec![0; 2], 0.0, 0.1, None);
+            sent[0].1.iter().map(|byte| byte.count_ones()).sum::<u32>()
+        });
+        assert_eq!(wrong.collect::<BTreeSet<_>>(), BTreeSet::from([1, 2, 3]));
     }
 }

@@ -237,13 +237,11 @@ fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), Unpart
             loop {
                 let (part, behind) = quoted.split_once('"').ok_or(Unparted::Quote)?;
                 cell.push_str(part);
-                match behind.strip_prefix('"') {
-                    Some(more) => (cell, quoted) = (cell + "\"", more),
-                    None => {
-                        rest = behind;
-                        break;
-                    }
-                }
+                let Some(more) = behind.strip_prefix('"') else {
+                    rest = behind;
+                    break;
+                };
+                (cell, quoted) = (cell + "\"", more);
             }
             let behind = rest.split(separator).next().unwrap_or_default();
             is_joined |= !behind.trim_matches([' ', '\t', '\r']).is_empty();

@@ -9,8 +9,8 @@
 //! ```
 //!
 //! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
-//! * Every line reaches the file in one write, with those that came together with it, so that a killed program loses at most
-//!   the rows in flight.
+//! * The rows of a cycle, a command and its sample, reach the file in one write, so that a killed program loses at most the rows
+//!   of the last cycle.
 //! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
 
 mod column_map;

@@ -1,8 +1,8 @@
 //! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io::{self, Write};
-use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -51,16 +51,25 @@ impl KeptLogs {
         samples
     }
 
-    /// Makes a run folder of them in another place, for a disk that does not take them; `None` where they are not whole.
+    /// Makes a run folder of samples, events and manifest in another place, for a disk that does not take them; `None` where
+    /// they are not whole. Who may read the folder of the run may read this one; where that is gone, its owner.
     pub fn rescue(
         &self,
+        folder: &RunFolder,
         root: &Path,
         manifest: &Manifest,
     ) -> Option<Result<RunFolder, RecordingError>> {
         let [samples, events] = self.0.as_ref()?.texts();
         let (samples, events) = (samples?, events?);
+        let found = std::fs::metadata(folder.path()).ok();
+        let is_there = found.filter(std::fs::Metadata::is_dir);
+        let rights =
+            is_there.map_or_else(|| Permissions::from_mode(0o700), |dir| dir.permissions());
         let write = || {
             let folder = RunFolder::create(root, &manifest.stamp, &manifest.name)?;
+            std::fs::set_permissions(folder.path(), rights).map_err(|error| {
+                RecordingError::io(folder.path(), "set the permissions of", &error)
+            })?;
             let (mut to_samples, mut to_events) = folder.create_logs()?;
             let written = to_samples.write_all(&samples);
             let written = written.and_then(|()| to_events.write_all(&events));

@@ -1,4 +1,5 @@
-use std::fs;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
 
 use super::*;
 use crate::recording::csv_read::whole_rows;
@@ -200,11 +201,22 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let samples = kept.logs.samples().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
     // Another place takes all of it.
-    let rescued = kept.logs.rescue(&root.path().join("other"), &manifest());
-    let rescued = rescued.unwrap().unwrap();
+    let rescue = |place: &str| {
+        let place = root.path().join(place);
+        let rescued = kept.logs.rescue(&kept.folder, &place, &manifest());
+        rescued.unwrap().unwrap()
+    };
+    let rescued = rescue("other");
+    let rights = |folder: &RunFolder| fs::metadata(folder.path()).unwrap().mode() & 0o777;
+    assert_eq!(rights(&rescued), 0o700);
     let (samples_csv, events_jsonl) = expected(30);
     assert_eq!(read(rescued.samples()), samples_csv);
     assert_eq!(read(rescued.events()), events_jsonl);
+    // And it is read by whoever may read the one that it stands for.
+    fs::remove_file(&runs).unwrap();
+    fs::create_dir_all(kept.folder.path()).unwrap();
+    fs::set_permissions(kept.folder.path(), Permissions::from_mode(0o750)).unwrap();
+    assert_eq!(rights(&rescue("third")), 0o750);
     let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
     assert_eq!(run.run.rows(), 60);
     assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
@@ -311,13 +323,36 @@ fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
 
 const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
 
-/// Writes until it is killed.
+/// The file in which the victim says how many rows it has handed over.
+const HANDED: &str = "handed";
+
+/// Writes until it is killed, at the pace of its disk.
 fn be_the_victim(root: &std::path::Path) {
     let mut recorder = recorder(root);
-    for cycle in 0..1_000_000_u32 {
-        let value = f64::from(cycle);
-        recorder.row(&Sample::at(value).with(Channel::Current, value / 3.0));
-        std::thread::yield_now();
+    let told = fs::File::create(root.join(HANDED)).unwrap();
+    let mut handed = 0;
+    for seq in 1..1_000_000_u32 {
+        let (time_s, seq) = (f64::from(seq), u64::from(seq));
+        recorder.command(&CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(time_s),
+            },
+            time_s,
+            reference_rad_s: None,
+        });
+        let mut sample = Sample::at(time_s + 0.5).with(Channel::Current, (time_s + 0.5) / 3.0);
+        sample.seq = Some(seq);
+        sample.applied = Some(Applied {
+            seq,
+            time_s: time_s + 0.25,
+        });
+        handed += recorder.row(&sample).len();
+        told.write_all_at(&(handed as u64).to_le_bytes(), 0)
+            .unwrap();
+        while recorder.status().rows < handed {
+            std::thread::yield_now();
+        }
     }
 }
 
@@ -349,6 +384,11 @@ fn a_killed_program_loses_no_whole_row() {
     let loaded = open_run(folder.path(), None).unwrap();
     assert!(loaded.run.rows() > 300);
     assert!(loaded.run.rows_dropped <= 1);
+    let handed = fs::read(root.path().join(HANDED)).unwrap();
+    let handed = u64::from_le_bytes(handed.try_into().unwrap());
+    // The last cycle's: a command and its sample.
+    let lost = handed.saturating_sub(loaded.run.rows() as u64);
+    assert!(lost <= 2, "{lost} of {handed} rows are lost");
     assert!(loaded.warnings.last().unwrap().contains("not finished"));
     for (time_s, current_a) in loaded.run.points(Channel::Current) {
         assert_eq!(current_a.to_bits(), (time_s / 3.0).to_bits());

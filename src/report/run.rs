@@ -196,13 +196,14 @@ fn last_seconds(page: &mut Page, run: &Run, last: &LastSeconds) {
             &panels(&part, last.time_s),
             MOST_POINTS,
         ),
-        format!(
-            "Rows {} to {} of samples.csv, which has every sample. Time counts from the decision that the output has to be off.",
-            rows.start + 1,
-            rows.end
-        ),
+        "Time counts from the decision that the output has to be off.",
     );
-    page.list(last.stop.iter().cloned().collect::<Vec<_>>());
+    let (from, to) = (rows.start + 1, rows.end);
+    let mut facts = vec![format!(
+        "Rows {from} to {to} of samples.csv are these seconds; it has every sample."
+    )];
+    facts.extend(last.stop.clone());
+    page.list(facts);
     let extreme = |channel: Channel| {
         let values = part.points(channel).map(|(_, value)| value.abs());
         values.fold(f64::NAN, f64::max)

@@ -37,6 +37,22 @@ fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
 }
 
 #[test]
+fn a_record_that_cannot_be_begun_is_refused_before_the_first_move() {
+    let desk = Desk::new();
+    let file = desk.put("file", "no folder");
+    for out in [file.clone(), file.join("runs")] {
+        let done = call("run --headless --port sim: --json --out {}", &[&out]);
+        let done = done.fails(2, &["cannot create"]);
+        assert!(!done.stderr.contains("direction"), "{}", done.stderr);
+    }
+    // What is refused for another reason leaves no trace of the trial.
+    let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");
+    run(&desk, &bench("", STEPS), &reversed, "").fails(3, &["encoder reversed"]);
+    let left = fs::read_dir(desk.path(".")).unwrap().flatten();
+    assert!(left.map(|entry| entry.path()).all(|path| path.is_file()));
+}
+
+#[test]
 fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
     let desk = Desk::new();
     let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");

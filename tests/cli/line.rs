@@ -21,6 +21,28 @@ fn one_seed_is_one_run_to_the_bit_over_every_byte_of_a_line_too() {
 }
 
 #[test]
+fn what_was_sent_is_what_came_and_what_was_lost() {
+    let desk = Desk::new();
+    let faults = ["silence", "byte_dropped", "wrong_request", "held_reply"]
+        .map(|kind| format!("\n[[fault]]\nkind = {kind:?}\nshare = 0.01\n"));
+    let emulator = desk.put("e.toml", &format!("{PLAIN}{}", faults.concat()));
+    let options = "run --headless --port sim:rtu --json --emulator {} --out {}";
+    let result = call(options, &[&emulator, desk.folder()]).expect(0).json();
+    let count = |class: &str| result["link"][class].as_u64().unwrap();
+    let classes = [
+        "timeout",
+        "crc",
+        "stale",
+        "mismatch",
+        "exception",
+        "aborted",
+    ];
+    let lost: u64 = classes.map(count).iter().sum();
+    assert!(count("timeout") > 5 && lost > 20, "{}", result["link"]);
+    assert_eq!(count("sent"), count("ok") + lost, "{}", result["link"]);
+}
+
+#[test]
 fn every_fault_of_line_and_drive_is_answered_as_it_has_to_be() {
     let desk = Desk::new();
     let suite = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/suites/faults-line.toml");
@@ -48,6 +70,15 @@ fn what_happens_on_a_line_is_refused_where_there_is_none() {
         &[&emulator, desk.folder()],
     );
     has(&refused, &["sim: has no line", "sim:rtu"]);
+    let emulator = desk.put(
+        "k.toml",
+        &format!("{PLAIN}\n[[fault]]\nkind = \"local_control\"\n"),
+    );
+    for port in ["sim:", "sim:rtu"] {
+        let options = format!("run --headless --port {port} --emulator {{}} --out {{}}");
+        let refused = refusal(&options, &[&emulator, desk.folder()]);
+        has(&refused, &["local_control", "no keypad", "another profile"]);
+    }
     let emulator = desk.put("f.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"bable\"\n"));
     let refused = refusal(
         "run --headless --port sim:rtu --emulator {} --out {}",

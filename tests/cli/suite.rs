@@ -120,6 +120,29 @@ fn a_motor_that_is_refused_passes_where_that_is_what_has_to_be() {
 }
 
 #[test]
+fn a_step_that_made_no_run_is_not_judged_by_the_run_of_another() {
+    let desk = Desk::new();
+    let text = "name = \"two\"\n[defaults]\nemulator = \"zk-22fc-plain\"\n[[case]]\nname = \"second\"\n\
+                [[case.step]]\nas = \"good\"\nexcite = {}\n\
+                [[case.step]]\nfault = { faults = { open_phase = true } }\n\
+                [[case.step]]\nas = \"bad\"\nexcite = {}\nstatus = 3\n";
+    let judged = |assert: &str, words: &str| {
+        let text = format!("{text}[[case.step]]\nof = \"bad\"\n{assert}\n");
+        let file = desk.put("suite.toml", &text);
+        let done = call("test {} --out {}", &[&file, &desk.path("out")]).expect(1);
+        has(&done.stderr, &[words]);
+    };
+    judged(
+        "assert = { resistance_ohm = [0.5, 2.0], outcome = \"done\" }",
+        "outcome: not in the result, has to be done; resistance_ohm: not in the result",
+    );
+    judged(
+        "signal = [{ channel = \"current_a\", at_s = 0.2, within_s = 0.1, value = 0.0, within = 0.3 }]",
+        "signal: no run was recorded",
+    );
+}
+
+#[test]
 fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let desk = Desk::new();
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\
@@ -127,11 +150,9 @@ fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let done = tested(&desk, text, "").expect(1);
     has(
         &done.stderr,
-        &[
-            "ERROR",
-            "not done in 0.05 s; it was ended, the motor stopped by its guard",
-        ],
+        &["ERROR", "not done in 0.05 s; asked to end, it "],
     );
+    assert!(!done.stderr.contains("by its guard"), "{}", done.stderr);
 }
 
 #[test]
@@ -193,6 +214,26 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
         &done.stderr,
         &["nobody has said that its motor may turn", "--hardware"],
     );
+}
+
+#[test]
+fn what_a_suite_goes_without_on_a_real_drive_is_said_before_anybody_consents() {
+    let desk = Desk::new();
+    let text = "name = \"bold\"\n[[case]]\nname = \"unproven\"\nrepeat = 2\n\
+                [[case.step]]\nexcite = { waive_watchdog = true, waive_direction = false }\n\
+                [[case.step]]\nspeed = { reset_fault = true, waive_watchdog = true }\n\
+                [[case]]\nname = \"careful\"\n[[case.step]]\nexcite = { waive_plausibility = false }\n";
+    let said =
+        "case \"unproven\" sets waive_watchdog, reset_fault: checks that keep a real motor safe";
+    for consent in ["", "--hardware"] {
+        let options = format!("--port /dev/ttyNONE {consent}");
+        let done = tested(&desk, text, &options).expect(3);
+        let told = done.stderr.replace("\n  ", " ");
+        assert_eq!(told.matches(said).count(), 1, "{told}");
+        assert!(!told.contains("\"careful\" sets"), "{told}");
+    }
+    let done = tested(&desk, text, "--port sim: --list").expect(0);
+    assert!(!done.stderr.contains("unproven"), "{}", done.stderr);
 }
 
 #[test]

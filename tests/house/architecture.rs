@@ -370,9 +370,15 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
             .map_err(|e| e.to_string()),
         "suites" => {
             let options = |_| {
-                ["run-seed", "holdout", "controller"]
-                    .map(str::to_owned)
-                    .into()
+                [
+                    "run-seed",
+                    "holdout",
+                    "controller",
+                    "reset-fault",
+                    "reopen-s",
+                ]
+                .map(str::to_owned)
+                .into()
             };
             Suite::parse(path, text, options)
                 .map(drop)

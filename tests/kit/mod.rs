@@ -23,7 +23,9 @@ pub(crate) mod prelude {
     pub(crate) use nix::sys::signal::Signal;
     pub(crate) use serde_json::{Value, json};
 
-    pub(crate) use super::process::{Emulator, Process, at_once, in_real_time, wait_for};
+    pub(crate) use super::process::{
+        Emulator, Process, at_once, in_real_time, unless_it_stood_still, wait_for,
+    };
     pub(crate) use super::terminal::Session;
     pub(crate) use super::{
         BENCH, BINARY, Desk, Done, HIDDEN, PLAIN, Recorded, Runs, call, capture, column,

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::Mutex;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -183,29 +184,61 @@ const ATTEMPTS: u32 = 3;
 
 /// A command in real time, with what it left behind. It is repeated only where it lost its link and the machine is seen to
 /// have stood still meanwhile, which says nothing of what is tested; whatever else goes wrong stands.
-pub(crate) fn in_real_time<T>(mut attempt: impl FnMut() -> (Done, T)) -> (Done, T) {
+pub(crate) fn in_real_time<T>(attempt: impl FnMut() -> (Done, T)) -> (Done, T) {
+    unless_it_stood_still(attempt, |(done, _)| {
+        if LOST.contains(&done.status) {
+            Err(done.stderr.clone())
+        } else {
+            Ok(())
+        }
+    })
+}
+
+/// What an attempt in real time gives. One of which `is_right` says what is wrong is repeated, where the machine is seen to have
+/// stood still meanwhile; the last stands.
+pub(crate) fn unless_it_stood_still<T>(
+    mut attempt: impl FnMut() -> T,
+    is_right: impl Fn(&T) -> Result<(), String>,
+) -> T {
     for number in 1..ATTEMPTS {
-        let ((done, left), stood_still_s) = watched(&mut attempt);
-        if !LOST.contains(&done.status) || stood_still_s < STOOD_STILL_S {
-            return (done, left);
+        let (given, stood_still_s) = watched(&mut attempt);
+        let Err(wrong) = is_right(&given) else {
+            return given;
+        };
+        if stood_still_s < STOOD_STILL_S {
+            return given;
         }
         // Past the capture of the test harness, which keeps the output of a test that passes to itself.
         let told = format!(
-            "attempt {number} of {ATTEMPTS}: the machine stood still for {stood_still_s:.3} s\n{}\n",
-            done.stderr
+            "attempt {number} of {ATTEMPTS}: the machine stood still for {stood_still_s:.3} s\n{wrong}\n"
         );
         let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
     }
     attempt()
 }
 
-/// The same for each at once: what waits for time to pass need not wait for its neighbours too. A few, so that a busy
-/// machine carries them.
+/// So many wait for time to pass beside each other: hosts and drives that a busy machine still carries.
+const AT_ONCE: usize = 3;
+
+/// The same for each, [`AT_ONCE`] beside each other: what waits for time to pass need not wait for its neighbours too.
 #[track_caller]
-pub(crate) fn at_once<T: Send>(all: impl IntoIterator<Item = T>, work: impl Fn(T) + Sync) {
+pub(crate) fn at_once<T: Send>(
+    all: impl IntoIterator<Item = T, IntoIter: Send>,
+    work: impl Fn(T) + Sync,
+) {
+    let all = Mutex::new(all.into_iter());
+    let next = || {
+        all.lock()
+            .expect("no neighbour fails while it takes one")
+            .next()
+    };
     std::thread::scope(|scope| {
-        for one in all {
-            scope.spawn(|| work(one));
+        for _ in 0..AT_ONCE {
+            scope.spawn(|| {
+                while let Some(one) = next() {
+                    work(one);
+                }
+            });
         }
     });
 }

@@ -4,16 +4,38 @@
 use crate::kit::lab::BenchFile;
 use crate::kit::prelude::*;
 
-/// A shipped suite, or one that is written for a test; its verdicts by the names of the cases.
-fn verdicts(suite: &Path, out: &Path, filters: &str) -> Vec<Value> {
-    let done = call(
-        &format!("test {{}} --json --out {{}} {filters}"),
-        &[suite, out],
-    );
-    assert!([0, 1].contains(&done.status), "{}", done.stderr);
-    let found = done.json();
-    let cases = found["cases"].as_array().expect("cases");
-    cases.clone()
+/// How often a suite is tried on a machine that stands still.
+const ATTEMPTS: u32 = 3;
+
+/// The cases of a shipped suite, or of one that is written for a test, that were judged: one at least. It is repeated as long
+/// as some of its `count` cases were not, which is said past the capture of the test harness.
+fn verdicts(suite: &Path, out: &Path, filters: &str, count: usize) -> Vec<Value> {
+    for attempt in 1..=ATTEMPTS {
+        let words = format!("test {{}} --json --out {{}} {filters}");
+        let done = call(&words, &[suite, out]);
+        assert!([0, 1].contains(&done.status), "{}", done.stderr);
+        let found = done.json();
+        let cases = found["cases"].as_array().expect("cases");
+        assert_eq!(cases.len(), count, "{found:#}");
+        let judged: Vec<Value> = cases
+            .iter()
+            .filter(|case| is_judged(case))
+            .cloned()
+            .collect();
+        if judged.len() == count {
+            return judged;
+        }
+        let told = format!(
+            "attempt {attempt} of {ATTEMPTS}: {} of {count} cases were judged\n{}\n",
+            judged.len(),
+            done.stderr
+        );
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
+        if attempt == ATTEMPTS && !judged.is_empty() {
+            return judged;
+        }
+    }
+    panic!("this machine stood still in every attempt: nothing was judged");
 }
 
 /// A machine that stands still too often says nothing, and the suite says that.
@@ -29,10 +51,8 @@ fn what_is_done_to_a_command_is_judged_by_what_its_motor_did() {
     let desk = Desk::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let suite = root.join("bench-configs/suites/faults-host.toml");
-    let filters = "--filter SIGKILL --filter SIGTERM --filter connect";
-    let cases = verdicts(&suite, &desk.out(), filters);
-    assert_eq!(cases.len(), 3);
-    for case in cases.iter().filter(|case| is_judged(case)) {
+    let filters = "--filter SIGKILL --filter SIGTERM --filter check";
+    for case in verdicts(&suite, &desk.out(), filters, 3) {
         assert_eq!(case["verdict"], "passed", "{case:#}");
     }
 }
@@ -47,12 +67,9 @@ fn a_motor_that_does_not_do_as_it_has_to_fails_its_case() {
          port = \"emulator\"\n[[case.step]]\nexcite = {}\nhost = { act = \"terminate\", beyond_v = 20.0 }\nstatus = 130\n\
          [[case.step]]\nassert = { \"motor.zero_after_s\" = \"< 0.0001\", \"motor.peak_set_point_v\" = \"< 1\" }\n",
     );
-    let cases = verdicts(&suite, &desk.out(), "");
+    let cases = verdicts(&suite, &desk.out(), "", 1);
     let reason = cases[0]["reason"].as_str().expect("it does not pass");
-    assert!(
-        reason.contains("has to be < 0.0001") || !is_judged(&cases[0]),
-        "{reason}"
-    );
+    has(reason, &["has to be < 0.0001"]);
     // In memory there is nothing that could be done to it.
     let done = call(
         "test {} --json --port sim: --out {}",
@@ -60,6 +77,41 @@ fn a_motor_that_does_not_do_as_it_has_to_fails_its_case() {
     )
     .expect(0);
     assert_eq!(done.json()["skipped"], 1, "{}", done.stderr);
+}
+
+/// A command that its drive refuses before anything is done to it looks as on a machine that stood still.
+#[test]
+fn an_attempt_that_says_nothing_is_kept_and_told() {
+    let desk = Desk::new();
+    desk.put("bench.toml", &BenchFile::long("modbus-rtu").text());
+    let suite = desk.put(
+        "suite.toml",
+        "name = \"early\"\n[[case]]\nname = \"refused\"\nbench = \"bench.toml\"\nemulator = \"zk-22fc-plain\"\n\
+         port = \"emulator\"\n[[case.step]]\nfault = { faults = { open_phase = true } }\n\
+         [[case.step]]\nexcite = {}\nhost = { act = \"kill\", beyond_v = 20.0 }\nstatus = 137\n",
+    );
+    let junit = desk.path("j.xml");
+    let done = call(
+        "test {} --json --out {} --junit {}",
+        &[&suite, &desk.out(), &junit],
+    );
+    let case = &done.json()["cases"][0];
+    assert_eq!(case["attempts"], 4, "{case:#}");
+    assert!(!is_judged(case), "{case:#}");
+    let set_aside = case["set_aside"].as_array().expect("three attempts");
+    assert_eq!(set_aside.len(), 3, "{case:#}");
+    let folder = only_folder(&desk.out());
+    for attempt in 1..4 {
+        let kept = folder.join(format!("0001-attempt-{attempt}/01-excite.txt"));
+        has(&fs::read_to_string(kept).expect("its evidence"), &["open"]);
+    }
+    let first = "attempt 1 of 4: excite: exit status 3, has to be 137";
+    let told = done.stderr.replace("\n  ", " ");
+    has(&told, &[first, "refused, attempt 4 of 4"]);
+    has(
+        &fs::read_to_string(junit).expect("a file"),
+        &["<system-out>", first],
+    );
 }
 
 /// The kernel asks its command to end in its place, and the command brings the motor to zero.
@@ -89,14 +141,11 @@ fn a_suite_that_is_killed_leaves_no_motor_turning() {
         rows().1.iter().any(|volts| *volts > 35.0).then_some(())
     });
     process.signal(Signal::SIGKILL);
-    wait_for("a motor that is told to stop", || {
-        (rows().1.last() == Some(&0.0)).then_some(())
+    let last = wait_for("a drive that is told to stop", || {
+        let (text, _) = rows();
+        let last = text.lines().next_back().unwrap_or_default().to_owned();
+        (!last.contains("running")).then_some(last)
     });
-    let (text, _) = rows();
     // Its watchdog, which the checks had proven, was not needed.
-    let last = text.lines().next_back().expect("a row");
-    assert!(
-        !last.contains("running") && last.contains(",none,"),
-        "{last}"
-    );
+    assert!(last.contains(",none,"), "{last}");
 }

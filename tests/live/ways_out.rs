@@ -23,7 +23,7 @@ impl Lab {
     fn with(steps: &str) -> Self {
         let desk = Desk::new();
         let bench = BENCH
-            .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
+            .replace("link_silence_s = 0.45", "link_silence_s = 1.95")
             .replace("time_s = 30.0", "time_s = 60.0")
             // A busy machine keeps this rate as well.
             .replace("rate_hz = 100.0", "rate_hz = 50.0");
@@ -32,7 +32,7 @@ impl Lab {
             "{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n[[sequence]]\nsteps = {{ {steps} }}\n"
         );
         desk.put("bench.toml", &sequence);
-        let drive = PLAIN.replace("watchdog_ms = 500", "watchdog_ms = 1000");
+        let drive = PLAIN.replace("watchdog_ms = 500", "watchdog_ms = 2000");
         let config = desk.put("drive.toml", &drive);
         let drive = Emulator::on("modbus-rtu", &desk.path("drive"), "{}", &[&config]);
         Self { desk, drive }
@@ -79,7 +79,7 @@ impl Lab {
     /// By the drive's own word, some time after its watchdog would have acted.
     #[track_caller]
     fn expect_stopped(&self, by: &str) {
-        std::thread::sleep(Duration::from_millis(1200));
+        std::thread::sleep(Duration::from_millis(2200));
         let words = wait_for("an answer", || telemetry(&self.drive.port()));
         assert_ne!(words[0] & STATE, RUNNING, "{by}: status {:#x}", words[0]);
         assert_eq!(

@@ -15,6 +15,8 @@ const ANSWERS_S: f64 = 0.0004;
 const JITTER_S: f64 = 0.0004;
 /// Bytes that stay alone for so long are no request, s.
 const FRAGMENT_S: f64 = 0.05;
+/// Between the two parts of a reply that an adapter splits, s.
+const SPLIT_S: f64 = 0.004;
 /// Beyond the pulse of the checks, V: only a run asks for so much.
 const RUN_V: f64 = 30.0;
 /// Highest voltage that the bridge gives, V.
@@ -174,7 +176,7 @@ impl Drive {
     }
 
     /// The fault is there.
-    fn is_faulty(&self) -> bool {
+    pub(crate) fn is_faulty(&self) -> bool {
         self.from_s.is_some_and(|from_s| self.now_s >= from_s)
     }
 
@@ -516,12 +518,29 @@ impl Drive {
                     let kinds = [Reply::Late(late_s), Reply::Lost, Reply::Doubled];
                     spoilt = Some(kinds[(drawn / f64::from(per_mille)) as usize]);
                 }
+                Act::RoughLine(late_s, per_mille) if drawn < f64::from(per_mille) => {
+                    let kinds = [
+                        Reply::Late(late_s),
+                        Reply::Lost,
+                        Reply::Doubled,
+                        Reply::GarbageBefore,
+                        Reply::GarbageAfter,
+                        Reply::WrongCrc,
+                        Reply::Truncated,
+                        Reply::OtherUnit,
+                        Reply::Split(SPLIT_S),
+                    ];
+                    let at = drawn / f64::from(per_mille) * kinds.len() as f64;
+                    spoilt = Some(kinds[at as usize]);
+                }
                 _ => {}
             }
         }
+        let mut pause_s = 0.0;
         match spoilt {
             None => {}
             Some(Reply::Late(late_s)) => begin_s += late_s,
+            Some(Reply::Split(seconds)) => pause_s = seconds,
             Some(Reply::Lost) => return,
             Some(Reply::Doubled) => again = Some(reply.clone()),
             Some(Reply::GarbageBefore) => {
@@ -541,7 +560,7 @@ impl Drive {
             }
         }
         let mut put = |bytes: Vec<u8>, begin_s: f64| {
-            let end_s = begin_s + bytes.len() as f64 * BYTE_S;
+            let end_s = begin_s + bytes.len() as f64 * BYTE_S + std::mem::take(&mut pause_s);
             let mut bytes = bytes;
             let rest = bytes.split_off(1.min(bytes.len()));
             sent.push((begin_s + BYTE_S, bytes));

@@ -23,6 +23,8 @@ pub(crate) enum Reply {
     WrongCrc,
     Truncated,
     OtherUnit,
+    /// Its second part so many s later.
+    Split(f64),
 }
 
 /// What is done to the program, or to what surrounds it.
@@ -57,6 +59,8 @@ pub(crate) enum Act {
     Replies(Reply, u32),
     /// So many in a thousand each are late by this much, s, lost, and doubled.
     PoorLine(f64, u32),
+    /// So many in a thousand in all, each spoilt in one of all ways; late ones by this much, s.
+    RoughLine(f64, u32),
     LateOnce(f64),
     /// Two other devices talk on the line.
     ForeignFrames,
@@ -217,9 +221,11 @@ const NOTICED_S: f64 = 1.0;
 const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
     use Class::{Cut, GoesOn, Ramp, Refused, Watchdog};
     match act {
-        Act::Nothing | Act::Replies(..) | Act::PoorLine(..) | Act::Host(Host::QuitKey) => {
-            (GoesOn, DONE, "")
-        }
+        Act::Nothing
+        | Act::Replies(..)
+        | Act::PoorLine(..)
+        | Act::RoughLine(..)
+        | Act::Host(Host::QuitKey) => (GoesOn, DONE, ""),
         Act::LateOnce(_) => (GoesOn, DONE, "late repl|replies late|came late|stale"),
         Act::ForeignFrames => (
             GoesOn,

@@ -1,6 +1,6 @@
 //! One case of a suite, with one seed: its steps one after the other in a folder of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ use crate::workflow::suite::{
 };
 
 /// Attempts at a case in which this machine stood still.
-const ATTEMPTS: u32 = 4;
+pub(super) const ATTEMPTS: u32 = 4;
 /// Keeps the other drive of a case apart from its own.
 const ANOTHER: u64 = 1000;
 /// Watchdog of a drive in the guise of another, of which the emulator's file says nothing, s.
@@ -110,29 +110,49 @@ impl Progress<'_> {
 /// did not pass says nothing: it is tried again, and at last not judged.
 pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path) -> CaseOutcome {
     let mut attempts = 1;
+    let mut set_aside = Vec::new();
     loop {
         let (mut outcome, disturbance) = attempt(bench, case, seed, folder);
         outcome.attempts = attempts;
+        outcome.set_aside.clone_from(&set_aside);
         let disturbance = disturbance.filter(|_| outcome.verdict != Verdict::Passed);
         let Some(why) = disturbance.filter(|_| !bench.stop.load(Ordering::Acquire)) else {
             return outcome;
         };
+        let (Verdict::Failed(reason) | Verdict::Error(reason) | Verdict::Skipped(reason)) =
+            &outcome.verdict
+        else {
+            return outcome;
+        };
         if attempts == ATTEMPTS {
-            if let Verdict::Failed(reason) | Verdict::Error(reason) = &outcome.verdict {
-                let text =
-                    format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
-                outcome.verdict = Verdict::Error(text);
-            }
+            let text = format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
+            outcome.verdict = Verdict::Error(text);
             return outcome;
         }
+        let kept = beside(folder, attempts);
+        if let Err(error) = fs::rename(folder, &kept) {
+            let text = format!("{reason}; {why}, and {}: {error}", kept.display());
+            outcome.verdict = Verdict::Error(text);
+            return outcome;
+        }
+        let said = format!(
+            "attempt {attempts} of {ATTEMPTS}: {reason}; {why} ({})",
+            kept.display()
+        );
         output::message(&format!(
-            "again   {:>7.1} s  {}: {why}",
+            "again   {:>7.1} s  {}: {said}",
             outcome.took_s, case.name
         ));
+        set_aside.push(said);
         attempts += 1;
-        // What cannot be removed shows as a folder that is there already.
-        let _ = fs::remove_dir_all(folder);
     }
+}
+
+/// Where the evidence of an attempt that is not the last is kept.
+fn beside(folder: &Path, attempt: u32) -> PathBuf {
+    let mut name = folder.as_os_str().to_owned();
+    name.push(format!("-attempt-{attempt}"));
+    PathBuf::from(name)
 }
 
 fn attempt(
@@ -173,6 +193,7 @@ fn attempt(
         verdict,
         took_s: watch.took_s(),
         attempts: 1,
+        set_aside: Vec::new(),
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
@@ -229,6 +250,7 @@ impl<'a> Progress<'a> {
             .args(&words)
             .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
+        let before = host::runs_in(&self.folder.join("runs"));
         let begin_s = monotonic_s();
         let cannot = |error| Ended::error(format!("{}: {error}", step.name));
         let mut host_said = None;
@@ -241,6 +263,7 @@ impl<'a> Progress<'a> {
                 &words,
                 [&stdout, &stderr],
                 timeout_s,
+                &before,
             );
             let came = came?;
             self.stood_still_s = self.stood_still_s.max(came.stood_still_s);
@@ -262,7 +285,8 @@ impl<'a> Progress<'a> {
         let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
-            End::Asked | End::Killed => None,
+            End::Asked(status) => status,
+            End::Killed => None,
         };
         self.outcomes.push(StepOutcome {
             name: step.name.clone(),
@@ -281,7 +305,12 @@ impl<'a> Progress<'a> {
             let reason = format!("{}: it ended before anything was done to it", step.name);
             return Err(Ended::error(reason));
         }
-        self.keep(step, verb, &stdout, &done, error);
+        let run = if verb.is_live() {
+            host::newest(&self.folder.join("runs"), &before)
+        } else {
+            self.run_about(options)?
+        };
+        self.keep(step, verb, &stdout, &done, error, run);
         if let Some(left) = self.left.get_mut(&step.name)
             && let Value::Object(figures) = &mut left.result
         {
@@ -308,12 +337,6 @@ impl<'a> Progress<'a> {
     ) -> Result<(), Ended> {
         let Some(Left { result, run }) = self.left.get(&step.name) else {
             return Ok(());
-        };
-        let given = options.iter().find(|(key, _)| key == "run");
-        let given = given.and_then(|(_, run)| run.as_str());
-        let run = match given {
-            Some(given) => Some(PathBuf::from(self.resolved(given)?)),
-            None => run.clone(),
         };
         let manifest = run.as_deref().and_then(manifest_of);
         let manifest = manifest.unwrap_or_default();
@@ -385,6 +408,7 @@ impl<'a> Progress<'a> {
         words: &[String],
         files: [&Path; 2],
         timeout_s: f64,
+        before: &BTreeSet<PathBuf>,
     ) -> Result<host::Came, Ended> {
         let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
         let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
@@ -409,6 +433,7 @@ impl<'a> Progress<'a> {
             other: &mut other,
             second,
             runs: &runs,
+            before,
             folder: self.folder,
             timeout_s,
             stop: self.bench.stop,
@@ -462,6 +487,7 @@ impl<'a> Progress<'a> {
             bench,
             seed,
             watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
+            stop: self.bench.stop,
         })
     }
 
@@ -495,11 +521,11 @@ impl<'a> Progress<'a> {
                     status: Some(INTERRUPTED),
                 });
             }
-            End::Asked => {
-                let reason = format!(
-                    "{name}: not done in {timeout_s} s; it was ended, the motor stopped by its guard"
-                );
-                return Err(Ended::error(reason));
+            End::Asked(status) => {
+                let how = asked_to_end(status, error);
+                return Err(Ended::error(format!(
+                    "{name}: not done in {timeout_s} s; {how}"
+                )));
             }
             End::Killed => {
                 let reason = format!(
@@ -527,19 +553,23 @@ impl<'a> Progress<'a> {
         })
     }
 
-    /// Keeps the result of a command for the steps that follow.
-    fn keep(&mut self, step: &Step, verb: Verb, stdout: &Path, done: &Done, error: Option<String>) {
+    /// Keeps the result of a command for the steps that follow. `run`: the one that a live command began, of which an
+    /// earlier step knows nothing, or the one that another is about.
+    fn keep(
+        &mut self,
+        step: &Step,
+        verb: Verb,
+        stdout: &Path,
+        done: &Done,
+        error: Option<String>,
+        run: Option<PathBuf>,
+    ) {
         let text = fs::read_to_string(stdout)
             .ok()
             .filter(|text| !text.is_empty());
         // On a screen, and where it was killed, there is only what its run has kept.
-        let kept = || host::newest(&self.folder.join("runs"));
-        let of_run = if text.is_none() && verb.is_live() {
-            kept()
-        } else {
-            None
-        };
-        let text = text.or_else(|| fs::read_to_string(of_run.as_ref()?.join("result.json")).ok());
+        let of_run = run.as_ref().filter(|_| verb.is_live());
+        let text = text.or_else(|| fs::read_to_string(of_run?.join("result.json")).ok());
         let text = text.unwrap_or_default();
         let mut result: Value = serde_json::from_str(&text).unwrap_or_default();
         if result.is_null() {
@@ -555,17 +585,22 @@ impl<'a> Progress<'a> {
             Verb::Commission => result.pointer("/runs/0/folder"),
             _ => result.get("folder"),
         };
-        let run = recorded
-            .and_then(Value::as_str)
-            .map(PathBuf::from)
-            .or(of_run);
-        let run = run.or_else(|| self.last_run().map(Path::to_owned));
+        let run = recorded.and_then(Value::as_str).map(PathBuf::from).or(run);
         self.left.insert(step.name.clone(), Left { result, run });
         self.last = Some(step.name.clone());
     }
 
     fn last_run(&self) -> Option<&Path> {
         self.left.get(self.last.as_ref()?)?.run.as_deref()
+    }
+
+    /// The run that a command which records none is about: the one that it is given, else that of the last command.
+    fn run_about(&self, options: &[(String, toml::Value)]) -> Result<Option<PathBuf>, Ended> {
+        let given = options.iter().find(|(key, _)| key == "run");
+        match given.and_then(|(_, run)| run.as_str()) {
+            Some(given) => Ok(Some(PathBuf::from(self.resolved(given)?))),
+            None => Ok(self.last_run().map(Path::to_owned)),
+        }
     }
 
     /// The words of a command.
@@ -595,10 +630,7 @@ impl<'a> Progress<'a> {
             words.extend(["--port".to_owned(), port.to_owned()]);
         }
         if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
-            let run = match given("run") {
-                Some(run) => Some(self.resolved(run)?),
-                None => self.last_run().map(|run| run.display().to_string()),
-            };
+            let run = self.run_about(options)?;
             let run = run.ok_or_else(|| {
                 Ended::error(format!(
                     "{}: no earlier step has recorded a run",
@@ -608,7 +640,7 @@ impl<'a> Progress<'a> {
             if verb == Verb::Add {
                 words.push("--run".to_owned());
             }
-            words.push(run);
+            words.push(run.display().to_string());
         }
         if verb.is_live() {
             words.extend(["--port".to_owned(), port.to_owned()]);
@@ -749,6 +781,7 @@ struct KeptOrder<'a> {
     bench: BenchFile,
     seed: u64,
     watchdog_s: f64,
+    stop: &'a AtomicBool,
 }
 
 impl KeptOrder<'_> {
@@ -762,6 +795,7 @@ impl KeptOrder<'_> {
             protocol: self.bench.link.protocol,
             seed: self.seed,
             watchdog_s: self.watchdog_s,
+            stop: self.stop,
         }
     }
 }
@@ -790,6 +824,22 @@ fn merge(table: &mut toml::Table, changes: &toml::Table) {
     }
 }
 
+/// How a command ended that was asked to, and what is known of the motor: what the command says of it, if it is an end by
+/// its guard.
+fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
+    let ended = match status {
+        Some(status) => format!("asked to end, it did with exit status {status}"),
+        None => "asked to end, it was gone without a word".to_owned(),
+    };
+    match (status, said) {
+        (Some(INTERRUPTED), Some(said)) => format!("{ended}: {said}"),
+        (_, said) => {
+            let said = said.map_or_else(String::new, |said| format!(": {said}"));
+            format!("{ended}{said}; how it left the motor is not known")
+        }
+    }
+}
+
 /// The error that a command ended with, as it says it to programs.
 fn error_said(stderr: &Path) -> Option<String> {
     let text = fs::read_to_string(stderr).ok()?;
@@ -801,4 +851,30 @@ fn error_said(stderr: &Path) -> Option<String> {
     };
     let said: Value = serde_json::from_str(line).ok()?;
     said.pointer("/error/message")?.as_str().map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_command_says_how_it_left_its_motor() {
+        let words = "stopped before the end; the drive confirmed zero output";
+        assert_eq!(
+            asked_to_end(Some(INTERRUPTED), Some(words)),
+            format!("asked to end, it did with exit status 130: {words}")
+        );
+        for (status, said) in [
+            (Some(INTERRUPTED), None),
+            (Some(LINK), Some("link lost")),
+            (Some(0), None),
+            (None, None),
+        ] {
+            let text = asked_to_end(status, said);
+            assert!(
+                text.ends_with("how it left the motor is not known"),
+                "{text}"
+            );
+        }
+    }
 }

@@ -5,7 +5,7 @@
 //! this process, the command and the drive watched --> how long the machine stood still, which says nothing of any of them
 //! ```
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fs::{self, File};
 use std::io::{self, PipeReader, Read, Write as _};
 use std::path::{Path, PathBuf};
@@ -55,6 +55,8 @@ pub(super) struct Stage<'a> {
     pub(super) second: Command,
     /// Where the command puts its runs.
     pub(super) runs: &'a Path,
+    /// Runs that are not of this command.
+    pub(super) before: &'a BTreeSet<PathBuf>,
     pub(super) folder: &'a Path,
     pub(super) timeout_s: f64,
     pub(super) stop: &'a AtomicBool,
@@ -168,8 +170,7 @@ fn start(
     if !has_screen {
         let ((out, to_out), (err, to_err)) = (io::pipe()?, io::pipe()?);
         for pipe in [&out, &err] {
-            let flags = rustix::fs::fcntl_getfl(pipe)?;
-            rustix::fs::fcntl_setfl(pipe, flags | rustix::fs::OFlags::NONBLOCK)?;
+            process::do_not_block(pipe)?;
         }
         command.stdin(Stdio::null()).stdout(to_out).stderr(to_err);
         let pipes = [
@@ -288,16 +289,25 @@ struct Watched<'a> {
 }
 
 impl Watched<'_> {
-    fn look(&mut self, child: &mut Child) -> io::Result<()> {
+    fn look(&mut self, child: Option<&Child>) -> io::Result<()> {
         let now_s = monotonic_s();
-        self.watch_machine(now_s, child);
         if self.is_read {
             self.outlet.read();
         }
+        let Some(child) = child else {
+            // What it said at last; nothing can be done to it any more.
+            if self.act_s.is_some() {
+                self.listen(now_s);
+            }
+            return Ok(());
+        };
+        self.watch_machine(now_s, child);
         if self.act_s.is_none() {
             if self.is_due(now_s) {
                 self.act_s = Some(monotonic_s());
                 self.act(child)?;
+                // What we do ourselves is no machine that stands still.
+                self.last_s = monotonic_s();
             }
         } else {
             if let Some((_, act)) = self.pending.take_if(|(at_s, _)| now_s >= *at_s) {
@@ -307,7 +317,7 @@ impl Watched<'_> {
         }
         if self.stage.act.act.has_screen() && now_s - self.pressed_s > KEYS_S {
             self.pressed_s = now_s;
-            if newest(self.stage.runs).is_some_and(|run| is_finished(&run)) {
+            if newest(self.stage.runs, self.stage.before).is_some_and(|run| is_finished(&run)) {
                 self.outlet.press(b'q');
             }
         }
@@ -350,7 +360,7 @@ impl Watched<'_> {
                 self.line(Carries::Gone);
                 let other = (self.stage.other)()?;
                 if let Some(line) = self.stage.line {
-                    line.lead_to(other.address.clone());
+                    line.lead_to(&other.address)?;
                 }
                 self.other = Some(other);
             }
@@ -370,7 +380,7 @@ impl Watched<'_> {
                 fs::rename(self.stage.runs, &gone)?;
                 fs::remove_dir_all(gone)?;
             }
-            Act::DiskFull => fill(child, self.stage.runs)?,
+            Act::DiskFull => fill(child, newest(self.stage.runs, self.stage.before))?,
             Act::PortAbsent | Act::PortForbidden | Act::OutForbidden => {}
         }
         let now_s = self.act_s.unwrap_or_else(monotonic_s);
@@ -429,16 +439,14 @@ impl Watched<'_> {
         let second = match self.second.take() {
             Some(second) => match process::attend(second, timeout_s, stop, LOOK, |_| Ok(()))?.end {
                 End::Status(status) => Some(status),
-                End::Asked | End::Killed => None,
+                End::Asked(_) | End::Killed => None,
             },
             None => None,
         };
         let second_said = fs::read_to_string(self.stage.folder.join("second-host.txt")).ok();
-        // A drive that was never meant to be written to.
-        let touched = self.other.as_mut().map(|other| {
-            let is_touched =
-                |row: &JournalRow| row.seq != 0 || row.output_on || row.state != "disabled";
-            other.rows().iter().any(is_touched)
+        let touched = self.other.as_mut().and_then(|other| {
+            let end_s = monotonic_s();
+            is_touched(other.rows_at_rest(), end_s)
         });
         let begin_s = self.begin_s;
         let after = |at_s: Option<f64>| at_s.zip(self.act_s).map(|(at_s, act_s)| at_s - act_s);
@@ -450,7 +458,7 @@ impl Watched<'_> {
             .filter(|row| row.time_s >= begin_s && row.late_s > STOOD_STILL_S);
         self.gaps.extend(late.map(|row| (row.time_s, row.late_s)));
         let rows_lost = (act == Act::Kill)
-            .then(|| rows_lost(rows.last(), self.stage.runs))
+            .then(|| rows_lost(rows.last(), &newest(self.stage.runs, self.stage.before)?))
             .flatten();
         let counts = |(at_s, _): &&(f64, f64)| act_s.is_none_or(|act_s| *at_s > act_s - BEFORE_S);
         let stood_still_s = self
@@ -477,20 +485,44 @@ impl Watched<'_> {
     }
 }
 
+impl Drop for Watched<'_> {
+    /// Whatever cut it short, the second host does not run on unwatched.
+    fn drop(&mut self) {
+        if let Some(mut second) = self.second.take() {
+            let _ = process::end(&mut second, LOOK, &mut |_| Ok(()));
+        }
+    }
+}
+
 /// The figures of a motor since `begin_s`, as they stand under `motor` in the result; times count from `act_s`.
 pub(super) fn motor(rows: &[JournalRow], begin_s: f64, act_s: f64) -> Value {
     let first = rows.partition_point(|row| row.time_s < begin_s);
     serde_json::to_value(figures(&rows[first..], act_s)).unwrap_or_default()
 }
 
-/// The newest run in a folder of runs.
-pub(super) fn newest(runs: &Path) -> Option<PathBuf> {
-    let entries = fs::read_dir(runs).ok()?;
-    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    // The link to the newest is none.
+/// The folders in a folder of runs; the link to the newest is none.
+pub(super) fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
+    let entries = fs::read_dir(runs).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path());
     folders
         .filter(|path| path.is_dir() && !path.is_symlink())
-        .max()
+        .collect()
+}
+
+/// Whether anything was written to a drive that was never meant to be written to; not known where its journal does not reach
+/// to the end of the command.
+fn is_touched(rows: &[JournalRow], end_s: f64) -> Option<bool> {
+    let is_written = |row: &JournalRow| row.seq != 0 || row.output_on || row.state != "disabled";
+    let is_whole = rows.last().is_some_and(|row| row.time_s >= end_s);
+    let found = rows.iter().any(is_written);
+    (found || is_whole).then_some(found)
+}
+
+/// The newest run that was not there `before`.
+pub(super) fn newest(runs: &Path, before: &BTreeSet<PathBuf>) -> Option<PathBuf> {
+    let mut runs = runs_in(runs);
+    runs.retain(|run| !before.contains(run));
+    runs.pop_last()
 }
 
 fn is_finished(run: &Path) -> bool {
@@ -500,8 +532,8 @@ fn is_finished(run: &Path) -> bool {
 }
 
 /// Commands that the drive has applied and of which the record has no row: a reply that was on its way is one.
-fn rows_lost(last: Option<&JournalRow>, runs: &Path) -> Option<u16> {
-    let text = fs::read_to_string(newest(runs)?.join("samples.csv")).ok()?;
+fn rows_lost(last: Option<&JournalRow>, run: &Path) -> Option<u16> {
+    let text = fs::read_to_string(run.join("samples.csv")).ok()?;
     let whole = &text[..=text.rfind('\n')?];
     let (head, row) = (whole.lines().next()?, whole.lines().next_back()?);
     let place = head.split(',').position(|name| name == "seq")?;
@@ -510,12 +542,13 @@ fn rows_lost(last: Option<&JournalRow>, runs: &Path) -> Option<u16> {
     Some(last?.seq.wrapping_sub(low))
 }
 
-/// What a full disk does: no file of this process grows beyond what the record of its run is now.
-fn fill(child: &Child, runs: &Path) -> io::Result<()> {
+/// No file of this process grows beyond what the record of its run is now. It stands for a full disk, which the program
+/// handles as the same; what the system says is another word (EFBIG, not ENOSPC).
+fn fill(child: &Child, run: Option<PathBuf>) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Pid, Resource, Rlimit, prlimit};
-        let samples = newest(runs).map(|run| run.join("samples.csv"));
+        let samples = run.map(|run| run.join("samples.csv"));
         let size = samples.and_then(|path| Some(fs::metadata(path).ok()?.len()));
         let size = size.ok_or_else(|| io::Error::other("there is no record yet"))?;
         let id = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
@@ -528,7 +561,7 @@ fn fill(child: &Child, runs: &Path) -> io::Result<()> {
     }
     #[cfg(not(target_os = "linux"))]
     {
-        let _ = (child, runs);
+        let _ = (child, run);
         Err(io::ErrorKind::Unsupported.into())
     }
 }
@@ -546,4 +579,30 @@ fn kept_waiting_s(process: u32, waits: &mut HashMap<PathBuf, u64>) -> f64 {
         }
     }
     longest as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_whose_journal_is_behind_is_not_said_to_be_untouched() {
+        let row = |time_s: f64, seq: u16| JournalRow {
+            time_s,
+            set_point_v: 0.0,
+            output_on: false,
+            voltage_v: 0.0,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            state: "disabled".to_owned(),
+            fault: "none".to_owned(),
+            host: None,
+            seq,
+            late_s: 0.0,
+        };
+        assert_eq!(is_touched(&[], 1.0), None);
+        assert_eq!(is_touched(&[row(0.9, 0)], 1.0), None);
+        assert_eq!(is_touched(&[row(0.9, 0), row(1.1, 0)], 1.0), Some(false));
+        assert_eq!(is_touched(&[row(0.9, 3)], 1.0), Some(true));
+    }
 }

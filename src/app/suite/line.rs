@@ -40,7 +40,7 @@ struct Told {
     carries: AtomicU8,
     over: AtomicBool,
     /// Where it leads from the next time that it is there.
-    next: Mutex<Option<String>>,
+    next: Mutex<Option<File>>,
 }
 
 impl Told {
@@ -54,7 +54,8 @@ impl Told {
         self.over.load(Ordering::Acquire)
     }
 
-    fn next(&self) -> Option<String> {
+    #[cfg(target_os = "linux")]
+    fn next(&self) -> Option<File> {
         self.next
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
@@ -113,14 +114,25 @@ impl Line {
         self.told.carries.store(carries as u8, Ordering::Release);
     }
 
-    /// From the next time that it is there it leads to this terminal.
-    pub(super) fn lead_to(&self, drive: String) {
+    /// From the next time that it is there it leads to this terminal, which is opened at once: a line that cannot lead there
+    /// leads nowhere.
+    #[cfg(target_os = "linux")]
+    pub(super) fn lead_to(&self, drive: &str) -> io::Result<()> {
+        let cannot =
+            |error| io::Error::other(format!("the line cannot be led to {drive}: {error}"));
+        let drive = terminal(drive).map_err(cannot)?;
         let mut next = self
             .told
             .next
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         *next = Some(drive);
+        Ok(())
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    pub(super) fn lead_to(&self, _drive: &str) -> io::Result<()> {
+        Err(ErrorKind::Unsupported.into())
     }
 }
 
@@ -168,9 +180,7 @@ fn carry_terminal(near: crate::emulator::PtyPort, mut far: File, name: &Path, to
             continue;
         }
         if near.is_none() {
-            if let Some(Ok(next)) = told.next().map(|path| terminal(&path)) {
-                far = next;
-            }
+            far = told.next().unwrap_or(far);
             near = fresh().ok();
         }
         let Some(port) = &mut near else {
@@ -262,5 +272,27 @@ fn carry_connection(host: &TcpStream, drive: &TcpStream, told: &Told) {
         if !has_come {
             std::thread::sleep(Duration::from_micros(200));
         }
+    }
+}
+
+#[cfg(test)]
+#[cfg(target_os = "linux")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_cannot_lead_to_another_drive_says_so() {
+        use crate::emulator::PtyPort;
+
+        let folder = tempfile::tempdir().unwrap();
+        let [drive, path] = ["drive", "line"].map(|name| folder.path().join(name));
+        let terminal = PtyPort::open().unwrap();
+        terminal.publish(&drive).unwrap();
+        let line = Line::to_terminal(drive.to_str().unwrap(), &path).unwrap();
+        line.set(Carries::Gone);
+        let absent = folder.path().join("absent");
+        let error = line.lead_to(absent.to_str().unwrap()).unwrap_err();
+        assert!(error.to_string().contains("cannot be led to"), "{error}");
+        line.lead_to(drive.to_str().unwrap()).unwrap();
     }
 }

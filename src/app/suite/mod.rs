@@ -140,8 +140,15 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         }
     }
     let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
-    if !request.hardware && jobs.iter().any(is_real) {
-        consent(jobs.iter().filter(|job| is_real(job)).count())?;
+    let real: Vec<&Job<'_>> = jobs.iter().filter(|job| is_real(job)).collect();
+    let mut risks: Vec<String> = real.iter().filter_map(|job| risk(job.case)).collect();
+    risks.dedup();
+    // Part of the question, and said as well where nobody is asked.
+    for line in risks {
+        output::message(&line);
+    }
+    if !request.hardware && !real.is_empty() {
+        consent(real.len())?;
     }
     let baseline = Baseline::read(&request.baseline, request.any_machine)?;
     let program = std::env::current_exe()
@@ -251,6 +258,29 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
 
+/// What a case does without, or undoes, that keeps a real motor safe.
+fn risk(case: &Case) -> Option<String> {
+    let mut names: Vec<&str> = Vec::new();
+    for step in &case.steps {
+        let Action::Command { options, .. } = &step.action else {
+            continue;
+        };
+        for (key, value) in options {
+            let is_risk = key.starts_with("waive") || key.replace('-', "_") == "reset_fault";
+            if is_risk && *value == toml::Value::Boolean(true) && !names.contains(&key.as_str()) {
+                names.push(key);
+            }
+        }
+    }
+    let names = names.join(", ");
+    (!names.is_empty()).then(|| {
+        format!(
+            "case {:?} sets {names}: checks that keep a real motor safe are gone without, or a fault is reset",
+            case.name
+        )
+    })
+}
+
 /// A person says that the shaft may turn.
 fn consent(cases: usize) -> Result<(), Failure> {
     let question = format!(
@@ -308,11 +338,19 @@ fn line(outcome: &CaseOutcome, repeats: u64) -> String {
         Verdict::Error(reason) => ("ERROR", Some(reason)),
         Verdict::Skipped(reason) => ("skipped", Some(reason)),
     };
-    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
+    let attempt = match outcome.attempts {
+        0 | 1 => String::new(),
+        attempts => format!(", attempt {attempts} of {}", case::ATTEMPTS),
+    };
+    let mut line = format!(
+        "{word:<8}{:>7.1} s  {}{seed}{attempt}",
+        outcome.took_s, outcome.name
+    );
+    let evidence = outcome.evidence.as_ref().filter(|_| reason.is_some());
     for text in reason
         .into_iter()
-        .chain(&outcome.evidence)
-        .take(if reason.is_some() { 2 } else { 0 })
+        .chain(evidence)
+        .chain(outcome.set_aside.first())
     {
         line.push_str("\n                   ");
         line.push_str(text);

@@ -2,9 +2,10 @@
 //! the motor did.
 
 use std::fs::{self, File};
-use std::io::{self, BufRead as _, BufReader, Read as _};
+use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
@@ -16,7 +17,9 @@ use crate::emulator::JournalRow;
 
 /// Time for the last rows after the command has ended, beside the watchdog of the drive, s.
 const SETTLES_S: f64 = 0.3;
-/// Longest wait for them, s: a machine that stands still.
+/// Longest wait for a drive that can be opened, s.
+const READY_S: f64 = 60.0;
+/// Longest wait beyond that, s: a machine that stands still.
 const PATIENCE_S: f64 = 10.0;
 
 /// What is asked of it.
@@ -31,6 +34,8 @@ pub(super) struct DriveOrder<'a> {
     pub(super) protocol: Protocol,
     pub(super) seed: u64,
     pub(super) watchdog_s: f64,
+    /// Nobody waits for it any more.
+    pub(super) stop: &'a AtomicBool,
 }
 
 /// Dropping it ends the process, and waits for that.
@@ -63,27 +68,25 @@ impl OwnDrive {
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         command.stderr(File::create(file(".txt"))?);
         let mut child = process::start(command)?;
-        let mut line = String::new();
-        if let Some(stdout) = &mut child.stdout {
-            BufReader::new(stdout).read_line(&mut line)?;
+        let opened = ready(&mut child, order.stop, READY_S)
+            .and_then(|address| Ok((address, Follower::open(&journal)?)));
+        match opened {
+            Ok((address, journal)) => Ok(Self {
+                address,
+                child,
+                is_network,
+                watchdog_s: order.watchdog_s,
+                journal,
+            }),
+            Err(error) => {
+                let _ = child.kill();
+                let _ = child.wait();
+                let said = fs::read_to_string(file(".txt")).unwrap_or_default();
+                let said = said.lines().last().unwrap_or_default();
+                let text = format!("it did not start: {error} {said}");
+                Err(io::Error::other(text.trim_end().to_owned()))
+            }
         }
-        let ready: Value = serde_json::from_str(&line).unwrap_or_default();
-        let Some(address) = ready.get("address").and_then(Value::as_str) else {
-            let _ = child.kill();
-            let _ = child.wait();
-            let said = fs::read_to_string(file(".txt")).unwrap_or_default();
-            return Err(io::Error::other(format!(
-                "the software drive did not start: {}",
-                said.lines().last().unwrap_or_default()
-            )));
-        };
-        Ok(Self {
-            address: address.to_owned(),
-            child,
-            is_network,
-            watchdog_s: order.watchdog_s,
-            journal: Follower::open(&journal)?,
-        })
     }
 
     /// As `--port` takes it.
@@ -118,9 +121,10 @@ impl OwnDrive {
 
     /// The same once it has noted whatever a watchdog would still do, if it is there to note anything.
     pub(super) fn rows_at_rest(&mut self) -> &[JournalRow] {
-        let until_s = process::monotonic_s() + self.watchdog_s + SETTLES_S;
+        let settles_s = self.watchdog_s + SETTLES_S;
+        let until_s = process::monotonic_s() + settles_s;
         let watch = Watch::start();
-        while watch.took_s() < PATIENCE_S
+        while watch.took_s() < settles_s + PATIENCE_S
             && self.child.try_wait().is_ok_and(|ended| ended.is_none())
             && self.rows().last().is_none_or(|row| row.time_s < until_s)
         {
@@ -152,6 +156,35 @@ impl Drop for OwnDrive {
         }
         self.kill();
     }
+}
+
+/// The address that a drive says once it can be opened.
+fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<String> {
+    let no_line = || io::Error::other("it has not said how it is opened;");
+    let stdout = child.stdout.as_mut().ok_or_else(no_line)?;
+    process::do_not_block(&*stdout)?;
+    let (mut said, mut bytes) = (Vec::new(), [0; 1024]);
+    let watch = Watch::start();
+    while !said.contains(&b'\n') {
+        if stop.load(Ordering::Acquire) {
+            return Err(io::Error::other("interrupted"));
+        }
+        if watch.took_s() > limit_s {
+            return Err(io::Error::other(format!("not ready in {limit_s} s;")));
+        }
+        match stdout.read(&mut bytes) {
+            Ok(0) => break,
+            Ok(count) => said.extend_from_slice(&bytes[..count]),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                std::thread::sleep(process::LOOK);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    let line = said.split(|byte| *byte == b'\n').next();
+    let ready: Value = serde_json::from_slice(line.unwrap_or_default()).unwrap_or_default();
+    let address = ready.get("address").and_then(Value::as_str);
+    address.map(str::to_owned).ok_or_else(no_line)
 }
 
 /// Reads what has been added to a journal.
@@ -186,4 +219,34 @@ impl Follower {
 /// A path for a line beside that of the drive.
 pub(super) fn beside(folder: &Path) -> PathBuf {
     folder.join("line.pty")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a process that says this, and goes on, is taken for.
+    fn opened(script: &str, stop: bool) -> Result<String, String> {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]).stdout(Stdio::piped());
+        let mut child = process::start(command).unwrap();
+        let found = ready(&mut child, &AtomicBool::new(stop), 0.5);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        found.map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_drive_that_does_not_say_how_it_is_opened_is_not_waited_for_for_ever() {
+        let said = opened("echo '{\"address\": \"x\"}'; exec sleep 60", false);
+        assert_eq!(said.as_deref(), Ok("x"));
+        let silent = |stop| opened("exec sleep 60", stop).unwrap_err();
+        assert_eq!(silent(false), "not ready in 0.5 s;");
+        assert_eq!(silent(true), "interrupted");
+        assert!(
+            opened("echo no", false)
+                .unwrap_err()
+                .contains("has not said")
+        );
+    }
 }

@@ -6,6 +6,7 @@
 
 use std::fs::File;
 use std::io;
+use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -26,8 +27,8 @@ const GRACE: Duration = Duration::from_secs(15);
 pub(super) enum End {
     /// By itself, with this exit status.
     Status(u8),
-    /// It did not end in its time, and did so when it was asked to.
-    Asked,
+    /// It did not end in its time, and did so when it was asked to: with this exit status, or by a signal.
+    Asked(Option<u8>),
     /// It had to be killed, or was by a signal.
     Killed,
 }
@@ -105,6 +106,15 @@ fn tied(command: &mut Command, has_terminal: bool) {
     }
 }
 
+/// From now on a read of this end returns at once.
+pub(super) fn do_not_block(end: impl AsFd) -> io::Result<()> {
+    let flags = rustix::fs::fcntl_getfl(&end)?;
+    Ok(rustix::fs::fcntl_setfl(
+        &end,
+        flags | rustix::fs::OFlags::NONBLOCK,
+    )?)
+}
+
 /// Sends a signal; a process that has just ended hears nothing.
 pub(super) fn signal(child: &Child, signal: Signal) {
     if let Ok(id) = i32::try_from(child.id()) {
@@ -126,53 +136,54 @@ pub(super) fn finish(
     attend(start(command)?, timeout_s, stop, LOOK, |_| Ok(()))
 }
 
-/// Waits for the end of a process, with a `look` at it every `period`.
+/// Waits for the end of a process, with a `look` at it every `period`, and a last one at what it left: there is no process any
+/// more that anything could be done to, and its number may be another's.
 pub(super) fn attend(
     mut child: Child,
     timeout_s: f64,
     stop: &AtomicBool,
     period: Duration,
-    mut look: impl FnMut(&mut Child) -> io::Result<()>,
+    mut look: impl FnMut(Option<&Child>) -> io::Result<()>,
 ) -> io::Result<Done> {
     let watch = Watch::start();
     let end = loop {
-        if let Err(error) = look(&mut child) {
+        if let Err(error) = look(Some(&child)) {
             // Whatever became of the look, no command runs on unwatched.
             end(&mut child, period, &mut |_| Ok(()))?;
             return Err(error);
         }
         if let Some(status) = child.try_wait()? {
-            break ended(status);
+            break code_of(status).map_or(End::Killed, End::Status);
         }
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
             break end(&mut child, period, &mut look)?;
         }
         std::thread::sleep(period);
     };
-    look(&mut child)?;
+    look(None)?;
     Ok(Done {
         end,
         took_s: watch.took_s(),
     })
 }
 
-fn ended(status: ExitStatus) -> End {
-    let code = status.code().and_then(|code| u8::try_from(code).ok());
-    code.map_or(End::Killed, End::Status)
+fn code_of(status: ExitStatus) -> Option<u8> {
+    status.code().and_then(|code| u8::try_from(code).ok())
 }
 
-fn end(
+/// Asks a process to end, and kills it where it does not.
+pub(super) fn end(
     child: &mut Child,
     period: Duration,
-    look: &mut impl FnMut(&mut Child) -> io::Result<()>,
+    look: &mut impl FnMut(Option<&Child>) -> io::Result<()>,
 ) -> io::Result<End> {
     signal(child, Signal::SIGTERM);
     let asked = Watch::start();
     while asked.took_s() < GRACE.as_secs_f64() {
         // What it looks at may be gone with the end that was asked for.
-        let _ = look(child);
-        if child.try_wait()?.is_some() {
-            return Ok(End::Asked);
+        let _ = look(Some(child));
+        if let Some(status) = child.try_wait()? {
+            return Ok(End::Asked(code_of(status)));
         }
         std::thread::sleep(period);
     }
@@ -195,6 +206,28 @@ mod tests {
     }
 
     #[test]
+    fn the_last_look_has_no_process_that_anything_could_be_done_to() {
+        for (script, timeout_s) in [("sleep 0.1", 60.0), ("exec sleep 60", 0.1)] {
+            let mut command = Command::new("sh");
+            command.args(["-c", script]);
+            let mut looks = Vec::new();
+            let look = |child: Option<&Child>| {
+                // While it is shown it is there, though it may have ended.
+                let is_there = child.map(|child| {
+                    let id = i32::try_from(child.id()).unwrap();
+                    kill(Pid::from_raw(id), None).is_ok()
+                });
+                looks.push(is_there);
+                Ok(())
+            };
+            let child = start(command).unwrap();
+            attend(child, timeout_s, &AtomicBool::new(false), LOOK, look).unwrap();
+            assert_eq!(looks.pop(), Some(None));
+            assert!(looks.len() > 1 && looks.iter().all(|look| *look == Some(true)));
+        }
+    }
+
+    #[test]
     fn a_process_ends_by_itself_or_is_asked_to() {
         let (done, out) = shell("echo said; exit 4", 60.0);
         assert_eq!((done.end, out.as_str()), (End::Status(4), "said\n"));
@@ -202,7 +235,14 @@ mod tests {
             "trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done",
             0.3,
         );
-        assert_eq!((done.end, out.as_str()), (End::Asked, "stopped\n"));
+        assert_eq!(
+            (done.end, out.as_str()),
+            (End::Asked(Some(130)), "stopped\n")
+        );
+        let (done, _) = shell("trap 'exit 6' TERM; while :; do sleep 0.01; done", 0.3);
+        assert_eq!(done.end, End::Asked(Some(6)));
+        // It has no answer to the signal.
+        assert_eq!(shell("exec sleep 60", 0.3).0.end, End::Asked(None));
         assert_eq!(shell("kill -KILL $$", 60.0).0.end, End::Killed);
     }
 }

@@ -17,8 +17,9 @@ use crate::plant::Model;
 use crate::recording::{CommandRow, Event, Record, RecorderStatus, Row, RowOrder};
 use crate::sample::{Channel, Sample};
 
-/// Of a thousand replies so many each are late by this much, s, lost, and doubled: one in a hundred in all.
-const SPOILT: u32 = 3;
+/// Of a thousand replies so many are late by the time below, lost, doubled, damaged, cut short, split, another unit's or
+/// among garbage: one in a hundred in all.
+const SPOILT: u32 = 10;
 const LATE_S: f64 = 0.03;
 /// Length of one run, s: within the time limit that the bench file gets.
 const RUN_S: f64 = 600.0;
@@ -26,7 +27,7 @@ const RUN_S: f64 = 600.0;
 /// cycle before is off by more than twice as much at the speeds of this run.
 const ANGLE_RAD: f64 = 0.9;
 /// Cycles of a run outside its record: until the drive is found at rest, and after its last word.
-const UNRECORDED: u64 = 300;
+const UNRECORDED: u64 = 5;
 /// Pages by which a process may grow after its first hour.
 const GROWN_PAGES: u64 = 512;
 
@@ -88,10 +89,10 @@ impl Record for Critic {
 
 /// Resident memory, pages, and open files of this process.
 fn resources() -> (u64, usize) {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let text = std::fs::read_to_string("/proc/self/statm").expect("procfs tells them");
     let pages = text.split(' ').nth(1).and_then(|word| word.parse().ok());
-    let files = std::fs::read_dir("/proc/self/fd").map_or(0, Iterator::count);
-    (pages.unwrap_or(0), files)
+    let files = std::fs::read_dir("/proc/self/fd").expect("procfs tells them");
+    (pages.expect("pages are a number"), files.count())
 }
 
 /// What came of so many seconds of runs.
@@ -165,7 +166,7 @@ fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
     let mut bench = BenchFile::parse("bench.toml", &bench()).unwrap();
     bench.drive_facts = DriveFacts::of(&profile);
     let interrupted = Arc::new(AtomicBool::new(false));
-    let drive = Drive::new(Act::PoorLine(LATE_S, SPOILT), 1);
+    let drive = Drive::new(Act::RoughLine(LATE_S, SPOILT), 1);
     let there = Surroundings::new(drive, None, &interrupted, None);
     let there = Arc::new(Mutex::new(there));
     let mut account = Account::default();
@@ -213,7 +214,7 @@ fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
 fn a_quarter_of_an_hour_over_a_poor_line_brings_no_wrong_value() {
     let account = soak(900.0, |_, _| {});
     assert!(account.samples > 40_000, "{account:?}");
-    assert!(account.lost > 100, "the line is not poor: {account:?}");
+    assert!(account.lost > 20, "the line is not poor: {account:?}");
 }
 
 /// Alone in its process: `cargo test --lib endurance -- --ignored --nocapture`.

@@ -320,7 +320,7 @@ fn errors_with<'a>(notices: &'a [Notice], words: &str) -> Vec<&'a str> {
 fn a_motor_that_nobody_could_stop_is_left_to_the_watchdog() {
     let notices = last_notices(60, Fault::Gone, Some(gone));
     assert_eq!(errors_with(&notices, "NOT confirmed").len(), 1);
-    assert_eq!(errors_with(&notices, "watchdog must have").len(), 1);
+    assert_eq!(errors_with(&notices, "no watchdog is known").len(), 1);
 }
 
 #[test]
@@ -336,9 +336,17 @@ fn a_stop_that_the_link_got_confirmed_in_the_end_is_no_matter_of_the_watchdog() 
 #[test]
 fn of_a_drive_that_answers_or_never_ran_no_watchdog_is_claimed() {
     let answers = last_notices(60, Fault::IgnoresStop, Some(disobeyed));
+    // Our own drive, over every link that asks it by number.
+    let unstopped = |name: String| {
+        let mut running = Sample::at(0.0);
+        running.state = Some(DriveState::Running);
+        crate::drive::stop_confirmed(&name, || Ok(running.clone())).unwrap_err()
+    };
+    let runs_on = last_notices(60, Fault::IgnoresStop, Some(unstopped));
     let never_ran = last_notices(0, Fault::Timeout, Some(gone));
     for (notices, why) in [
         (answers, "still reports that it runs"),
+        (runs_on, "still runs after 5 requests to stop"),
         (never_ran, "was not seen to run"),
     ] {
         let unconfirmed = errors_with(&notices, "NOT confirmed");
@@ -609,9 +617,9 @@ fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_th
 
 #[test]
 fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
-    let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
     type Failing = Option<fn(String) -> LinkError>;
-    let cases: [(Option<Fault>, Failing, &str, bool, bool); 4] = [
+    let unanswered = |link: String| timeout(crate::drive::LinkName(link), "stop");
+    let cases: [(Option<Fault>, Failing, &str, bool, bool); 5] = [
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
         // What is gone was asked nothing; what only does not answer was.
@@ -626,6 +634,14 @@ fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
             Some(Fault::Timeout),
             Some(unanswered),
             "link silent",
+            true,
+            false,
+        ),
+        // What it was stopped for is no loss of a link that answered all; who does not obey was asked.
+        (
+            Some(Fault::IgnoresStop),
+            Some(disobeyed),
+            "the end of the sequence",
             true,
             false,
         ),

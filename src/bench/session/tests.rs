@@ -241,13 +241,15 @@ fn a_link_that_is_lost_after_a_stop_by_hand_ends_as_asked_and_unconfirmed() {
 
 #[test]
 fn a_watchdog_that_was_waived_is_not_said_to_have_stopped_the_motor() {
-    for (waived, words) in [
-        (None, "watchdog must have"),
-        (Some("watchdog"), "may still"),
+    for (watchdog_s, waived, words) in [
+        (None, None, "no watchdog is known"),
+        (Some(0.5), None, "stops the motor 0.5 s after the last word"),
+        (Some(0.5), Some("watchdog"), "may still"),
     ] {
         let waived = waived.map(str::to_owned).into_iter().collect();
         let drive = ScriptedDrive::new(0.01).with(60, EVER, Fault::Gone);
-        let bench = bench(session().with_waivers(waived), drive).started(100);
+        let session = session().with_watchdog(watchdog_s).with_waivers(waived);
+        let bench = bench(session, drive).started(100);
         has(
             bench
                 .session

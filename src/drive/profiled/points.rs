@@ -53,6 +53,8 @@ pub(super) struct Points {
     pub(super) kicked_s: f64,
     /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
     pub(super) is_urgent: bool,
+    /// A write has gone out, as far as that is known.
+    pub(super) has_written: bool,
     joint: Joint,
     /// When the last write of this exchange was carried out.
     pub(super) carried: Option<Span>,
@@ -67,6 +69,7 @@ impl Points {
             limited: false,
             kicked_s: f64::NEG_INFINITY,
             is_urgent: false,
+            has_written: false,
             joint: Joint::Never,
             carried: None,
             running: false,
@@ -381,6 +384,7 @@ impl Points {
         } else {
             bus.write(function, address, registers)
         };
+        self.has_written |= super::was_sent(&written);
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         self.carried = Some(carried);

@@ -72,6 +72,9 @@ pub struct SoftDrive {
     kicked_tick: u64,
     applied_unread: bool,
     tick: u64,
+    ran_s: Option<f64>,
+    /// Of the watchdog, after each power-up.
+    watchdog_as_set_ms: u16,
     command_block: CommandBlock,
     /// The two other registers that the host writes.
     capture_control: u16,
@@ -129,6 +132,8 @@ impl SoftDrive {
             kicked_tick: 0,
             applied_unread: false,
             tick: 0,
+            ran_s: None,
+            watchdog_as_set_ms: config.watchdog_ms,
             command_block: CommandBlock::default(),
             capture_control: 0,
             window_index: 0,
@@ -223,9 +228,9 @@ impl SoftDrive {
         }
     }
 
-    /// Since its start, s; `None` where it does not run.
-    pub fn running_s(&self) -> Option<f64> {
-        (self.state == State::Running).then(|| self.plant.time_s())
+    /// Since its last start, s, as long as it ran; `None` where it never did.
+    pub const fn ran_s(&self) -> Option<f64> {
+        self.ran_s
     }
 
     /// Whether it is switched on.
@@ -284,18 +289,31 @@ impl SoftDrive {
 
     /// What goes wrong in the drive itself.
     fn suffer(&mut self) {
-        if !self.troubles.look(self.time_s(), self.running_s()) {
+        if self.state == State::Running {
+            self.ran_s = Some(self.plant.time_s());
+        }
+        if !self.troubles.look(self.time_s(), self.ran_s) {
             return;
         }
         if self.has(FaultKind::Trip) {
             self.trip(Fault::Internal);
         }
         if !self.is_powered() {
-            (self.state, self.fault) = (State::Disabled, Fault::None);
-            self.output_fresh = false;
-            self.command_block = CommandBlock::default();
-            self.troubles.clock_from(self.tick);
+            self.power_up();
         }
+    }
+
+    /// Nothing is remembered of what came before, and its clock begins anew.
+    fn power_up(&mut self) {
+        (self.state, self.fault) = (State::Disabled, Fault::None);
+        (self.seq, self.control) = (0, Control::Disable);
+        self.applied_tick = self.tick;
+        (self.output_fresh, self.applied_unread) = (false, false);
+        self.command_block = CommandBlock::default();
+        self.capture = Capture::default();
+        (self.capture_control, self.window_index) = (0, 0);
+        self.identity.watchdog_ms = self.watchdog_as_set_ms;
+        self.troubles.clock_from(self.tick);
     }
 
     /// Drive time as the protocols carry it.

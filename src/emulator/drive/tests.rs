@@ -417,3 +417,53 @@ fn the_specimen_differs_from_the_nameplate_within_tolerance() {
     assert_eq!(keys, ["stribeck_n_m", "stribeck_speed_rad_s"]);
     assert_eq!(drive.identity().serial_number, 77);
 }
+
+/// A drive with one fault from half a second after its start on.
+fn faulty(fault: &str) -> SoftDrive {
+    let mut config = plain();
+    config.faulty = vec![toml::from_str(&format!("{fault}\nfrom_s = 0.5")).unwrap()];
+    SoftDrive::new(&config, 1)
+}
+
+#[test]
+fn what_is_measured_may_stand_still_while_clock_and_state_go_on() {
+    let mut drive = faulty("kind = \"frozen_registers\"");
+    hold(&mut drive, Control::Voltage(20.0), 0.6);
+    let before = drive.telemetry();
+    send(&mut drive, 77, Control::Stop);
+    drive.advance_to(0.9);
+    let after = drive.telemetry();
+    assert!(speed_rad_s(&drive) < 0.5 * before.speed_rad_s);
+    let measured = |t: &Telemetry| {
+        [
+            t.speed_rad_s,
+            t.current_a,
+            t.voltage_v,
+            t.angle_rad,
+            t.bus_v,
+        ]
+    };
+    let bits = |t: &Telemetry| measured(t).map(f64::to_bits);
+    assert_eq!(bits(&after), bits(&before));
+    assert!(after.time_us > before.time_us + 290_000 && after.applied_us > before.applied_us);
+    assert_eq!((after.seq, after.status.state()), (77, Some(State::Ready)));
+}
+
+#[test]
+fn a_drive_that_has_its_power_back_remembers_nothing() {
+    let mut drive = faulty("kind = \"power_lost\"\nfor_s = 0.2");
+    let as_set_ms = drive.identity().watchdog_ms;
+    assert!(drive.set_watchdog_ms(as_set_ms / 2));
+    drive.control_capture(CaptureControl::Start);
+    hold(&mut drive, Control::Voltage(20.0), 0.4);
+    assert_eq!(drive.capture.state(), CaptureState::Recording);
+    drive.advance_to(0.8);
+    assert!(drive.is_powered());
+    let told = drive.telemetry();
+    assert_eq!((told.seq, told.status.state()), (0, Some(State::Disabled)));
+    assert!(told.time_us < 200_000, "{}", told.time_us);
+    assert_eq!(told.applied_us, 0);
+    assert_eq!(drive.capture.state(), CaptureState::Empty);
+    assert_eq!(drive.identity().watchdog_ms, as_set_ms);
+    assert_eq!(drive.command_block, CommandBlock::default());
+}

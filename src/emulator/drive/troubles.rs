@@ -37,10 +37,10 @@ impl Troubles {
     }
 
     /// Brings it up to date; whether anything goes wrong.
-    pub(super) fn look(&mut self, now_s: f64, running_s: Option<f64>) -> bool {
+    pub(super) fn look(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
         self.there.clear();
         for fault in &mut self.lurking {
-            if fault.is_there(now_s, running_s) {
+            if fault.is_there(now_s, ran_s) {
                 self.there.push(fault.entry);
             }
         }
@@ -100,15 +100,20 @@ impl Troubles {
         reading
     }
 
-    /// What is told; measured values that are frozen stay, and the number of the command is still echoed.
+    /// What is told; measured values that are frozen stay, and the drive's clock and state are still its own.
     pub(super) fn telemetry(&mut self, honest: Telemetry) -> Telemetry {
         if self.lurking.is_empty() {
             return honest;
         }
         if let (Some(told), true) = (self.told, self.has(FaultKind::FrozenRegisters)) {
             return Telemetry {
-                seq: honest.seq,
-                ..told
+                voltage_v: told.voltage_v,
+                current_a: told.current_a,
+                speed_rad_s: told.speed_rad_s,
+                angle_rad: told.angle_rad,
+                bus_v: told.bus_v,
+                temperature_c: told.temperature_c,
+                ..honest
             };
         }
         self.told = Some(honest);

@@ -291,9 +291,9 @@ impl ForeignDrive {
         }
     }
 
-    /// Since its start, s; `None` where it does not run.
-    pub fn running_s(&self) -> Option<f64> {
-        self.soft.running_s()
+    /// Since its last start, s, as long as it ran; `None` where it never did.
+    pub const fn ran_s(&self) -> Option<f64> {
+        self.soft.ran_s()
     }
 
     pub fn is_powered(&self) -> bool {
@@ -321,7 +321,8 @@ impl ForeignDrive {
         let watchdog = &self.map.watchdog;
         let blind =
             now_s - self.switched_on_s < watchdog.keys.boot_delay_s || self.watchdog_s <= 0.0;
-        if blind || !self.ladder.is_running() || self.lapsed {
+        let dead = self.soft.has(FaultKind::WatchdogDead);
+        if blind || dead || !self.ladder.is_running() || self.lapsed {
             return;
         }
         if now_s - self.kicked_s >= self.watchdog_s {

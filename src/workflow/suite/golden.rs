@@ -168,10 +168,9 @@ fn admit(run: &GoldenRun) -> Result<Kind, Refused> {
 
 fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     let case = Kind::Commission.verb();
-    let of = |key: &str| -> Vec<Value> {
-        runs.iter()
-            .filter_map(|run| find(&run.result, key))
-            .collect()
+    // One value per run, or the key is none to hold a machine to.
+    let of = |key: &str| -> Option<Vec<Value>> {
+        runs.iter().map(|run| find(&run.result, key)).collect()
     };
     let mut limits = Vec::new();
     let mut say = |key: &str, limit: String, reason: String| {
@@ -182,12 +181,15 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             reason,
         });
     };
-    let missing = of("missing");
-    if missing.iter().any(|own| *own != missing[0]) && !missing.iter().all(Value::is_string) {
+    let answers: Vec<Answer> = runs
+        .iter()
+        .map(|run| answer(run))
+        .collect::<Result<_, _>>()?;
+    if answers.iter().any(|own| *own != answers[0]) {
         let told: Vec<String> = runs
             .iter()
-            .zip(&missing)
-            .map(|(run, own)| format!("{}: {own}", run.name))
+            .zip(&answers)
+            .map(|(run, own)| format!("{}: {}", run.name, own.words()))
             .collect();
         return Err((
             format!(
@@ -197,49 +199,39 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             "give runs of one machine in one state, or those alone that are right".to_owned(),
         ));
     }
-    let answer = "what the diagnosis said of every run";
-    let names = missing
-        .first()
-        .and_then(Value::as_array)
-        .filter(|names| !names.is_empty());
-    if let Some(names) = names {
-        let names: Vec<String> = names.iter().filter_map(Value::as_str).map(quoted).collect();
-        let limit = match &names[..] {
-            [only] => only.clone(),
-            several => format!("[{}]", several.join(", ")),
-        };
-        say("missing", limit, answer.to_owned());
-    } else {
-        let verdicts = of("verdict");
-        let first = verdicts.first().and_then(Value::as_str).unwrap_or("none");
-        if verdicts.iter().all(|own| own == first) {
-            say("verdict", quoted(first), answer.to_owned());
+    let what = "what the diagnosis said of every run".to_owned();
+    let Answer { verdict, effects } = &answers[0];
+    let names: Vec<String> = effects.iter().map(|name| quoted(name)).collect();
+    match &names[..] {
+        [] => {
+            say("verdict", quoted(verdict), what);
+            if of("sufficient").is_some_and(|all| all.iter().all(|own| *own == true)) {
+                say(
+                    "sufficient",
+                    "true".to_owned(),
+                    "no error was left".to_owned(),
+                );
+            }
+            // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
+            let open = of("not_shown").unwrap_or_default();
+            let counts = open.iter().filter_map(Value::as_array).map(Vec::len);
+            if let Some(most) = counts.max() {
+                let reason = format!(
+                    "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
+                );
+                say(
+                    "not_shown",
+                    quoted(&format!("<= {}", most + NOT_SHOWN_MORE)),
+                    reason,
+                );
+            }
         }
-        if of("sufficient").iter().all(|own| *own == true) {
-            say(
-                "sufficient",
-                "true".to_owned(),
-                "no error was left".to_owned(),
-            );
-        }
-        // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
-        let open = of("not_shown");
-        let counts = open.iter().filter_map(Value::as_array).map(Vec::len);
-        let most = counts.max().unwrap_or(0);
-        let reason = format!(
-            "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
-        );
-        say(
-            "not_shown",
-            quoted(&format!("<= {}", most + NOT_SHOWN_MORE)),
-            reason,
-        );
+        [only] => say("missing", only.clone(), what),
+        several => say("missing", format!("[{}]", several.join(", ")), what),
     }
-    let errors: Vec<f64> = of("held_out_error")
-        .iter()
-        .filter_map(Value::as_f64)
-        .collect();
-    if !errors.is_empty() {
+    let errors: Option<Vec<f64>> =
+        of("held_out_error").and_then(|all| all.iter().map(Value::as_f64).collect());
+    if let Some(errors) = errors {
         let most = extent(&errors).1;
         say(
             "held_out_error",
@@ -255,6 +247,45 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     }
     limits.extend(parameter_limits(Kind::Commission, runs)?);
     Ok(limits)
+}
+
+/// What a diagnosis said, without how much it could rule out: that differs from run to run of one machine.
+#[derive(PartialEq)]
+struct Answer {
+    verdict: String,
+    /// In the order of their names.
+    effects: Vec<String>,
+}
+
+impl Answer {
+    fn words(&self) -> String {
+        match &self.effects[..] {
+            [] => self.verdict.clone(),
+            effects => effects.join(", "),
+        }
+    }
+}
+
+/// The answer of a run, where one more run may be held to it.
+fn answer(run: &GoldenRun) -> Result<Answer, Refused> {
+    let refuse = |what: &str, help: &str| Err((format!("{}: {what}", run.name), help.to_owned()));
+    let Some(Value::String(verdict)) = find(&run.result, "verdict") else {
+        return refuse(
+            "its diagnosis has no verdict",
+            "a machine is held to runs that were diagnosed; record it again",
+        );
+    };
+    if verdict == "effect" && find(&run.result, "confirm.confirmed") == Some(Value::Bool(false)) {
+        return refuse(
+            "its confirming run speaks against what its diagnosis named",
+            "a machine is held to what was confirmed; record it again",
+        );
+    }
+    let effects = find(&run.result, "effects");
+    let names = effects.iter().filter_map(Value::as_array).flatten();
+    let mut effects: Vec<String> = names.filter_map(Value::as_str).map(str::to_owned).collect();
+    effects.sort();
+    Ok(Answer { verdict, effects })
 }
 
 /// The parameters that every run settled.
@@ -564,38 +595,85 @@ mod tests {
         assert!(unknown.contains("no parameter was settled"), "{unknown}");
     }
 
+    /// A commissioning; `open` effects were neither named nor ruled out.
+    fn diagnosed(verdict: &str, effects: &[&str], open: usize) -> GoldenRun {
+        let mut own = run("a", 1.0, 0.1);
+        let candidates = vec![json!({ "effect": "x", "status": "not_observable" }); open];
+        own.result["diagnosis"] = json!({
+            "verdict": verdict, "effects": effects, "sufficient": verdict != "unexplained",
+            "candidates": candidates, "holdout_after": 1.0,
+        });
+        own
+    }
+
+    /// The limits but for those of the parameters.
+    fn held_to(runs: &[GoldenRun]) -> Result<Vec<(String, String)>, String> {
+        let made = golden("m", runs, &place()).map_err(|(what, _)| what)?;
+        let all = made.limits.into_iter().map(|own| (own.key, own.limit));
+        Ok(all.filter(|(key, _)| key != "resistance_ohm").collect())
+    }
+
     #[test]
-    fn runs_that_name_different_effects_are_no_machine_to_hold_to() {
-        let of = |effects: &[&str]| {
-            let mut own = run("a", 1.0, 0.1);
-            own.result["diagnosis"] = json!({
-                "verdict": if effects.is_empty() { "none" } else { "effect" }, "effects": effects,
-                "sufficient": true, "candidates": [], "holdout_after": 1.0,
-            });
-            own
+    fn what_runs_agree_on_is_held_to_whatever_they_could_rule_out() {
+        let texts = |all: &[(&str, &str)]| -> Vec<(String, String)> {
+            let own = all
+                .iter()
+                .map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned()));
+            own.collect()
         };
-        let limit = |runs: &[GoldenRun]| {
-            golden("m", runs, &place()).map(|made| made.limits[0].limit.clone())
-        };
-        // Without reserve or with it: the next run may leave an effect open.
-        let made = golden("m", &[of(&[]), of(&[])], &place()).unwrap();
-        let found: Vec<(&str, &str)> = made
-            .limits
-            .iter()
-            .map(|own| (own.key.as_str(), own.limit.as_str()))
-            .collect();
-        assert_eq!(
-            found[..4],
-            [
+        let nothing = |not_shown| {
+            texts(&[
                 ("verdict", "\"none\""),
                 ("sufficient", "true"),
-                ("not_shown", "\"<= 3\""),
-                ("held_out_error", "\"< 1.25\"")
-            ]
-        );
-        assert_eq!(limit(&[of(&["cogging"])]).unwrap(), "\"cogging\"");
-        assert_eq!(limit(&[of(&["a", "b"])]).unwrap(), "[\"a\", \"b\"]");
-        let (what, _) = limit(&[of(&["cogging"]), of(&[])]).unwrap_err();
-        assert!(what.contains("do not agree"), "{what}");
+                ("not_shown", not_shown),
+                ("held_out_error", "\"< 1.25\""),
+            ])
+        };
+        let of = |open| diagnosed("none", &[], open);
+        // Without reserve or with it: the next run may leave an effect open.
+        assert_eq!(held_to(&[of(0), of(0)]).unwrap(), nothing("\"<= 3\""));
+        assert_eq!(held_to(&[of(0), of(2)]).unwrap(), nothing("\"<= 5\""));
+        assert_eq!(held_to(&[of(1), of(2)]).unwrap(), nothing("\"<= 5\""));
+        let named =
+            |effects: &[&str]| held_to(&[diagnosed("effect", effects, 0)]).unwrap()[0].clone();
+        assert_eq!(named(&["cogging"]).1, "\"cogging\"");
+        assert_eq!(named(&["b", "a"]).1, "[\"a\", \"b\"]");
+        let unknown = held_to(&[diagnosed("unexplained", &[], 0)]).unwrap();
+        assert_eq!(unknown[0].1, "\"unexplained\"");
+        // What one of them does not say of itself is no limit.
+        let mut silent = of(0);
+        silent.result["diagnosis"]
+            .as_object_mut()
+            .unwrap()
+            .remove("sufficient");
+        silent.result["diagnosis"]
+            .as_object_mut()
+            .unwrap()
+            .remove("holdout_after");
+        let keys: Vec<String> = held_to(&[silent, of(0)])
+            .unwrap()
+            .into_iter()
+            .map(|(key, _)| key)
+            .collect();
+        assert_eq!(keys, ["verdict", "not_shown"]);
+    }
+
+    #[test]
+    fn runs_that_do_not_agree_are_no_machine_to_hold_to() {
+        let nothing = diagnosed("none", &[], 1);
+        let unknown = diagnosed("unexplained", &[], 0);
+        let cogging = diagnosed("effect", &["cogging"], 0);
+        for other in [&unknown, &cogging] {
+            let told = held_to(&[nothing.clone(), other.clone()]).unwrap_err();
+            assert!(told.contains("do not agree"), "{told}");
+        }
+        let mut silent = nothing.clone();
+        silent.result["diagnosis"] = Value::Null;
+        let told = held_to(&[nothing, silent]).unwrap_err();
+        assert!(told.contains("no verdict"), "{told}");
+        let mut refuted = cogging;
+        refuted.result["diagnosis"]["confirm"] = json!({ "confirmed": false });
+        let told = held_to(&[refuted]).unwrap_err();
+        assert!(told.contains("speaks against"), "{told}");
     }
 }

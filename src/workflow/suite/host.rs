@@ -40,7 +40,7 @@ pub enum Act {
     SecondHost,
     /// The folder of its runs is deleted.
     FolderGone,
-    /// No file of it can grow any more.
+    /// No file of it may grow any more (`RLIMIT_FSIZE`), in place of a disk that is full.
     DiskFull,
     /// Before it begins: the port is not there, may not be opened, or its folder may not be written.
     PortAbsent,

@@ -83,6 +83,12 @@ impl Limit {
     fn parse_text(text: &str) -> Result<Self, (String, String)> {
         let text = text.trim();
         if let Some(part) = text.strip_prefix('~') {
+            if part.trim().is_empty() {
+                return Err((
+                    format!("{text:?} has no text after ~: every text has that in it"),
+                    "write a part of the text, as in \"~ locked\"".to_owned(),
+                ));
+            }
             return Ok(Self::Has(part.trim().to_lowercase()));
         }
         for (sign, is_below, or_equal) in [
@@ -390,6 +396,7 @@ mod tests {
             ("[1]", "pair"),
             ("\"< x\"", "no number"),
             ("\"< nan\"", "no number"),
+            ("\"~ \"", "no text after ~"),
             ("nan", "not a number"),
             ("{ value = 1 }", "one width"),
             ("{ value = 1, within = -1 }", "not negative"),

@@ -131,6 +131,25 @@ pub struct SignalLimit {
 }
 
 impl SignalLimit {
+    /// What is wrong with it, and what is allowed.
+    fn refusal(&self) -> Option<(String, String)> {
+        let wrong = |key: &str, value: f64, allowed: &str| {
+            let what = format!("signal: {key} = {value} is not allowed");
+            Some((what, format!("allowed: {allowed}")))
+        };
+        for (key, value) in [("at_s", self.at_s), ("value", self.value)] {
+            if !value.is_finite() {
+                return wrong(key, value, "a number");
+            }
+        }
+        for (key, width) in [("within_s", self.within_s), ("within", self.within)] {
+            if !(width.is_finite() && width >= 0.0) {
+                return wrong(key, width, "a width, not negative");
+            }
+        }
+        None
+    }
+
     /// What was found, in words, where no sample around the instant has the value. `points`: time from the start of the run,
     /// s, and value.
     pub fn fails(&self, points: impl Iterator<Item = (f64, f64)>) -> Option<String> {
@@ -251,7 +270,7 @@ fn one_repeat() -> Spanned<u64> {
 struct StepKeys {
     #[serde(rename = "as")]
     name: Option<String>,
-    timeout_s: Option<f64>,
+    timeout_s: Option<Spanned<f64>>,
     status: Option<Statuses>,
     probe: Option<Spanned<toml::Table>>,
     host: Option<HostAct>,
@@ -357,9 +376,8 @@ impl Suite {
             let timeout_at = case.timeout_s.as_ref().map_or(at, |time| time.span().start);
             let timeout_s = case.timeout_s.map(Spanned::into_inner);
             let timeout_s = timeout_s.or(keys.defaults.timeout_s).unwrap_or(TIMEOUT_S);
-            if !(timeout_s > 0.0 && timeout_s <= MOST_S) {
-                let what = format!("timeout_s = {timeout_s} is not allowed");
-                return Err(error(timeout_at, what, "allowed: more than 0, to 86400 s"));
+            if let Some((what, help)) = time_refusal(timeout_s) {
+                return Err(error(timeout_at, what, &help));
             }
             if case.steps.is_empty() {
                 return Err(error(
@@ -395,6 +413,13 @@ impl Suite {
     }
 }
 
+/// What is wrong with a time for a step, and what is allowed.
+fn time_refusal(timeout_s: f64) -> Option<(String, String)> {
+    let is_allowed = timeout_s > 0.0 && timeout_s <= MOST_S;
+    let what = format!("timeout_s = {timeout_s} is not allowed");
+    (!is_allowed).then(|| (what, format!("allowed: more than 0, to {MOST_S} s")))
+}
+
 /// Where, what and what is allowed.
 type StepError = (usize, String, String);
 
@@ -411,6 +436,11 @@ fn read_step(
         let what = format!("as = {name:?} is not allowed");
         let help = "allowed: letters, digits, -, _ and dots, not at the beginning, and not \"case\"; files are named by it".to_owned();
         return Err((at, what, help));
+    }
+    if let Some(timeout_s) = &keys.timeout_s
+        && let Some((what, help)) = time_refusal(*timeout_s.get_ref())
+    {
+        return Err((timeout_s.span().start, what, help));
     }
     let mut found: Vec<(&'static str, Action)> = Vec::new();
     let has_status = keys.status.is_some();
@@ -467,7 +497,7 @@ fn read_step(
     Ok(Step {
         name: keys.name.unwrap_or_else(|| word.to_owned()),
         action,
-        timeout_s: keys.timeout_s,
+        timeout_s: keys.timeout_s.map(Spanned::into_inner),
     })
 }
 
@@ -539,6 +569,9 @@ fn read_assert(
         if Channel::from_key(&signal.channel).is_none() {
             let what = format!("there is no channel {:?}", signal.channel);
             let help = help_for_unknown(&signal.channel, Channel::ALL.map(Channel::key));
+            return Err((at, what, help));
+        }
+        if let Some((what, help)) = signal.refusal() {
             return Err((at, what, help));
         }
     }
@@ -716,6 +749,26 @@ timeout_s = 9.0
                 "of = \"fit\"",
                 "of = \"fir\"",
                 "no earlier step is named so",
+            ),
+            (
+                "within = 2.0",
+                "within = inf",
+                "signal: within = inf is not allowed",
+            ),
+            (
+                "within_s = 0.1",
+                "within_s = nan",
+                "signal: within_s = NaN is not allowed",
+            ),
+            (
+                "timeout_s = 9.0",
+                "timeout_s = nan",
+                "26:13: timeout_s = NaN is not allowed",
+            ),
+            (
+                "timeout_s = 9.0",
+                "timeout_s = inf",
+                "timeout_s = inf is not allowed",
             ),
             (
                 "timeout_s = 9.0",

@@ -39,6 +39,20 @@ fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_poin
 }
 
 #[test]
+fn a_register_that_holds_no_number_gives_no_value_and_never_zero() {
+    let as_float = [("type = \"i32\"", "type = \"f32\"")];
+    let mut table = Table::identified("leadshine-iem", &as_float);
+    let speed = |table: &mut Table| table.rest().get(Channel::Speed);
+    assert!(speed(&mut table).is_some());
+    table.far().withhold(true);
+    assert_eq!(speed(&mut table), None);
+    table.far().force("speed", Some(f32::INFINITY.to_bits()));
+    assert_eq!(speed(&mut table), None);
+    table.far().withhold(false);
+    assert!(speed(&mut table).is_some());
+}
+
+#[test]
 fn safe_torque_off_refuses_the_start_and_ends_a_run() {
     let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
     let mut table = Table::of(&profile, None);
