@@ -175,7 +175,7 @@ fn table(measurements: &Path, before: &str) -> String {
         let _ = writeln!(out, "{line}");
     }
     let _ = write!(out, "\n{BESIDE}");
-    let peers = fs::read_to_string(measurements.join("peers.md")).ok();
+    let peers = fs::read_to_string(measurements.join("peers.txt")).ok();
     let kept = before.split_once(BESIDE).filter(|_| is_same);
     out.push_str(
         peers

@@ -20,11 +20,11 @@ gcc -O2 "$here/rls.c" -o "$work/rls"
 for peer in numpy pandas pyarrow; do
     python3 -c "import $peer" 2>/dev/null || pip_install "$peer" || echo "not compared with $peer"
 done
-peers=$target/criterion/peers.md
-python3 "$here/peers.py" "$target/release/drivebench" "$kernel" "$work" "$rounds" >"$work/peers.md"
+peers=$target/criterion/peers.txt
+python3 "$here/peers.py" "$target/release/drivebench" "$kernel" "$work" "$rounds" >"$work/peers.txt"
 "$here/cycles.sh" "$target/release/drivebench" 10 "$rounds" | tee "$work/cycles"
 {
-    cat "$work/peers.md"
+    cat "$work/peers.txt"
     echo
     sed -n '/^missed:\|^lost:\|^lateness:/s/^/- 1 kHz over our stream, beside a plain C loop: /p' "$work/cycles"
     if pkg-config --exists libmodbus 2>/dev/null; then

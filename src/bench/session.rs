@@ -11,7 +11,7 @@
 
 mod actions;
 
-pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
+pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
 use serde_json::{Value, json};
 
@@ -97,59 +97,6 @@ impl BrakeOrder {
             held_since_s: None,
             resting_since_s: None,
         }
-    }
-}
-
-/// Where a session stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Phase {
-    /// No valid reply yet, or the drive was found running or in fault.
-    Connecting,
-    Safe,
-    /// Output on at zero; waits for the drive to run, and for the start.
-    Armed,
-    Running,
-    RampDown,
-    /// Stop is sent in every cycle until the drive confirms it.
-    Stopping,
-    Done,
-    Stopped,
-    Tripped,
-    LinkLost,
-}
-
-impl Phase {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Connecting => "connecting",
-            Self::Safe => "safe",
-            Self::Armed => "armed",
-            Self::Running => "running",
-            Self::RampDown => "ramp down",
-            Self::Stopping => "stopping",
-            Self::Done => "done",
-            Self::Stopped => "stopped",
-            Self::Tripped => "tripped",
-            Self::LinkLost => "link lost",
-        }
-    }
-
-    pub const fn is_final(self) -> bool {
-        matches!(
-            self,
-            Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost
-        )
-    }
-
-    /// Whether commands and samples belong to the record of the run.
-    pub const fn is_recorded(self) -> bool {
-        self.is_energised() || matches!(self, Self::Stopping)
-    }
-
-    /// Whether the drive's output may be on.
-    pub const fn is_energised(self) -> bool {
-        matches!(self, Self::Armed | Self::Running | Self::RampDown)
     }
 }
 

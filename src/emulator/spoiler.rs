@@ -368,7 +368,7 @@ mod tests {
         (0..100_000).for_each(|_| line.hear(9));
         assert_eq!(line.request.len(), LONGEST_REQUEST);
         line.silence();
-        [1, 2, 3].map(|byte| line.hear(byte));
+        (1..=3).for_each(|byte| line.hear(byte));
         let sent = line.reply(vec![4], 0.0, 0.1, None);
         assert_eq!(sent, [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
     }

@@ -277,7 +277,7 @@ fn a_mistake_is_answered_with_what_to_do() {
         ),
         ("diagnose a b", &["--holdout"]),
         ("view a b", &["--holdout RUN2"]),
-        ("analyse runs", &["'analyse'", "see drivebench --help"]),
+        ("inspect runs", &["'inspect'", "see drivebench --help"]),
     ] {
         let said = refusal(command, &[]);
         has(&said, parts);

@@ -372,6 +372,7 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
             let options = |_| {
                 [
                     "run-seed",
+                    "drive",
                     "holdout",
                     "controller",
                     "reset-fault",
