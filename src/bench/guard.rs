@@ -26,6 +26,8 @@ use crate::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
 /// By more than this, or than the silence that is allowed, the clock of a drive that was on all the time and that of this
 /// host do not part between two samples, s.
 const RESTARTED_S: f64 = 0.1;
+/// An exchange that was given all that is left of the silence ends within this of its end, s.
+const TO_THE_END_S: f64 = 1e-6;
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
 const ALLOWED_IN_A_ROW: u32 = 3;
 /// A drive that ran and left that state by itself is given this long (one late status word), s.
@@ -262,7 +264,7 @@ impl Guard {
             return None;
         }
         let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
-        if silent_s > limit_s {
+        if silent_s > limit_s - TO_THE_END_S {
             let times_s = (silent_s, limit_s);
             return self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply");
         }

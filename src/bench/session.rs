@@ -314,6 +314,7 @@ impl Session {
             self.event("waived", json!({ "check": check }));
             self.notice(Level::Warning, format!("waived: {check}"));
         }
+        let was = self.phase;
         // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
         let trip = match input {
             Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
@@ -326,7 +327,13 @@ impl Session {
         match input {
             Input::Cycle => self.cycle(),
             Input::Sample(sample) => self.sample(*sample),
-            Input::Lost(lost) => self.lost(&lost),
+            Input::Lost(lost) => {
+                self.lost(&lost);
+                // At once, not in the next cycle: an exchange is given no more than what is left of the silence.
+                if was.is_energised() && self.phase == Phase::Stopping {
+                    self.send(Demand::Stop);
+                }
+            }
             Input::Missed(cycles) => {
                 self.event("deadline_lost", json!({ "cycles": cycles }));
             }

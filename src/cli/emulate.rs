@@ -119,6 +119,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         }
         Some(name) => opening::emulator_config(name)?,
     };
+    config.suits(guise.is_some(), link)?;
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
         (None, Some(address)) => Endpoint::Tcp(address),

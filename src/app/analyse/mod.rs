@@ -5,7 +5,7 @@
 //!                                              '- no further ahead than WINDOW -'-> table.rs: journal -> FILE
 //! ```
 //!
-//! Of a run whose row is written its path and the place of its row are in memory, some hundred bytes; no worker runs further
+//! Of a run whose row is written its path and the place of its row are in memory, some 700 bytes; no worker runs further
 //! ahead of the last written row than the window. Parquet is made of the whole table at the end.
 
 mod inputs;

@@ -447,8 +447,9 @@ fn whatever_the_drive_does_it_ends_at_zero() {
 /// Trials of the stop; rates of the run, Hz: at 80 Hz the line is busy for half of a cycle.
 const STOPS: u64 = 1000;
 const RATES_HZ: std::ops::Range<f64> = 25.0..80.0;
-/// A line that falls silent within an exchange is known to be so one exchange later, s.
-const IN_FLIGHT_S: f64 = 0.005;
+/// Stops that are late all the same, of a drive that is busy, and by how much at most, s.
+const LATE: u64 = 2;
+const LATE_BY_S: f64 = 0.005;
 /// Buckets of the histogram, ms.
 const BUCKET_MS: f64 = 10.0;
 
@@ -481,7 +482,7 @@ fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
 }
 
 #[test]
-fn with_a_live_link_the_stop_is_on_the_line_in_time_in_all_of_a_thousand_trials() {
+fn with_a_live_link_the_stop_is_on_the_line_in_time_in_a_thousand_trials() {
     let seeds: Vec<u64> = (0..STOPS).collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let done = trials::at_once(cores, &seeds, |seed| stop_latency(*seed));
@@ -489,7 +490,7 @@ fn with_a_live_link_the_stop_is_on_the_line_in_time_in_all_of_a_thousand_trials(
     let (mut worst, mut wrong, mut late) = (0.0_f64, Vec::new(), 0);
     for (fault, latency_s, allowed_s) in &done {
         late += u64::from(latency_s > allowed_s);
-        if *latency_s > allowed_s + IN_FLIGHT_S {
+        if *latency_s > allowed_s + LATE_BY_S {
             wrong.push(format!(
                 "{fault}: {latency_s:.4} s, allowed {allowed_s:.4} s"
             ));
@@ -511,9 +512,6 @@ fn with_a_live_link_the_stop_is_on_the_line_in_time_in_all_of_a_thousand_trials(
         );
     }
     println!("{text}");
-    assert!(
-        late <= STOPS / 50,
-        "{late} of {STOPS} only with the exchange in flight"
-    );
+    assert!(late <= LATE, "{late} of {STOPS} are late");
     assert!(wrong.is_empty(), "{} of {STOPS}: {wrong:#?}", wrong.len());
 }

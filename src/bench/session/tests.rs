@@ -102,6 +102,21 @@ fn every_fault_ends_at_zero_output_with_its_own_reason() {
 }
 
 #[test]
+fn a_silence_that_ends_with_an_exchange_is_answered_before_the_next_cycle() {
+    let mut session = run_for(60, EVER, EVER, Fault::Timeout).session;
+    let begun_s = session.now_s;
+    let left_s = session.guard().silence_left_s(begun_s);
+    for (after_s, is_over) in [(left_s - 0.001, false), (left_s, true)] {
+        let mut actions = Vec::new();
+        let lost = Lost::Transient("no reply".to_owned());
+        session.step(begun_s + after_s, Input::Lost(lost), &mut actions);
+        let is_stop = |action: &Action| matches!(action, Action::Send(command) if command.demand == Demand::Stop);
+        assert_eq!(actions.iter().any(is_stop), is_over, "{after_s} s");
+    }
+    assert_eq!(session.phase(), Phase::Stopping);
+}
+
+#[test]
 fn one_lost_reply_costs_nothing_and_a_silent_link_ends_the_run() {
     let one = run_with(60, 61, Fault::Timeout);
     assert_eq!(one.outcome(), Some(&Outcome::Done));

@@ -432,7 +432,7 @@ fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> Stri
     );
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
     let count = changes.len();
-    let mut answer = if !drifted.is_empty() {
+    let answer = if !drifted.is_empty() {
         format!("drifted since {since}: {drifted}")
     } else if !unsettled.is_empty() {
         format!("not settled whether there is a drift since {since}: {unsettled}")
@@ -448,10 +448,11 @@ fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> Stri
         format!("no drift shown since {since}: {count} parameters compared")
     };
     let unknown: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
-    if !unknown.is_empty() {
-        answer += &format!("; not compared: {}", unknown.join(", "));
+    if unknown.is_empty() {
+        answer
+    } else {
+        format!("{answer}; not compared: {}", unknown.join(", "))
     }
-    answer
 }
 
 #[cfg(test)]
