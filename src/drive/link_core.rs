@@ -9,10 +9,10 @@ use firmware_protocol::{DriveCommand, Telemetry};
 use super::link::LinkError;
 use super::link::Tally;
 use super::register_bus::Span;
-use super::reply_filter::now;
 use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
 use super::transaction::Bound;
+use super::waiting::now;
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Times that a question without effect is asked before it counts as failed.

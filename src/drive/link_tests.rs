@@ -7,7 +7,7 @@ use firmware_protocol::{DriveCommand, Telemetry};
 
 use super::fake::{Asked, Fake, Language, Say, identity_block, rtu_frame, stream_frame};
 use super::register_bus::RegisterTable;
-use super::reply_filter::now;
+use super::waiting::now;
 use super::{DriveLink, DriveProfile, LinkError, ModbusLink, open_modbus, open_stream, stream};
 use crate::sample::{Channel, Command, Demand, Sample};
 

@@ -37,11 +37,12 @@ use super::register_bus::{
     WRITTEN_BYTES, exception_name, registers,
 };
 use super::reply::{Echo, FrameKind};
-use super::reply_filter::{Port, ReplyFilter, now};
+use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, out_of_step, restless};
 use super::waiting::Waiting;
+use super::waiting::now;
 use crate::sample::{Command, Sample};
 
 pub use bus::ModbusBus;

@@ -270,7 +270,7 @@ mod tests {
         drop(listener);
         let target = format!("tcp:127.0.0.1:{port}").parse().unwrap();
         let profile = DriveProfile::named("own").unwrap();
-        let error = open(&target, &profile, super::super::reply_filter::now())
+        let error = open(&target, &profile, super::super::waiting::now())
             .map(drop)
             .unwrap_err();
         assert!(matches!(error, LinkError::Open { .. }));

@@ -574,7 +574,7 @@ fn head(pdu: &[u8]) -> [u8; 5] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::reply_filter::now;
+    use crate::drive::waiting::now;
 
     const QUIET: Duration = Duration::from_millis(20);
 

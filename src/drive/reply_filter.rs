@@ -4,8 +4,6 @@
 //! tokio-modbus <--only the reply-- [ ReplyFilter ] <--everything-- port
 //!                                     | strays, foreign frames, echo, silence, hang-up
 //! ```
-//!
-//! This file owns the clock of the line's silence.
 
 use std::fmt;
 use std::future::poll_fn;
@@ -13,13 +11,12 @@ use std::io::{self, ErrorKind};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
-use std::time::Instant;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::reply::{Echo, FrameKind};
 use super::transaction::Reception;
-use super::waiting::virtual_now;
+use super::waiting::now;
 
 /// Anything that carries bytes.
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -183,12 +180,4 @@ impl fmt::Debug for ReplyFilter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("ReplyFilter").finish_non_exhaustive()
     }
-}
-
-#[expect(
-    clippy::disallowed_methods,
-    reason = "this file owns the clock of the line's silence"
-)]
-pub(super) fn now() -> Instant {
-    virtual_now().unwrap_or_else(Instant::now)
 }

@@ -16,10 +16,10 @@ use super::link::RoundTrips;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, answered, stop_confirmed};
 use super::port::{Closed, TimedPort};
-use super::reply_filter::now;
 use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
 use super::transaction::{Leftover, LineCounts};
+use super::waiting::now;
 use crate::sample::{Command, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.

@@ -25,7 +25,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::port::TimedPort;
 use super::reply::rtu_frame_len;
-use super::reply_filter::{Port, now};
+use super::reply_filter::Port;
+use super::waiting::now;
 
 /// Frames that wait for the disk; at 1 kHz some seconds.
 const QUEUE: usize = 8192;

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use super::reply_filter::now;
 use super::settings::{Framing, LinkSettings};
+use super::waiting::now;
 use super::waiting::skip_to;
 
 /// What adapter, kernel and host may add to an exchange.

@@ -371,7 +371,7 @@ pub(super) fn out_of_step(link: &str) -> LinkError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::reply_filter::now;
+    use crate::drive::waiting::now;
 
     #[test]
     fn a_flag_cuts_in_until_it_was_heard_and_again_when_it_is_raised_again() {

@@ -17,17 +17,19 @@ use std::time::Instant;
 
 use tokio::runtime::Runtime;
 
-use super::reply_filter::now;
-
 thread_local! {
     static NOW: Cell<Option<Instant>> = const { Cell::new(None) };
     /// When the line brings something next, as far as whoever polls it was told.
     static NEXT: Cell<Option<Instant>> = const { Cell::new(None) };
 }
 
-/// The time of this thread where it is virtual.
-pub(super) fn virtual_now() -> Option<Instant> {
-    NOW.get()
+/// The time of this thread.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "this file owns the clock of the line"
+)]
+pub(super) fn now() -> Instant {
+    NOW.get().unwrap_or_else(Instant::now)
 }
 
 /// On a thread in virtual time: sets it forward.

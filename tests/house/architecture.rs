@@ -26,7 +26,7 @@ const CLOCK_FILES: &[&str] = &[
     "src/app/progress.rs",
     "src/app/suite/process.rs",
     "src/bench/clock.rs",
-    "src/drive/reply_filter.rs",
+    "src/drive/waiting.rs",
     "src/emulator/server.rs",
     "src/tui/application.rs",
 ];

@@ -26,11 +26,11 @@ use super::fake::{Fake, raw_pty};
 use super::link::{DriveLink, LinkError, LinkStatistics};
 use super::modbus::ModbusLink;
 use super::register_bus::{ReadRequest, RegisterTable};
-use super::reply_filter::now;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
 use super::transaction::LineCounts;
 use super::virtual_line::{Device, VirtualPort, modbus_link, paused};
+use super::waiting::now;
 use super::{DriveProfile, open_modbus, open_stream};
 use crate::sample::{Channel, Command, Demand};
 

@@ -11,8 +11,8 @@ use rand_chacha::rand_core::{RngCore, SeedableRng};
 
 use super::codec;
 use crate::drive::fake::stream_frame;
-use crate::drive::reply_filter::now;
 use crate::drive::virtual_line::Device;
+use crate::drive::waiting::now;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Language {

@@ -23,12 +23,12 @@ use crate::drive::open::{Target, open_line};
 use crate::drive::proof::{Policy, Proof};
 use crate::drive::register_bus::{ReadRequest, registers};
 use crate::drive::reply::FrameKind;
-use crate::drive::reply_filter::now;
 use crate::drive::settings::{Framing, LinkSettings, Protocol};
 use crate::drive::tap::TapFile;
 use crate::drive::timeline::identity;
 use crate::drive::timing::wait_until;
 use crate::drive::transaction::LineCounts;
+use crate::drive::waiting::now;
 
 /// Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
 const QUIET: Duration = Duration::from_millis(20);
