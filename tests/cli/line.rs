@@ -79,7 +79,10 @@ fn what_happens_on_a_line_is_refused_where_there_is_none() {
         let refused = refusal(&options, &[&emulator, desk.folder()]);
         has(&refused, &["local_control", "no keypad", "another profile"]);
     }
-    let emulator = desk.put("f.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"babbles\"\n"));
+    let emulator = desk.put(
+        "f.toml",
+        &format!("{PLAIN}\n[[fault]]\nkind = \"babbles\"\n"),
+    );
     let refused = refusal(
         "run --headless --port sim:rtu --emulator {} --out {}",
         &[&emulator, desk.folder()],
