@@ -44,6 +44,10 @@ enum Joint {
 }
 
 /// All of them, by position in the map.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "what is known of an exchange, each for itself"
+)]
 pub(super) struct Points {
     map: Arc<RegisterMap>,
     sent: Vec<Sent>,
