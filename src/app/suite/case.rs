@@ -1,6 +1,6 @@
 //! One case of a suite, with one seed: its steps one after the other in a folder of its own.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -263,7 +263,6 @@ impl<'a> Progress<'a> {
                 &words,
                 [&stdout, &stderr],
                 timeout_s,
-                &before,
             );
             let came = came?;
             self.stood_still_s = self.stood_still_s.max(came.stood_still_s);
@@ -408,12 +407,12 @@ impl<'a> Progress<'a> {
         words: &[String],
         files: [&Path; 2],
         timeout_s: f64,
-        before: &BTreeSet<PathBuf>,
     ) -> Result<host::Came, Ended> {
         let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
         let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
         let mut other = || OwnDrive::start(&order.order());
         let runs = self.folder.join("runs");
+        let before = host::runs_in(&runs);
         let gone = || Ended::error("the software drive is gone".to_owned());
         let (drive, _) = self.drive.as_mut().ok_or_else(gone)?;
         let port = PathBuf::from(drive.port());
@@ -433,7 +432,7 @@ impl<'a> Progress<'a> {
             other: &mut other,
             second,
             runs: &runs,
-            before,
+            before: &before,
             folder: self.folder,
             timeout_s,
             stop: self.bench.stop,
