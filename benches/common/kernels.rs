@@ -28,8 +28,11 @@ pub(crate) struct Kernel {
     pub(crate) work: Box<dyn FnMut()>,
 }
 
+/// Makes what a kernel works on.
+type Make = fn() -> Kernel;
+
 /// Every hot path with its id, `group/name`.
-pub(crate) const ALL: [(&str, fn() -> Kernel); 15] = [
+pub(crate) const ALL: [(&str, Make); 15] = [
     ("rls/guarded_2", guarded::<2>),
     ("rls/guarded_4", guarded::<4>),
     ("rls/plain_2", plain::<2>),

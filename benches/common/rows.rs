@@ -20,7 +20,7 @@ pub(crate) fn row(k: usize) -> Row {
     let mut row = Row::at(time_s);
     row.host_time_s = Some(time_s + 3.712_345_678e-4);
     row.seq = Some(k as u64);
-    row.status = "running".to_owned();
+    "running".clone_into(&mut row.status);
     let level_v = if (k / 40).is_multiple_of(2) {
         30.0
     } else {

@@ -338,17 +338,50 @@ const SUITE: &str = "name = \"yearly\"\n[[case]]\nname = \"as it was\"\nemulator
     needs = [\"baseline\"]\n[[case.step]]\nexcite = { run_seed = 5 }\n[[case.step]]\nidentify = {}\n\
     [[case.step]]\nassert = { drift = \"none\", drift_percent = \"< 5\", drift_open_percent = \"< 5\" }\n";
 
+/// A fleet, and a suite that one of its machines has to pass as it was.
+struct Yearly {
+    desk: Desk,
+    spring: PathBuf,
+    other: PathBuf,
+}
+
+impl Yearly {
+    fn new() -> Self {
+        let desk = Desk::new();
+        let runs = fleet(&desk);
+        let (spring, other) = (runs.join("03/machine-12"), runs.join("03/machine-11"));
+        Self {
+            desk,
+            spring,
+            other,
+        }
+    }
+
+    fn suite(&self, emulator: &str) -> PathBuf {
+        let text = SUITE.replace("EMULATOR", emulator);
+        self.desk.put("suite.toml", &text)
+    }
+
+    fn test(&self, emulator: &str, baseline: &Path, options: &str) -> Done {
+        let text = format!("test {{}} --json --out {{}} --baseline {{}} {options}");
+        let (suite, out) = (self.suite(emulator), self.desk.path("suites"));
+        call(&text, &[&suite, &out, baseline])
+    }
+
+    /// The machine with more friction, against its spring; what came of it, and its folder.
+    fn drifted(&self) -> (Done, Value, PathBuf) {
+        let failed = self.test("dry.toml", &self.spring, "--keep").expect(1);
+        let found: Value = serde_json::from_str(&failed.stdout).unwrap();
+        let evidence = found["cases"][0]["evidence"].as_str().unwrap();
+        let case = self.desk.path(evidence);
+        (failed, found, case)
+    }
+}
+
 #[test]
 fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
-    let desk = Desk::new();
-    let runs = fleet(&desk);
-    let (spring, other) = (runs.join("03/machine-12"), runs.join("03/machine-11"));
-    let suite = |emulator: &str| desk.put("suite.toml", &SUITE.replace("EMULATOR", emulator));
-    let test = |emulator: &str, baseline: &Path, options: &str| {
-        let text = format!("test {{}} --json --out {{}} --baseline {{}} {options}");
-        call(&text, &[&suite(emulator), &desk.path("suites"), baseline])
-    };
-    let passed = test("plain.toml", &spring, "").expect(0);
+    let yearly = Yearly::new();
+    let passed = yearly.test("plain.toml", &yearly.spring, "").expect(0);
     let found: Value = serde_json::from_str(&passed.stdout).unwrap();
     let drift = &found["cases"][0]["steps"][1]["identified"]["drift"];
     has(
@@ -360,7 +393,7 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
     );
     has(word(drift, "/caution"), &["one run on each side"]);
 
-    let failed = test("dry.toml", &spring, "--keep").expect(1);
+    let (failed, found, _) = yearly.drifted();
     has(
         &failed.stderr,
         &[
@@ -369,7 +402,6 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
             "drift_percent: 1",
         ],
     );
-    let found: Value = serde_json::from_str(&failed.stdout).unwrap();
     let changes = found["cases"][0]["steps"][1]["identified"]["drift"]["changes"]
         .as_array()
         .unwrap()
@@ -394,17 +426,24 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
         others.clone().count() == 4 && others.clone().all(|change| change["drifted"] == false),
         "{changes:?}"
     );
+}
 
-    // An earlier result of the suite serves as well, and tells the same figures.
-    let earlier = found["cases"][0]["evidence"].as_str().unwrap();
-    let result = Path::new(earlier).parent().unwrap().to_owned();
+#[test]
+fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
+    let yearly = Yearly::new();
+    let test =
+        |emulator: &str, baseline: &Path, options: &str| yearly.test(emulator, baseline, options);
+    let (desk, suite) = (&yearly.desk, |emulator: &str| yearly.suite(emulator));
+    let (.., case) = yearly.drifted();
+    // It tells the same figures as the run that it is of.
+    let result = case.parent().unwrap().to_owned();
     let back = test("plain.toml", &result, "").expect(1);
     has(&back.stderr, &["drift: load_torque_n_m, has to be none"]);
     let itself = test("dry.toml", &result, "").expect(0);
     has(&itself.stdout, &["figure for figure as it was then"]);
 
     // Given twice, and with the run that it is of, it is one earlier run.
-    let kept = only_folder(&desk.path(earlier).join("runs"));
+    let kept = only_folder(&case.join("runs"));
     let twice = [&result, &result.join("result.json"), &kept];
     let twice = twice.map(|path| path.display().to_string());
     let [first, second, run] = twice.each_ref();
@@ -461,9 +500,13 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
             .stdout,
         &["no serial number: not known to be the same unit"],
     );
+}
 
-    // Another machine is no baseline, unless a person says so.
-    let refused = test("plain.toml", &other, "").expect(1);
+#[test]
+fn another_machine_is_no_baseline_and_without_one_nothing_is_judged() {
+    let yearly = Yearly::new();
+    let (desk, other) = (&yearly.desk, &yearly.other);
+    let refused = yearly.test("plain.toml", other, "").expect(1);
     has(
         &refused.stderr,
         &[
@@ -473,7 +516,7 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
             "--any-machine",
         ],
     );
-    let compared = test("plain.toml", &other, "--any-machine").expect(1);
+    let compared = yearly.test("plain.toml", other, "--any-machine").expect(1);
     has(&compared.stderr, &["has to be none"]);
 
     // Without one the case is skipped; where it does not say that it needs one, it cannot be judged.
@@ -495,6 +538,6 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
     );
     refusal(
         "test {} --baseline {}",
-        &[&suite("plain.toml"), &desk.path("plain.toml")],
+        &[&yearly.suite("plain.toml"), &desk.path("plain.toml")],
     );
 }
