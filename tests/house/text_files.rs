@@ -62,21 +62,22 @@ fn every_key_of_a_suite_stands_in_its_example() {
     let words: Vec<&str> = SUITE
         .split(|c: char| c != '_' && !c.is_alphanumeric())
         .collect();
+    // A key that is like none: else the one that was meant is named alone.
     let step = "name = \"a\"\n[[case]]\nname = \"b\"\n[[case.step]]\nexcite = {}\n";
     for (wrong, known) in [
-        ("wrong = 1".to_owned(), "defaults"),
+        ("qqqqqqqq = 1".to_owned(), "defaults"),
         (
-            "name = \"a\"\n[defaults]\nwrong = 1".to_owned(),
+            "name = \"a\"\n[defaults]\nqqqqqqqq = 1".to_owned(),
             "timeout_s",
         ),
-        ("name = \"a\"\n[[case]]\nwrong = 1".to_owned(), "repeat"),
+        ("name = \"a\"\n[[case]]\nqqqqqqqq = 1".to_owned(), "repeat"),
         (
-            "name = \"a\"\n[[case]]\nneeds = [\"wrong\"]".to_owned(),
+            "name = \"a\"\n[[case]]\nneeds = [\"qqqqqqqq\"]".to_owned(),
             "baseline",
         ),
-        (format!("{step}wrong = 1"), "commission"),
-        (format!("{step}host = {{ wrong = 1 }}"), "for_s"),
-        (format!("{step}signal = [{{ wrong = 1 }}]"), "channel"),
+        (format!("{step}qqqqqqqq = 1"), "commission"),
+        (format!("{step}host = {{ qqqqqqqq = 1 }}"), "for_s"),
+        (format!("{step}signal = [{{ qqqqqqqq = 1 }}]"), "channel"),
     ] {
         let error = Suite::parse("suite.toml", &wrong, |_| options()).expect_err(&wrong);
         let keys = error.help.strip_prefix("allowed: ").expect(&error.message);
