@@ -111,6 +111,10 @@ impl OwnDrive {
     pub(super) fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+        if !self.is_network {
+            // As a cable that is pulled: the name would lead to whichever drive is given the terminal's number next.
+            let _ = fs::remove_file(&self.address);
+        }
     }
 
     /// Everything that it has noted so far.
