@@ -43,7 +43,7 @@ def reader(module):
         if module == "pandas":
             import pandas
 
-            work = lambda: pandas.read_csv(path, float_precision="round_trip")
+            work = lambda: pandas.read_csv(path)
         elif module == "pyarrow":
             import pyarrow
             from pyarrow import csv as arrow
