@@ -28,6 +28,15 @@ pub(crate) struct Kernel {
     pub(crate) work: Box<dyn FnMut()>,
 }
 
+impl Kernel {
+    fn new(elements: usize, work: impl FnMut() + 'static) -> Self {
+        Self {
+            elements,
+            work: Box::new(work),
+        }
+    }
+}
+
 /// Makes what a kernel works on.
 type Make = fn() -> Kernel;
 
@@ -120,10 +129,7 @@ fn guarded<const N: usize>() -> Kernel {
             black_box(estimator.update(black_box(psi), *value));
         }
     };
-    Kernel {
-        elements: ROWS,
-        work: Box::new(work),
-    }
+    Kernel::new(ROWS, work)
 }
 
 fn plain<const N: usize>() -> Kernel {
@@ -134,10 +140,7 @@ fn plain<const N: usize>() -> Kernel {
             black_box(estimator.update(black_box(psi), *value));
         }
     };
-    Kernel {
-        elements: ROWS,
-        work: Box::new(work),
-    }
+    Kernel::new(ROWS, work)
 }
 
 fn online() -> Kernel {
@@ -158,10 +161,7 @@ fn online() -> Kernel {
         }
         black_box(online);
     };
-    Kernel {
-        elements,
-        work: Box::new(work),
-    }
+    Kernel::new(elements, work)
 }
 
 // Controllers.
@@ -199,10 +199,7 @@ fn cycles(mut controller: impl SpeedController + 'static) -> Kernel {
             controller.applied(black_box(output).clamp(-110.0, 110.0));
         }
     };
-    Kernel {
-        elements: CYCLES,
-        work: Box::new(work),
-    }
+    Kernel::new(CYCLES, work)
 }
 
 fn model() -> Model {
@@ -274,10 +271,7 @@ fn row_out() -> Kernel {
             layout.push_line(black_box(row), &mut line);
         }
     };
-    Kernel {
-        elements: RECORDED,
-        work: Box::new(work),
-    }
+    Kernel::new(RECORDED, work)
 }
 
 fn run_out() -> Kernel {
@@ -291,10 +285,7 @@ fn run_out() -> Kernel {
     let work = move || {
         black_box(write_run(black_box(&run)));
     };
-    Kernel {
-        elements: RECORDED,
-        work: Box::new(work),
-    }
+    Kernel::new(RECORDED, work)
 }
 
 fn run_in() -> Kernel {
@@ -303,10 +294,7 @@ fn run_in() -> Kernel {
         let read = read_csv(black_box(text.as_bytes()), "run", ReadOptions::default());
         black_box(read.expect("our own table"));
     };
-    Kernel {
-        elements: RECORDED,
-        work: Box::new(work),
-    }
+    Kernel::new(RECORDED, work)
 }
 
 fn replayed() -> Kernel {
@@ -317,8 +305,5 @@ fn replayed() -> Kernel {
         let done = replay(|| rows.next_row(), OnlineConfig::default()).map(|done| done.result());
         black_box(done.expect("our own rows"));
     };
-    Kernel {
-        elements: RECORDED,
-        work: Box::new(work),
-    }
+    Kernel::new(RECORDED, work)
 }
