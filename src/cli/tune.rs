@@ -7,7 +7,7 @@ use super::output;
 use crate::app::files::read_model;
 use crate::app::tune::TuneResult;
 use crate::control::LoopTiming;
-use crate::control::tuning::{Request, Rule};
+use crate::control::tuning::{NotchUse, Request, Rule};
 
 /// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
 #[derive(clap::Args)]
@@ -68,6 +68,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let request = Request {
         rule: arguments.rule.into(),
         bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
+        notch: NotchUse::Auto,
     };
     let result = TuneResult::of(&file, &timing, &request)?;
     let (json, full) = (arguments.json, arguments.full);

@@ -35,6 +35,8 @@ pub struct AddcSettings {
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
     pub holding: Holding,
+    /// Draws of what is not known of the plant.
+    pub draws: Vec<LinearPlant>,
 }
 
 impl AddcSettings {
@@ -44,6 +46,7 @@ impl AddcSettings {
             forgetting: FORGETTING,
             noise_rad_s,
             holding,
+            draws: Vec::new(),
         }
     }
 }
@@ -79,7 +82,7 @@ impl Addc {
         timing: &LoopTiming,
         settings: &AddcSettings,
     ) -> Result<Self, TuningError> {
-        let schedule = Schedule::new(plant, timing, &settings.request)?;
+        let schedule = Schedule::new(plant, &settings.draws, timing, &settings.request)?;
         let value = |key| model.motor.get(key).unwrap_or(0.0);
         let inertia = value(MotorKey::Inertia);
         let acceleration_per_a = model.motor.torque_constant().unwrap_or(0.0) / inertia;
@@ -178,6 +181,7 @@ impl Addc {
         gains.proportional = moved(now.proportional, proportional);
         gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
         gains.reference_filter_s = wanted.gains.reference_filter_s;
+        gains.notch = wanted.gains.notch;
         (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         self.moved = true;
     }
@@ -208,12 +212,7 @@ impl SpeedController for Addc {
         let still = self.still.map(|why| format!("stand still: {why}"));
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
-            format!(
-                "Kp = {:.4} per rad/s, Tn = {:.4} s; {}",
-                gains.proportional,
-                gains.integral_time_s,
-                self.mechanical_text()
-            ),
+            format!("{}; {}", gains.text(), self.mechanical_text()),
             format!("gains {state}"),
         ]
     }

@@ -29,6 +29,7 @@ fn machine(noise: f64) -> TrialMachine {
         torque_n_m_per_a: 0.3538,
         friction_n_m: 0.455,
         viscous_n_m_s_per_rad: 0.0,
+        coupling: None,
         drive_current_limit_a: 11.4,
         period_s: PERIOD_S,
         delay_periods: 2,

@@ -1,16 +1,23 @@
 //! From a plant and its delays to the gains of a PI regulator, with reasons.
 //!
 //! ```text
-//! LinearPlant + LoopTiming + Request --(rule)--> PiGains --> LoopShape: margins, predicted step
-//!                                                               |
-//!                                  refused, with what is reachable, where the margins do not hold
+//! LinearPlant + LoopTiming + Request --(rule)--> PiGains --> loops of the plant and of each draw: margins, predicted step
+//!                                        ^                        |
+//!                     slower, or a notch '--- where they do not hold, and refused with what is reachable
 //! ```
+//!
+//! A rule sees the rigid plant. Margins are those of the whole plant, at the worst of its draws.
+
+mod loops;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use loops::Loops;
+
 use super::response::{Response, response};
-use super::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains, StepPoint};
+use super::{LinearPlant, LoopShape, LoopTiming, Margins, Notch, PiGains, StepPoint};
+use crate::numerics::count;
 
 /// Least phase and gain margin with which a loop is handed out.
 const LEAST_PHASE_MARGIN_DEG: f64 = 40.0;
@@ -22,6 +29,13 @@ const SLOWER_BY: f64 = 1.1;
 const SLOWEST: f64 = 30.0;
 /// Bisection steps for the reachable bandwidth.
 const HALVINGS: usize = 24;
+/// Notches that are tried: damping of their poles, and what they leave.
+const NOTCH_DAMPINGS: [f64; 5] = [0.1, 0.2, 0.35, 0.6, 1.0];
+const NOTCH_DEPTHS: [f64; 2] = [0.1, 0.3];
+/// By how much quicker a loop has to be with a notch for it to be worth one.
+const WORTH_A_NOTCH: f64 = 1.05;
+/// Share of the draws on either side of the band of the predicted step.
+const BAND: f64 = 0.05;
 
 /// How gains follow from a plant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,6 +80,18 @@ pub struct Request {
     pub rule: Rule,
     /// Closed-loop bandwidth, rad/s; without it the rule's own, which is what the small time constant carries.
     pub bandwidth_rad_s: Option<f64>,
+    pub notch: NotchUse,
+}
+
+/// Whether the frequency of a coupling is taken out of the loop.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum NotchUse {
+    /// Where the loop is quicker with it.
+    #[default]
+    Auto,
+    Off,
+    /// As wide and deep as this one, at the plant's own frequency.
+    Like(Notch),
 }
 
 /// Gains with their reasons.
@@ -77,11 +103,52 @@ pub struct Tuning {
     pub small_time_s: f64,
     pub timing: LoopTiming,
     pub margins: Margins,
+    /// None where no parameter has a standard deviation.
+    pub draws: Option<Draws>,
     /// Of the linear loop to a unit step: no limit is met.
     pub response: Response,
     #[serde(skip)]
     pub step: Vec<StepPoint>,
     pub reasons: Vec<String>,
+}
+
+/// The same gains on plants that the fit of the parameters leaves possible.
+#[derive(Clone, Debug, Serialize)]
+pub struct Draws {
+    pub count: usize,
+    /// The worst of each over the draws.
+    pub worst: Margins,
+    pub stable_share: f64,
+    /// Those that leave the loop least.
+    #[serde(skip)]
+    pub hardest: Vec<LinearPlant>,
+}
+
+impl Tuning {
+    /// Over the draws, or the plant's own without any.
+    pub fn least_gain_margin(&self) -> f64 {
+        let draws = self.draws.as_ref();
+        let worst = draws.map_or(f64::INFINITY, |draws| draws.worst.gain_margin);
+        worst.min(self.margins.gain_margin)
+    }
+
+    /// Puts the band of the draws about the predicted step.
+    pub fn put_band(&mut self, draws: &[LinearPlant]) {
+        let end_s = self.step.last().map_or(0.0, |point| point.time_s);
+        let one = |plant| LoopShape::new(plant, &self.timing, &self.gains).step_response(end_s);
+        let drawn: Vec<Vec<StepPoint>> = draws.iter().map(one).collect();
+        if drawn.is_empty() {
+            return;
+        }
+        let aside = count::whole(BAND * drawn.len() as f64);
+        for (n, point) in self.step.iter_mut().enumerate() {
+            let speeds = drawn.iter().filter_map(|step| Some(step.get(n)?.speed));
+            let mut speeds: Vec<f64> = speeds.collect();
+            speeds.sort_by(f64::total_cmp);
+            point.low = speeds.get(aside).copied();
+            point.high = speeds.iter().rev().nth(aside).copied();
+        }
+    }
 }
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -107,16 +174,26 @@ pub enum TuningError {
     #[error("bandwidth {0} rad/s is not a positive number")]
     NoBandwidth(f64),
     #[error(
-        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2} (needed: {LEAST_PHASE_MARGIN_DEG} degrees and {LEAST_GAIN_MARGIN})"
+        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2}{} (needed: {LEAST_PHASE_MARGIN_DEG} degrees and {LEAST_GAIN_MARGIN})", of_draws(*draws)
     )]
     Margins {
         rule: &'static str,
         phase_margin_deg: f64,
         gain_margin: f64,
+        /// Of which these are the worst; 0: the model's own.
+        draws: usize,
     },
 }
 
 impl TuningError {
+    /// Bandwidth that the loop can carry instead of the one that was asked; 0 where that is not the matter.
+    const fn reachable(&self) -> f64 {
+        match self {
+            Self::Bandwidth { reachable, .. } => *reachable,
+            _ => 0.0,
+        }
+    }
+
     pub const fn help(&self) -> &'static str {
         match self {
             Self::Timing { .. } => "give the measured timing of the link",
@@ -125,13 +202,20 @@ impl TuningError {
                 "ask for less, or make the link faster (higher rate, less delay)"
             }
             Self::NoBandwidth(_) => "leave it out for the rule's own",
-            Self::Margins { .. } => "use pole-placement with a lower bandwidth, or a faster link",
+            Self::Margins { draws: 0, .. } => {
+                "use pole-placement with a lower bandwidth, or a faster link"
+            }
+            Self::Margins { .. } => {
+                "identify the motor more narrowly (`drivebench plan` says from which run), or use pole-placement with a lower bandwidth"
+            }
         }
     }
 }
 
 /// What a rule has found.
 struct Found {
+    /// Not slowed down.
+    is_the_rules_own: bool,
     gains: PiGains,
     small_time_s: f64,
     reasons: Vec<String>,
@@ -141,14 +225,24 @@ impl Found {
     fn new(kp_tn_filter: [f64; 3], small_time_s: f64, reason: String) -> Self {
         let [proportional, integral_time_s, reference_filter_s] = kp_tn_filter;
         Self {
+            is_the_rules_own: false,
             gains: PiGains {
                 proportional,
                 integral_time_s,
                 reference_filter_s,
+                notch: None,
             },
             small_time_s,
             reasons: vec![reason],
         }
+    }
+}
+
+/// Where margins are the worst of draws, says so.
+fn of_draws(draws: usize) -> String {
+    match draws {
+        0 => String::new(),
+        _ => format!(" in the worst of {draws} draws of the parameters"),
     }
 }
 
@@ -161,6 +255,19 @@ pub fn tune(
     timing: &LoopTiming,
     request: &Request,
 ) -> Result<Tuning, TuningError> {
+    tune_over(plant, &[], timing, request)
+}
+
+/// The same, checked on `draws` of the plant too: the worst of them has to hold.
+///
+/// # Errors
+/// As [`tune`].
+pub fn tune_over(
+    plant: &LinearPlant,
+    draws: &[LinearPlant],
+    timing: &LoopTiming,
+    request: &Request,
+) -> Result<Tuning, TuningError> {
     if !timing.is_valid() {
         return Err(TuningError::Timing {
             period_s: timing.period_s,
@@ -168,23 +275,28 @@ pub fn tune(
             filter_s: timing.filter_s,
         });
     }
+    let loops = Loops::new(plant, draws, timing);
     let task = Task {
         plant,
+        loops: &loops,
         timing,
         rule: request.rule,
+        notch: None,
     };
-    let found = match request.bandwidth_rad_s {
-        Some(asked) => task.for_bandwidth(asked)?,
-        None => task.with_margins()?,
-    };
-    let shape = task.shape(&found);
-    let margins = shape.margins();
-    if !is_safe(&margins) {
-        return Err(TuningError::Margins {
-            rule: request.rule.name(),
-            phase_margin_deg: margins.phase_margin_deg,
-            gain_margin: margins.gain_margin,
-        });
+    let found = task.found(request)?;
+    let shape = loops.own(&found.gains);
+    let margins = loops.margins(&found.gains);
+    let drawn = loops.draws(&found.gains, draws);
+    let worst = drawn.as_ref().map(|drawn| drawn.worst);
+    for (margins, draws) in [(Some(margins), 0), (worst, draws.len())] {
+        if let Some(margins) = margins.filter(|margins| !is_safe(margins)) {
+            return Err(TuningError::Margins {
+                rule: request.rule.name(),
+                phase_margin_deg: margins.phase_margin_deg,
+                gain_margin: margins.gain_margin,
+                draws,
+            });
+        }
     }
     let length_s = PREDICTED_SMALL_TIMES * found.small_time_s + 4.0 * found.gains.integral_time_s;
     let step = shape.step_response(length_s.max(20.0 * timing.period_s));
@@ -206,6 +318,7 @@ pub fn tune(
         small_time_s: found.small_time_s,
         timing: *timing,
         margins,
+        draws: drawn,
         response: response(&trace, 0.0, 1.0),
         step,
         reasons,
@@ -224,25 +337,155 @@ const FREQUENCY_TIMES_SMALL: f64 = 0.35;
 /// integrator. The overshoot of the reference comes from the zero, and the filter takes it.
 const A: f64 = 2.4;
 
-/// Where a loop is to be closed, and by which rule.
+/// Where a loop is to be closed, by which rule, and with which notch.
+#[derive(Clone, Copy)]
 struct Task<'a> {
     plant: &'a LinearPlant,
+    loops: &'a Loops,
     timing: &'a LoopTiming,
     rule: Rule,
+    notch: Option<Notch>,
 }
 
 impl Task<'_> {
-    /// `slower` stretches the small time constant: the same rule for a loop of less bandwidth.
-    fn by_rule(&self, slower: f64) -> Result<Found, TuningError> {
-        match self.rule {
-            Rule::ModulusOptimum => self.modulus_optimum(slower),
-            Rule::SymmetricalOptimum => self.symmetrical_optimum(slower),
-            Rule::PolePlacement => Ok(self.pole_placement(slower)),
+    fn found(&self, request: &Request) -> Result<Found, TuningError> {
+        let by = |task: &Self| match request.bandwidth_rad_s {
+            Some(asked) => task.for_bandwidth(asked),
+            None => task.with_margins(),
+        };
+        match request.notch {
+            NotchUse::Off => by(self),
+            NotchUse::Like(notch) => {
+                let like = self.notches().next();
+                let notch = like.map(|own| Notch {
+                    frequency_hz: own.frequency_hz,
+                    ..notch
+                });
+                by(&Self { notch, ..*self })
+            }
+            NotchUse::Auto => match by(self) {
+                Ok(found) if found.is_the_rules_own && self.holds(&found) => Ok(self.plain(found)),
+                Ok(found) if request.bandwidth_rad_s.is_some() && self.holds(&found) => Ok(found),
+                without => self.quicker_with_a_notch(without, by),
+            },
         }
     }
 
-    fn shape(&self, found: &Found) -> LoopShape {
-        LoopShape::new(self.plant, self.timing, &found.gains)
+    /// Notches for the frequency of the coupling; none where there is none to take out.
+    fn notches(&self) -> impl Iterator<Item = Notch> {
+        let frequency_hz = self.plant.coupling().map(|coupling| coupling.frequency_hz);
+        let reached = frequency_hz.filter(|hertz| Notch::reaches(*hertz, self.timing.period_s));
+        reached.into_iter().flat_map(|frequency_hz| {
+            NOTCH_DAMPINGS.into_iter().flat_map(move |damping_ratio| {
+                NOTCH_DEPTHS.map(|depth| Notch {
+                    frequency_hz,
+                    damping_ratio,
+                    depth,
+                })
+            })
+        })
+    }
+
+    /// What holds its margins behind a coupling without a notch says so.
+    fn plain(&self, mut found: Found) -> Found {
+        if let Some(coupling) = self.plant.coupling() {
+            found.reasons.push(format!(
+                "the coupling at {:.1} Hz leaves the rule its margins: no notch is needed",
+                coupling.frequency_hz
+            ));
+        }
+        found
+    }
+
+    /// The quickest loop with a notch, where it is worth one; else what was found without.
+    fn quicker_with_a_notch(
+        &self,
+        without: Result<Found, TuningError>,
+        by: impl Fn(&Self) -> Result<Found, TuningError>,
+    ) -> Result<Found, TuningError> {
+        let of = |found: &Found| self.loops.own(&found.gains).margins().bandwidth_rad_s;
+        let before_rad_s = without
+            .as_ref()
+            .map_or(0.0, |found| if self.holds(found) { of(found) } else { 0.0 });
+        let mut best: Option<(f64, Found)> = None;
+        let mut refused = without;
+        for notch in self.notches() {
+            match by(&Self {
+                notch: Some(notch),
+                ..*self
+            }) {
+                Ok(found) if self.holds(&found) => {
+                    let bandwidth_rad_s = of(&found);
+                    let before = best.as_ref().map_or(0.0, |(before, _)| *before);
+                    if bandwidth_rad_s > before {
+                        best = Some((bandwidth_rad_s, found));
+                    }
+                }
+                Err(error)
+                    if error.reachable()
+                        > refused
+                            .as_ref()
+                            .map_or_else(TuningError::reachable, |_| f64::INFINITY) =>
+                {
+                    refused = Err(error);
+                }
+                _ => {}
+            }
+        }
+        let hertz = |rad_s: f64| rad_s / std::f64::consts::TAU;
+        match best {
+            Some((bandwidth_rad_s, mut found))
+                if bandwidth_rad_s > WORTH_A_NOTCH * before_rad_s =>
+            {
+                let without = match (before_rad_s > 0.0, &refused) {
+                    (true, _) => format!("without it {:.1} Hz", hertz(before_rad_s)),
+                    (_, Err(error)) if error.reachable() > 0.0 => "without it that is out of reach".to_owned(),
+                    _ => "without it no bandwidth has its margins".to_owned(),
+                };
+                found.reasons.push(format!(
+                    "the coupling: a notch at {:.1} Hz keeps {:.1} Hz of bandwidth; {without}",
+                    found.gains.notch.map_or(0.0, |notch| notch.frequency_hz),
+                    hertz(bandwidth_rad_s)
+                ));
+                Ok(found)
+            }
+            _ => refused.map(|mut found| {
+                if let Some(coupling) = self.plant.coupling() {
+                    let most = best.map_or(0.0, |(bandwidth_rad_s, _)| bandwidth_rad_s);
+                    let with = if most > 0.0 {
+                        format!("a notch there would give {:.1} Hz", hertz(most))
+                    } else {
+                        "no notch there helps".to_owned()
+                    };
+                    found.reasons.push(format!(
+                        "the coupling at {:.1} Hz: the lower bandwidth of {:.1} Hz is taken; {with}",
+                        coupling.frequency_hz,
+                        hertz(before_rad_s)
+                    ));
+                }
+                found
+            }),
+        }
+    }
+
+    /// `slower` stretches the small time constant: the same rule for a loop of less bandwidth.
+    fn by_rule(&self, slower: f64) -> Result<Found, TuningError> {
+        let mut found = match self.rule {
+            Rule::ModulusOptimum => self.modulus_optimum(slower)?,
+            Rule::SymmetricalOptimum => self.symmetrical_optimum(slower)?,
+            Rule::PolePlacement => self.pole_placement(slower),
+        };
+        found.gains.notch = self.notch;
+        Ok(found)
+    }
+
+    /// Dead time, filter and notch: the share of the small time constant that is not the motor's, s.
+    fn late_s(&self) -> f64 {
+        self.timing.small_time_s() + self.notch.map_or(0.0, |notch| notch.lag_s())
+    }
+
+    fn holds(&self, found: &Found) -> bool {
+        self.loops.hold(&found.gains)
     }
 
     /// The rule as it is or, where its approximations leave too little margin, slowed down until there is enough.
@@ -250,10 +493,15 @@ impl Task<'_> {
         let mut slower = 1.0;
         loop {
             let mut found = self.by_rule(slower)?;
-            if is_safe(&self.shape(&found).margins()) || slower > SLOWEST {
+            if self.holds(&found) || slower > SLOWEST {
+                found.is_the_rules_own = slower <= 1.0;
                 if slower > 1.0 {
+                    let behind = self.plant.coupling().map_or_else(String::new, |coupling| {
+                        format!(" behind the coupling at {:.1} Hz", coupling.frequency_hz)
+                    });
                     found.reasons.push(format!(
-                        "the rule alone left less than {LEAST_PHASE_MARGIN_DEG} degrees or a gain margin below {LEAST_GAIN_MARGIN}: its small time constant is taken {slower:.2} times as large"
+                        "the rule alone left less than {LEAST_PHASE_MARGIN_DEG} degrees or a gain margin below {LEAST_GAIN_MARGIN}{behind}{}: its small time constant is taken {slower:.2} times as large",
+                        of_draws(self.loops.count())
                     ));
                 }
                 return Ok(found);
@@ -267,9 +515,12 @@ impl Task<'_> {
         if !(asked.is_finite() && asked > 0.0) {
             return Err(TuningError::NoBandwidth(asked));
         }
-        let margins = |slower: f64| Ok(self.shape(&self.by_rule(slower)?).margins());
-        let safe = |slower: f64| margins(slower).map(|margins| is_safe(&margins));
-        let faster = |slower: f64| margins(slower).map(|margins| margins.bandwidth_rad_s > asked);
+        let bandwidth = |slower: f64| {
+            let margins = self.loops.own(&self.by_rule(slower)?.gains).margins();
+            Ok(margins.bandwidth_rad_s)
+        };
+        let safe = |slower: f64| Ok(self.holds(&self.by_rule(slower)?));
+        let faster = |slower: f64| bandwidth(slower).map(|reached| reached > asked);
         // The quickest that still has its margins.
         let (mut quick, mut slow) = (1.0, 1.0);
         while !safe(slow)? && slow < 1e6 {
@@ -279,7 +530,7 @@ impl Task<'_> {
             (quick, slow) = (0.5 * quick, quick);
         }
         let slow = narrowed(quick, slow, |slower| safe(slower).map(|safe| !safe))?.1;
-        let reachable = margins(slow)?.bandwidth_rad_s;
+        let reachable = bandwidth(slow)?;
         if asked > reachable {
             return Err(TuningError::Bandwidth {
                 asked,
@@ -303,7 +554,7 @@ impl Task<'_> {
             return self.swinging(slower).ok_or(integrates);
         };
         let large_s = dominant.large_s.ok_or(integrates)?;
-        let small_time_s = slower * (dominant.small_s + self.timing.small_time_s());
+        let small_time_s = slower * (dominant.small_s + self.late_s());
         let proportional = 1.0 / (2.0 * dominant.rate * small_time_s);
         let reason = format!(
             "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
@@ -321,7 +572,7 @@ impl Task<'_> {
     fn swinging(&self, slower: f64) -> Option<Found> {
         let (sum, product) = self.plant.denominator()?;
         let gain = self.plant.gain()?;
-        let late = self.timing.small_time_s();
+        let late = self.late_s();
         // (1 + sum s + product s^2) exp(late s) / gain = c0 + c1 s + c2 s^2 + c3 s^3 + ..
         let c0 = 1.0 / gain;
         let c1 = (sum + late) / gain;
@@ -357,7 +608,7 @@ impl Task<'_> {
                 product / sum,
             )
         };
-        let small_time_s = slower * (small_s + self.timing.small_time_s());
+        let small_time_s = slower * (small_s + self.late_s());
         let natural = FREQUENCY_TIMES_SMALL / small_time_s;
         if decay > DAMPING * natural {
             return quick_motor(rate, decay, natural, small_time_s);
@@ -376,7 +627,7 @@ impl Task<'_> {
     /// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
     fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
         let integrating = self.plant.dominant().filter(|dominant| {
-            let integral_time_s = A * A * (dominant.small_s + self.timing.small_time_s());
+            let integral_time_s = A * A * (dominant.small_s + self.late_s());
             dominant
                 .large_s
                 .is_none_or(|large_s| large_s > integral_time_s)
@@ -389,7 +640,7 @@ impl Task<'_> {
         );
             return Ok(found);
         };
-        let small_time_s = slower * (dominant.small_s + self.timing.small_time_s());
+        let small_time_s = slower * (dominant.small_s + self.late_s());
         let proportional = 1.0 / (A * dominant.rate * small_time_s);
         let integral_time_s = A * A * small_time_s;
         let reason = format!(
@@ -429,6 +680,7 @@ fn narrowed(
     Ok((low, high))
 }
 
+/// Whether a loop has the margins with which it is handed out.
 fn is_safe(margins: &Margins) -> bool {
     margins.radius < 1.0
         && margins.phase_margin_deg >= LEAST_PHASE_MARGIN_DEG
