@@ -305,6 +305,12 @@ pub fn tune_over(
         .map(|point| (point.time_s, point.speed))
         .collect();
     let mut reasons = found.reasons;
+    if let Some(coupling) = plant.coupling().filter(|_| plant.let_go().is_some()) {
+        reasons.push(format!(
+            "within its play of {} rad the motor alone is stable too; what the play itself does is not in the margins",
+            coupling.gap_rad
+        ));
+    }
     reasons.push(format!(
         "the link and the computation take {:.2} cycles of {:.3} ms; with the hold that is {:.2} ms of the small time constant of {:.2} ms",
         timing.delay_cycles(),
