@@ -9,11 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
 
-use super::baseline::{Baseline, figures as drift_figures, manifest_of};
+use super::baseline::{self, Baseline};
 use super::host::{self, STOOD_STILL_S, Stage};
 use super::line::Line;
 use super::own_drive::{self, DriveOrder, OwnDrive};
-use super::process::{self, Done, End, Watch, monotonic_s};
+use super::process::{self, Done, End, Watch, error_said, monotonic_s};
 use crate::app::failure::{INTERRUPTED, LINK, REFUSED, TRIP};
 use crate::app::files::read_text;
 use crate::app::{opening, output};
@@ -21,8 +21,8 @@ use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, IdentifiedStep, Limit,
-    SignalLimit, Step, StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
+    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step,
+    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
 /// Attempts at a case in which this machine stood still.
@@ -245,10 +245,7 @@ impl<'a> Progress<'a> {
                 .join(format!("{number:02}-{}.{ending}", step.name))
         };
         let (stdout, stderr) = (file("json"), file("txt"));
-        let mut command = Command::new(self.bench.program);
-        command
-            .args(&words)
-            .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        let command = self.command_of(&words);
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
         let before = host::runs_in(&self.folder.join("runs"));
         let begin_s = monotonic_s();
@@ -337,34 +334,27 @@ impl<'a> Progress<'a> {
         let Some(Left { result, run }) = self.left.get(&step.name) else {
             return Ok(());
         };
-        let manifest = run.as_deref().and_then(manifest_of);
-        let manifest = manifest.unwrap_or_default();
-        let mut found = IdentifiedStep {
-            machine: manifest.machine(),
-            excitation: manifest.excitation(),
-            parameters: result["parameters"].clone(),
-            drift: None,
+        let (number, mut earlier) = (self.outcomes.len(), 0);
+        let identify = |run: &Path| {
+            earlier += 1;
+            let same = options.iter().filter(|(key, _)| key != "run").cloned();
+            let run = toml::Value::String(run.display().to_string());
+            let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
+            let words = self.words(Verb::Identify, &options, &self.bench.port, false);
+            let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
+            let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
+            let files = ["json", "txt"].map(|ending| self.folder.join(format!("{name}.{ending}")));
+            baseline::identified(self.command_of(&words), files, timeout_s, self.bench.stop)
         };
-        if let Some(baseline) = self.bench.baseline {
-            let number = self.outcomes.len();
-            let mut earlier = 0;
-            let identify = |run: &Path| {
-                earlier += 1;
-                let same = options.iter().filter(|(key, _)| key != "run").cloned();
-                let run = toml::Value::String(run.display().to_string());
-                let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
-                let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
-                self.identify_earlier(&options, &name, timeout_s)
-            };
-            let drift = baseline.drift((&self.case.name, &step.name), &found, identify);
-            let drift = drift.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
-            if let Some(Value::Object(figures)) =
-                self.left.get_mut(&step.name).map(|left| &mut left.result)
-            {
-                let own = drift_figures(&drift).into_iter();
-                figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
-            }
-            found.drift = Some(drift);
+        let names = (self.case.name.as_str(), step.name.as_str());
+        let found = baseline::found(self.bench.baseline, names, result, run.as_deref(), identify);
+        let found = found.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
+        if let (Some(drift), Some(Value::Object(figures))) = (
+            &found.drift,
+            self.left.get_mut(&step.name).map(|left| &mut left.result),
+        ) {
+            let own = baseline::figures(drift).into_iter();
+            figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
         }
         if let Some(outcome) = self.outcomes.last_mut() {
             outcome.identified = Some(found);
@@ -372,31 +362,13 @@ impl<'a> Progress<'a> {
         Ok(())
     }
 
-    /// What the command of a step finds in an earlier run.
-    fn identify_earlier(
-        &self,
-        options: &[(String, toml::Value)],
-        name: &str,
-        timeout_s: f64,
-    ) -> Result<Value, String> {
-        let words = self.words(Verb::Identify, options, &self.bench.port, false);
-        let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
-        let file = |ending: &str| self.folder.join(format!("{name}.{ending}"));
-        let (stdout, stderr) = (file("json"), file("txt"));
+    /// This program with these words.
+    fn command_of(&self, words: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
         command
-            .args(&words)
+            .args(words)
             .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
-        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop);
-        let done = done.map_err(|error| error.to_string())?;
-        if done.end != End::Status(0) {
-            let said =
-                error_said(&stderr).unwrap_or_else(|| "it did not end in its time".to_owned());
-            return Err(format!("the baseline cannot be identified: {said}"));
-        }
-        let text = fs::read_to_string(&stdout).unwrap_or_default();
-        let result: Value = serde_json::from_str(&text).unwrap_or_default();
-        Ok(result["parameters"].clone())
+        command
     }
 
     fn act_on(
@@ -410,7 +382,7 @@ impl<'a> Progress<'a> {
     ) -> Result<host::Came, Ended> {
         let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
         let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
-        let mut other = || OwnDrive::start(&order.order());
+        let mut other = || OwnDrive::start(&order);
         let runs = self.folder.join("runs");
         let before = host::runs_in(&runs);
         let gone = || Ended::error("the software drive is gone".to_owned());
@@ -451,7 +423,7 @@ impl<'a> Progress<'a> {
             self.drive = None;
             let name = format!("drive-{}", self.outcomes.len() + 1);
             let order = self.order(self.seed, &name)?;
-            let drive = OwnDrive::start(&order.order()).map_err(cannot)?;
+            let drive = OwnDrive::start(&order).map_err(cannot)?;
             self.drive = Some((drive, self.changed.clone()));
         }
         let on_line = host.is_some_and(|host| host.act.is_on_line());
@@ -461,7 +433,7 @@ impl<'a> Progress<'a> {
     }
 
     /// What a software drive of this case is started with.
-    fn order(&self, seed: u64, name: &str) -> Result<KeptOrder<'a>, Ended> {
+    fn order(&self, seed: u64, name: &str) -> Result<DriveOrder<'a>, Ended> {
         let bench = match &self.case.bench {
             None => BenchFile::embedded_default(),
             Some(bench) => {
@@ -478,12 +450,13 @@ impl<'a> Progress<'a> {
         let watchdog_s = opening::emulator_config(&named).map_or(GUISE_WATCHDOG_S, |config| {
             f64::from(config.watchdog_ms) * 1e-3
         });
-        Ok(KeptOrder {
+        Ok(DriveOrder {
             program: self.bench.program,
             folder: self.folder,
             name: name.to_owned(),
             emulator: named,
-            bench,
+            profile: bench.drive.profile,
+            protocol: bench.link.protocol,
             seed,
             watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
             stop: self.bench.stop,
@@ -771,34 +744,6 @@ impl<'a> Progress<'a> {
     }
 }
 
-/// A [`DriveOrder`] that owns what it was made of.
-struct KeptOrder<'a> {
-    program: &'a Path,
-    folder: &'a Path,
-    name: String,
-    emulator: String,
-    bench: BenchFile,
-    seed: u64,
-    watchdog_s: f64,
-    stop: &'a AtomicBool,
-}
-
-impl KeptOrder<'_> {
-    fn order(&self) -> DriveOrder<'_> {
-        DriveOrder {
-            program: self.program,
-            folder: self.folder,
-            name: self.name.clone(),
-            emulator: Some(self.emulator.clone()),
-            profile: &self.bench.drive.profile,
-            protocol: self.bench.link.protocol,
-            seed: self.seed,
-            watchdog_s: self.watchdog_s,
-            stop: self.stop,
-        }
-    }
-}
-
 fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
     let run = run.ok_or("signal: no run was recorded")?;
     let loaded = open_run(run, None).map_err(|error| error.to_string())?;
@@ -837,19 +782,6 @@ fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
             format!("{ended}{said}; how it left the motor is not known")
         }
     }
-}
-
-/// The error that a command ended with, as it says it to programs.
-fn error_said(stderr: &Path) -> Option<String> {
-    let text = fs::read_to_string(stderr).ok()?;
-    let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
-    let Some(line) = lines.next_back() else {
-        // As a person reads it.
-        let (_, said) = text.rsplit_once("error: ")?;
-        return said.lines().next().map(str::to_owned);
-    };
-    let said: Value = serde_json::from_str(line).ok()?;
-    said.pointer("/error/message")?.as_str().map(str::to_owned)
 }
 
 #[cfg(test)]
