@@ -21,8 +21,8 @@ use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, Limit, SignalLimit, Step,
-    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
+    Act, Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, HostAct, Limit,
+    SignalLimit, Step, StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
 /// Attempts at a case in which this machine stood still.
@@ -80,8 +80,9 @@ struct Progress<'a> {
     seed: u64,
     folder: &'a Path,
     left: BTreeMap<String, Left>,
-    /// Name of the last command.
+    /// Name of the last command, and of the last one that was about a run.
     last: Option<String>,
+    last_with_run: Option<String>,
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
     outcomes: Vec<StepOutcome>,
@@ -169,6 +170,7 @@ fn attempt(
         folder,
         left: BTreeMap::new(),
         last: None,
+        last_with_run: None,
         changed: toml::Table::new(),
         outcomes: Vec::new(),
         drive: None,
@@ -209,6 +211,7 @@ impl<'a> Progress<'a> {
                 merge(&mut self.changed, keys);
                 Ok(())
             }
+            Action::File(file) => self.make(file),
             Action::Command {
                 verb,
                 options,
@@ -231,7 +234,7 @@ impl<'a> Progress<'a> {
         statuses: &[u8],
         host: Option<HostAct>,
     ) -> Result<(), Ended> {
-        let has_own_drive = self.case.has_own_drive() && verb.is_live();
+        let has_own_drive = self.case.has_own_drive() && verb.has_link();
         let mut line = None;
         if has_own_drive {
             line = self.plug_in(host)?;
@@ -303,17 +306,20 @@ impl<'a> Progress<'a> {
         }
         let run = if verb.is_live() {
             host::newest(&self.folder.join("runs"), &before)
-        } else {
+        } else if verb.has_run() {
             self.run_about(options)?
+        } else {
+            None
         };
         self.keep(step, verb, &stdout, &done, error, run);
         if let Some(left) = self.left.get_mut(&step.name)
             && let Value::Object(figures) = &mut left.result
         {
-            // A sentence that was folded is one line again.
-            let said = fs::read_to_string(&stderr)
-                .unwrap_or_default()
-                .replace("\n  ", " ");
+            // What it says to programs is under `error`; a sentence that was folded is one line again.
+            let said = fs::read_to_string(&stderr).unwrap_or_default();
+            let said = said.split_inclusive('\n');
+            let said = said.filter(|line| !line.starts_with("{\"error\""));
+            let said = said.collect::<String>().replace("\n  ", " ");
             figures.insert("said".to_owned(), said.into());
             figures.extend(motor.map(|motor| ("motor".to_owned(), motor)));
             figures.extend(host_said.map(|said| ("host".to_owned(), said)));
@@ -434,10 +440,9 @@ impl<'a> Progress<'a> {
 
     /// What a software drive of this case is started with.
     fn order(&self, seed: u64, name: &str) -> Result<DriveOrder<'a>, Ended> {
-        let bench = match &self.case.bench {
+        let bench = match self.bench_path()? {
             None => BenchFile::embedded_default(),
-            Some(bench) => {
-                let path = self.bench.home.join(bench);
+            Some(path) => {
                 let text = read_text(&path)
                     .map_err(|failure| Ended::error(failure.headline().to_owned()))?;
                 BenchFile::parse(&path.display().to_string(), &text)
@@ -560,10 +565,14 @@ impl<'a> Progress<'a> {
         let run = recorded.and_then(Value::as_str).map(PathBuf::from).or(run);
         self.left.insert(step.name.clone(), Left { result, run });
         self.last = Some(step.name.clone());
+        if verb.has_run() {
+            self.last_with_run.clone_from(&self.last);
+        }
     }
 
     fn last_run(&self) -> Option<&Path> {
-        self.left.get(self.last.as_ref()?)?.run.as_deref()
+        let last = self.last_with_run.as_ref()?;
+        self.left.get(last)?.run.as_deref()
     }
 
     /// The run that a command which records none is about: the one that it is given, else that of the last command.
@@ -592,8 +601,8 @@ impl<'a> Progress<'a> {
         };
         let given = |key: &str| option(key).and_then(toml::Value::as_str);
         if verb.is_live() || verb == Verb::Plan {
-            if let Some(bench) = &self.case.bench {
-                words.push(self.bench.home.join(bench).display().to_string());
+            if let Some(bench) = self.bench_path()? {
+                words.push(bench.display().to_string());
             }
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
@@ -601,7 +610,7 @@ impl<'a> Progress<'a> {
         if verb == Verb::Probe {
             words.extend(["--port".to_owned(), port.to_owned()]);
         }
-        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
+        if !verb.is_live() && verb.has_run() {
             let run = self.run_about(options)?;
             let run = run.ok_or_else(|| {
                 Ended::error(format!(
@@ -664,6 +673,32 @@ impl<'a> Progress<'a> {
         let run = self.left.get(name).and_then(|left| left.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))
+    }
+
+    /// The bench file of the case.
+    fn bench_path(&self) -> Result<Option<PathBuf>, Ended> {
+        let Some(bench) = &self.case.bench else {
+            return Ok(None);
+        };
+        Ok(Some(match reference(bench) {
+            Some(_) => PathBuf::from(self.resolved(bench)?),
+            None => self.bench.home.join(bench),
+        }))
+    }
+
+    /// Makes a file with other keys than those of the one that it is of.
+    fn make(&self, file: &ChangedFile) -> Result<(), Ended> {
+        let wrong = |error: &dyn std::fmt::Display| Ended::error(format!("file: {error}"));
+        let path = self.bench.home.join(&file.of);
+        let text = read_text(&path).map_err(|failure| wrong(&failure.headline()))?;
+        let mut table: toml::Table = text.parse().map_err(|error| wrong(&error))?;
+        let mut keys = toml::Value::Table(file.set.clone());
+        lead_to(&mut keys, self.folder);
+        if let toml::Value::Table(keys) = &keys {
+            merge(&mut table, keys);
+        }
+        let text = toml::to_string(&table).map_err(|error| wrong(&error))?;
+        fs::write(self.folder.join(&file.name), text).map_err(|error| wrong(&error))
     }
 
     /// The emulator's name or file, with what the faults changed in it.
@@ -756,6 +791,20 @@ fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, Strin
         value: None,
         failure: signal.fails(points.map(|(time_s, value)| (time_s - begin_s, value))),
     })
+}
+
+/// Puts the folder of the case in the place of its name.
+fn lead_to(value: &mut toml::Value, folder: &Path) {
+    match value {
+        toml::Value::String(text) => {
+            if let Some((CASE, rest)) = reference(text) {
+                *text = format!("{}{rest}", folder.display());
+            }
+        }
+        toml::Value::Array(values) => values.iter_mut().for_each(|own| lead_to(own, folder)),
+        toml::Value::Table(table) => table.iter_mut().for_each(|(_, own)| lead_to(own, folder)),
+        _ => {}
+    }
 }
 
 /// Puts the keys of `changes` over those of `table`, table by table.
