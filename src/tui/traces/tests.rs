@@ -34,15 +34,21 @@ fn text(page: &TracesPage, width: u16, height: u16) -> String {
 
 #[test]
 fn a_run_that_was_stopped_opens_there_and_only_once() {
-    let mut page = TracesPage::default();
     let stop = |run: &str| StoppedAt {
         run: run.to_owned(),
         at_s: 2.5,
         shows: None,
         text: String::new(),
     };
-    page.opens_at = Some(stop("run-a"));
-    page.take(fan_traces(false));
+    let opened = |stop: StoppedAt| {
+        let mut page = TracesPage {
+            opens_at: Some(stop),
+            ..TracesPage::default()
+        };
+        page.take(fan_traces(false));
+        page
+    };
+    let mut page = opened(stop("run-a"));
     assert_eq!(page.run().unwrap().run, "run-a");
     assert_eq!(page.cursor_s, Some(2.5));
     assert_eq!(page.chosen, None);
@@ -52,19 +58,15 @@ fn a_run_that_was_stopped_opens_there_and_only_once() {
     let moved = page.window_s();
     page.take(fan_traces(true));
     assert_eq!(page.window_s(), moved);
-    let mut page = TracesPage::default();
-    page.opens_at = Some(StoppedAt {
+    let page = opened(StoppedAt {
         shows: Some(Channel::Current),
         ..stop("run-b")
     });
-    page.take(fan_traces(false));
     let seen = page.chosen.as_deref().unwrap()[0];
     let quantity = page.run().unwrap().signals[seen.0].quantity;
     assert_eq!(quantity, Quantity::Channel(Channel::Current));
     // Of another run, which is not shown, nothing is known here.
-    let mut page = TracesPage::default();
-    page.opens_at = Some(stop("run-c"));
-    page.take(fan_traces(false));
+    let page = opened(stop("run-c"));
     assert_eq!((page.run, page.cursor_s), (0, None));
 }
 
