@@ -23,7 +23,7 @@ use super::mechanics::Brake;
 use super::pilot::{OpenLoop, Pilot, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
-use super::trip::Trip;
+use super::trip::{Trip, TripKind};
 use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
@@ -674,7 +674,11 @@ impl Session {
         } else if self.phase != Phase::Stopping || !has_reason {
             self.ending = Some(Outcome::Tripped(trip.clone()));
         }
-        self.stop_now();
+        // A drive that gives no sample while it is told to stop is given no more time for it.
+        let is_unheard = matches!(trip.kind, TripKind::LinkSilence | TripKind::Refused);
+        if !(is_unheard && self.phase == Phase::Stopping) {
+            self.stop_now();
+        }
     }
 
     /// A lost link is how the session ends, unless a trip or a person had ended it before.

@@ -7,7 +7,6 @@ use crate::bench::testing::{
     Fault, Lab, ScriptedDrive, Wave, gone, has, refusal, unspoilt, within,
 };
 use crate::bench::timing::whole;
-use crate::bench::trip::TripKind;
 use crate::drive::LinkError;
 use crate::emulator::VirtualClock;
 
@@ -368,6 +367,12 @@ fn a_busy_drive_is_named_and_told_to_stop_as_long_as_its_watchdog_takes_and_then
     let said = busy.session.last_word(Some(&failed)).unwrap();
     has(&said.text, "it answers: script: the drive refused");
     has(&said.text, "its watchdog stops the motor 0.2 s after");
+    // Refused for good it is told no more often, although the silence is over meanwhile.
+    let watched = session().with_command_times(times).with_watchdog(Some(0.2));
+    let refused = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(2));
+    let refused = bench(watched, refused).started(600);
+    has(lost(&refused), "illegal data address");
+    within(stops(&refused) as f64, 20.0..28.0);
     // A refusal that was followed by a reply is not why the link falls silent later.
     let drive = ScriptedDrive::new(0.01).with(50, 55, Fault::Refuses(6));
     let silent = drive.with(60, EVER, Fault::Timeout);
