@@ -45,7 +45,7 @@ impl Stop {
         let answer = self
             .last_refusal
             .as_ref()
-            .map_or_else(String::new, |said| format!(", last answer: {said}"));
+            .map_or_else(String::new, |said| format!("; last answer: {said}"));
         let sent = self.sent_after_ms.map_or_else(
             || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
@@ -53,10 +53,10 @@ impl Stop {
         match (self.confirmed_after_ms, self.watchdog_s) {
             (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({attempts})"),
             (None, Some(watchdog_s)) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}{answer}; without a word from here its watchdog stops the motor after {watchdog_s} s"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s{answer}"
             ),
             (None, None) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}{answer}; no watchdog is known to stop it: see that the shaft stands still"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still{answer}"
             ),
         }
     }
@@ -128,9 +128,12 @@ impl StopWatch {
     pub(super) fn answered<T>(&mut self, answer: &Result<T, LinkError>) {
         match answer {
             Ok(_) => self.last_refusal = None,
-            Err(error @ LinkError::Exception { .. }) => {
-                self.last_refusal = Some(error.to_string());
-            }
+            Err(LinkError::Exception {
+                request,
+                code,
+                name,
+                ..
+            }) => self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}")),
             Err(_) => {}
         }
     }
@@ -227,7 +230,7 @@ mod tests {
         watch.withdraw();
         let stop = watch.stop(Some(0.2)).unwrap();
         has(stop.sentence(), "NOT confirmed");
-        let words = "last answer: x: the drive refused the command: exception 0x06 device busy";
+        let words = "0.2 s; last answer: exception 0x06 device busy to the command";
         has(stop.sentence(), words);
         has(stop.sentence(), "its watchdog stops the motor after 0.2 s");
     }
