@@ -239,7 +239,7 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
             LINK,
             "exception 0x04|device failure|server failure",
         ),
-        Act::Exception(_) => (Cut(0.0), LINK, "busy|exception 0x06|no reply|silent"),
+        Act::Exception(_) => (Cut(0.0), LINK, "exception 0x06"),
         Act::Dead(f64::INFINITY) => (Watchdog, LINK, "no reply|silent|gone"),
         Act::Dead(seconds) => (Cut(seconds), LINK, "no reply|silent|gone"),
         Act::Mute => (Cut(0.0), LINK, "no reply|silent"),
