@@ -442,12 +442,8 @@ impl<'a> Progress<'a> {
     fn order(&self, seed: u64, name: &str) -> Result<DriveOrder<'a>, Ended> {
         let bench = match self.bench_path()? {
             None => BenchFile::embedded_default(),
-            Some(path) => {
-                let text = read_text(&path)
-                    .map_err(|failure| Ended::error(failure.headline().to_owned()))?;
-                BenchFile::parse(&path.display().to_string(), &text)
-                    .map_err(|error| Ended::error(error.to_string()))?
-            }
+            Some(path) => opening::bench_file(&path)
+                .map_err(|failure| Ended::error(failure.headline().to_owned()))?,
         };
         let named = self.emulator()?;
         let named = named.unwrap_or_else(|| bench.emulator.config.clone());

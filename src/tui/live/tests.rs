@@ -178,6 +178,7 @@ fn tripped() -> Snapshot {
             confirmed_after_ms: Some(18.0),
             attempts: 1,
             watchdog_s: Some(0.5),
+            last_refusal: None,
         }),
         ..running()
     }
