@@ -115,7 +115,7 @@ fn card(result: &TuneResult, model: &Path) -> Card {
     let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
     let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
     if let Some(notch) = &gains.notch {
-        let _ = write!(sentence, ", {}", notch.text());
+        let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
     }
     if gains.reference_filter_s > 0.0 {
         let _ = write!(

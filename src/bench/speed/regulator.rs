@@ -148,6 +148,12 @@ impl RegulatorError {
                 "the manual's speed loop response time, or a step of the set-point seen on the drive's own scope"
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
+            Self::Swings {
+                coupling_hz: Some(_),
+                ..
+            } => {
+                "ask for less (speed.bandwidth_rad_s), take addc or pi, which are tuned for the coupling, or stiffen it"
+            }
             Self::Swings { .. } => {
                 "take addc or pi, which are tuned for the delay, or a faster link"
             }
@@ -329,7 +335,7 @@ impl Design<'_> {
         let request = Request {
             rule: self.section.rule(self.actuator),
             bandwidth_rad_s: self.section.bandwidth_rad_s,
-            notch: NotchUse::Auto,
+            notch: NotchUse::unless(self.section.no_notch),
         };
         let refused = |error| RegulatorError::Tuning {
             rule: request.rule.id(),

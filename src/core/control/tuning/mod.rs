@@ -94,6 +94,12 @@ pub enum NotchUse {
     Like(Notch),
 }
 
+impl NotchUse {
+    pub const fn unless(off: bool) -> Self {
+        if off { Self::Off } else { Self::Auto }
+    }
+}
+
 /// Gains with their reasons.
 #[derive(Clone, Debug, Serialize)]
 pub struct Tuning {
@@ -409,66 +415,67 @@ impl Task<'_> {
         without: Result<Found, TuningError>,
         by: impl Fn(&Self) -> Result<Found, TuningError>,
     ) -> Result<Found, TuningError> {
-        let of = |found: &Found| self.loops.own(&found.gains).margins().bandwidth_rad_s;
-        let before_rad_s = without
-            .as_ref()
-            .map_or(0.0, |found| if self.holds(found) { of(found) } else { 0.0 });
-        let mut best: Option<(f64, Found)> = None;
+        let hertz = |found: &Found| {
+            let margins = self.loops.own(&found.gains).margins();
+            margins.bandwidth_rad_s / std::f64::consts::TAU
+        };
+        let Some(coupling) = self.plant.coupling() else {
+            return without;
+        };
+        let holding = without.as_ref().ok().filter(|found| self.holds(found));
+        let before_hz = holding.map_or(0.0, hertz);
+        let mut best: Option<(f64, Notch, Found)> = None;
         let mut refused = without;
         for notch in self.notches() {
-            match by(&Self {
+            let with = Self {
                 notch: Some(notch),
                 ..*self
-            }) {
+            };
+            match by(&with) {
                 Ok(found) if self.holds(&found) => {
-                    let bandwidth_rad_s = of(&found);
-                    let before = best.as_ref().map_or(0.0, |(before, _)| *before);
-                    if bandwidth_rad_s > before {
-                        best = Some((bandwidth_rad_s, found));
+                    let reached_hz = hertz(&found);
+                    if best
+                        .as_ref()
+                        .is_none_or(|(most_hz, ..)| reached_hz > *most_hz)
+                    {
+                        best = Some((reached_hz, notch, found));
                     }
                 }
-                Err(error)
-                    if error.reachable()
-                        > refused
-                            .as_ref()
-                            .map_or_else(TuningError::reachable, |_| f64::INFINITY) =>
-                {
-                    refused = Err(error);
+                Ok(_) => {}
+                // Of what cannot be reached either way the higher bandwidth is told.
+                Err(error) => {
+                    if let Err(other) = &refused
+                        && error.reachable() > other.reachable()
+                    {
+                        refused = Err(error);
+                    }
                 }
-                _ => {}
             }
         }
-        let hertz = |rad_s: f64| rad_s / std::f64::consts::TAU;
         match best {
-            Some((bandwidth_rad_s, mut found))
-                if bandwidth_rad_s > WORTH_A_NOTCH * before_rad_s =>
-            {
-                let without = match (before_rad_s > 0.0, &refused) {
-                    (true, _) => format!("without it {:.1} Hz", hertz(before_rad_s)),
-                    (_, Err(error)) if error.reachable() > 0.0 => "without it that is out of reach".to_owned(),
-                    _ => "without it no bandwidth has its margins".to_owned(),
+            Some((reached_hz, notch, mut found)) if reached_hz > WORTH_A_NOTCH * before_hz => {
+                let without = if before_hz > 0.0 {
+                    format!("without it {before_hz:.1} Hz")
+                } else {
+                    "without it the margins do not allow that".to_owned()
                 };
                 found.reasons.push(format!(
-                    "the coupling: a notch at {:.1} Hz keeps {:.1} Hz of bandwidth; {without}",
-                    found.gains.notch.map_or(0.0, |notch| notch.frequency_hz),
-                    hertz(bandwidth_rad_s)
+                    "the coupling: a notch at {:.1} Hz keeps {reached_hz:.1} Hz of bandwidth; {without} (damping of its poles {}, it leaves {:.0} %)",
+                    notch.frequency_hz,
+                    notch.damping_ratio,
+                    100.0 * notch.depth
                 ));
                 Ok(found)
             }
-            _ => refused.map(|mut found| {
-                if let Some(coupling) = self.plant.coupling() {
-                    let most = best.map_or(0.0, |(bandwidth_rad_s, _)| bandwidth_rad_s);
-                    let with = if most > 0.0 {
-                        format!("a notch there would give {:.1} Hz", hertz(most))
-                    } else {
-                        "no notch there helps".to_owned()
-                    };
-                    found.reasons.push(format!(
-                        "the coupling at {:.1} Hz: the lower bandwidth of {:.1} Hz is taken; {with}",
-                        coupling.frequency_hz,
-                        hertz(before_rad_s)
-                    ));
-                }
+            best => refused.map(|mut found| {
+                let with = best.map_or_else(
+                    || "no notch there helps".to_owned(),
+                    |(reached_hz, ..)| format!("a notch there would give {reached_hz:.1} Hz"),
+                );
+                found.reasons.push(format!(
+                    "the coupling at {:.1} Hz: the lower bandwidth of {before_hz:.1} Hz is taken; {with}",
+                    coupling.frequency_hz
+                ));
                 found
             }),
         }
