@@ -25,6 +25,8 @@ const REHEARSAL_CYCLES: usize = 600;
 const REHEARSAL_STEP: f64 = 0.2;
 /// Swing that is left at its end, as a share of the step, with which a loop counts as stable.
 const STILL_SWINGS: f64 = 0.25;
+/// The same behind a coupling, which rings for long once it is struck.
+const STILL_RINGS: f64 = 0.05;
 /// Lag of a drive's current loop where the bench file does not say, s: what drives of some kilowatts reach.
 const CURRENT_LAG_S: f64 = 0.002;
 
@@ -489,7 +491,8 @@ impl Design<'_> {
         let trace = trial(&machine, &course, controller, limiter, REHEARSAL_CYCLES, 1);
         let end = &trace[REHEARSAL_CYCLES * 9 / 10..];
         let swing = swing(end.iter().map(|point| point.speed_rad_s));
-        let most = STILL_SWINGS * step;
+        let share = plant.coupling().map_or(STILL_SWINGS, |_| STILL_RINGS);
+        let most = share * step;
         // Also false for what is no number any more.
         if swing <= most {
             return Ok(());

@@ -92,8 +92,10 @@ impl Addc {
             settings.forgetting,
             settings.noise_rad_s,
         );
-        let swing_s = (plant.coupling()).map_or(0.0, |coupling| coupling.frequency_hz.recip());
-        let estimator = estimator.over(swing_s);
+        let estimator = match plant.coupling() {
+            Some(coupling) => estimator.behind(coupling.frequency_hz.recip()),
+            None => estimator,
+        };
         let gains = schedule.at(1.0).gains;
         Ok(Self {
             pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
