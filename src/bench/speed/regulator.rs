@@ -344,7 +344,16 @@ impl Design<'_> {
             error,
         };
         let tuned = || -> Result<Tuning, RegulatorError> {
-            tune_over(&plants.own, &plants.draws, &self.timing, &request).map_err(refused)
+            let tuning = tune_over(&plants.own, &plants.draws, &self.timing, &request);
+            let mut tuning = tuning.map_err(refused)?;
+            if let Some(draws) = &tuning.draws {
+                let (count, worst) = (draws.count, &draws.worst);
+                tuning.reasons.push(format!(
+                    "the worst of {count} draws of the parameters keeps {:.0} degrees of phase and a gain margin of {:.2}",
+                    worst.phase_margin_deg, worst.gain_margin
+                ));
+            }
+            Ok(tuning)
         };
         let plant = &plants.own;
         let value = |key| self.model.motor.get(key).unwrap_or(f64::NAN);
