@@ -21,6 +21,17 @@ use crate::emulator::{
     SoftDrive, VirtualClock, open_line, spawn_as,
 };
 
+/// A bench file; the profile beside it is found from wherever the program is started.
+pub(crate) fn bench_file(path: &Path) -> Result<BenchFile, Failure> {
+    let mut bench = BenchFile::parse(&path.display().to_string(), &read_text(path)?)?;
+    let profile = &mut bench.drive.profile;
+    let near = path.parent().map(|folder| folder.join(&*profile));
+    if let Some(near) = near.filter(|near| near.is_file() && !Path::new(&*profile).exists()) {
+        *profile = near.display().to_string();
+    }
+    Ok(bench)
+}
+
 /// A drive profile by its built-in name, else from a file; with its text.
 pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     let path = Path::new(name);

@@ -239,7 +239,7 @@ impl Runner<'_> {
         let mut start_pending = options.auto_start;
         while self.outcome.is_none() {
             let mut due_s = begin_s + cycle as f64 * period_s;
-            clock.sleep_until_s(due_s);
+            self.await_cycle(clock, due_s);
             let now_s = clock.now_s();
             let missed = whole((now_s - due_s) / period_s) as u64;
             if missed > 0 {
@@ -272,7 +272,7 @@ impl Runner<'_> {
         // Whatever the session knows: the last word to the drive is zero output.
         let told_s = clock.now_s();
         let stopped = self.link.0.stop();
-        self.note_last_stop(told_s, clock.now_s(), stopped.as_ref().err());
+        self.note_last_stop(told_s, clock.now_s(), &stopped);
         if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
@@ -328,13 +328,14 @@ impl Runner<'_> {
     }
 
     /// The stop with which every run ends: a routine where the drive has said before that its output is off.
-    fn note_last_stop(&mut self, told_s: f64, now_s: f64, failed: Option<&LinkError>) {
+    fn note_last_stop(&mut self, told_s: f64, now_s: f64, stopped: &Result<(), LinkError>) {
         self.stop.asked(told_s, self.link.0.has_sent_command());
-        match failed {
+        self.stop.answered(stopped);
+        match stopped {
             // Who does not tell whether the output is off has not confirmed that it is.
-            None if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
-            None => {}
-            Some(_) => self.stop.withdraw(),
+            Ok(()) if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
+            Ok(()) => {}
+            Err(_) => self.stop.withdraw(),
         }
     }
 
@@ -352,6 +353,19 @@ impl Runner<'_> {
                 text: stop.sentence(),
             });
         }
+    }
+
+    /// Waits until the next cycle is due; the end of the silence that is allowed is not waited out until then.
+    fn await_cycle(&mut self, clock: &mut dyn Clock, due_s: f64) {
+        if self.session.phase().is_energised() {
+            let now_s = clock.now_s();
+            let over_s = now_s + self.session.guard().silence_left_s(now_s);
+            if over_s < due_s {
+                clock.sleep_until_s(over_s);
+                self.feed(clock, Input::Silence);
+            }
+        }
+        clock.sleep_until_s(due_s);
     }
 
     /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
@@ -461,6 +475,7 @@ impl Runner<'_> {
         if command.demand == Demand::Stop {
             // What stops a motor waits for no silence of the line: it goes out as soon as it is handed over.
             self.stop.asked(sent_s, self.link.0.has_sent_command());
+            self.stop.answered(&answer);
         }
         if is_recorded && self.link.0.has_sent_command() {
             let row = CommandRow {

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::session::Phase;
+use crate::drive::LinkError;
 
 /// So much of the record before a trip is pointed out, s.
 const BEFORE_S: f64 = 2.0;
@@ -24,6 +25,8 @@ pub struct Stop {
     pub confirmed_after_ms: Option<f64>,
     /// Attempts to stop until then: those of the cycles, and the last one, in which the link itself asks several times.
     pub attempts: u64,
+    /// What the drive answered last instead of confirming it: it hears, and refuses; null: nothing, or it was confirmed.
+    pub last_refusal: Option<String>,
     /// Command silence after which the drive stops the motor by itself, s; null: none is known of, or it was waived.
     pub watchdog_s: Option<f64>,
 }
@@ -39,6 +42,10 @@ impl Stop {
             1 => "1 attempt".to_owned(),
             count => format!("{count} attempts"),
         };
+        let answer = self
+            .last_refusal
+            .as_ref()
+            .map_or_else(String::new, |said| format!("; last answer: {said}"));
         let sent = self.sent_after_ms.map_or_else(
             || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
@@ -46,10 +53,10 @@ impl Stop {
         match (self.confirmed_after_ms, self.watchdog_s) {
             (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({attempts})"),
             (None, Some(watchdog_s)) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s{answer}"
             ),
             (None, None) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still{answer}"
             ),
         }
     }
@@ -75,6 +82,7 @@ pub(super) struct StopWatch {
     sent_s: Option<f64>,
     confirmed_s: Option<f64>,
     attempts: u64,
+    last_refusal: Option<String>,
     rows: usize,
     /// Times of the last rows until the decision.
     row_times_s: VecDeque<f64>,
@@ -116,6 +124,20 @@ impl StopWatch {
         }
     }
 
+    /// What came in answer to a request to stop: a refusal is kept until something else is answered.
+    pub(super) fn answered<T>(&mut self, answer: &Result<T, LinkError>) {
+        match answer {
+            Ok(_) => self.last_refusal = None,
+            Err(LinkError::Exception {
+                request,
+                code,
+                name,
+                ..
+            }) => self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}")),
+            Err(_) => {}
+        }
+    }
+
     pub(super) fn confirmed(&mut self, now_s: f64) {
         if self.decided_s.is_some() {
             self.confirmed_s.get_or_insert(now_s);
@@ -151,6 +173,7 @@ impl StopWatch {
             sent_after_ms: self.sent_s.map(after_ms),
             confirmed_after_ms: self.confirmed_s.map(after_ms),
             attempts: self.attempts,
+            last_refusal: (self.last_refusal.clone()).filter(|_| self.confirmed_s.is_none()),
             watchdog_s,
         })
     }
@@ -196,9 +219,19 @@ mod tests {
         );
         let last = watch.last_seconds().unwrap();
         assert_eq!((last.from_row, last.to_row), (300, 502));
+        let busy = LinkError::Exception {
+            link: "x".to_owned(),
+            request: "the command".to_owned(),
+            code: 6,
+            name: "device busy",
+        };
+        watch.answered::<()>(&Err(busy));
+        assert_eq!(watch.stop(None).unwrap().last_refusal, None);
         watch.withdraw();
         let stop = watch.stop(Some(0.2)).unwrap();
         has(stop.sentence(), "NOT confirmed");
+        let words = "0.2 s; last answer: exception 0x06 device busy to the command";
+        has(stop.sentence(), words);
         has(stop.sentence(), "its watchdog stops the motor after 0.2 s");
     }
 

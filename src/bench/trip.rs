@@ -20,6 +20,8 @@ pub enum TripKind {
     TimeLimit,
     /// No valid reply for longer than the limit.
     LinkSilence,
+    /// The same of a drive, or a gateway, that answers: with exceptions.
+    Refused,
     /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
     Suspended,
     /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
@@ -81,6 +83,7 @@ impl TripKind {
             Self::BusHigh => "bus voltage too high",
             Self::TimeLimit => "time limit",
             Self::LinkSilence => "link silent",
+            Self::Refused => "requests refused",
             Self::Suspended => "computer suspended",
             Self::HostGap => "host stood still",
             Self::SignalMissing => "signal missing",
@@ -110,7 +113,10 @@ impl TripKind {
 
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
-        matches!(self, Self::LinkSilence | Self::HostGap | Self::Suspended)
+        matches!(
+            self,
+            Self::LinkSilence | Self::Refused | Self::HostGap | Self::Suspended
+        )
     }
 }
 
@@ -152,6 +158,14 @@ impl Trip {
     ) -> Self {
         let what = format!("{what} for {value_s:.3} s, limit {limit_s:.3} s");
         Self::new(kind, at_s, (value_s, limit_s), what)
+    }
+
+    /// No valid reply for too long from somebody who answers; `said` is the refusal that came last.
+    pub(super) fn refused(at_s: f64, times_s: (f64, f64), said: &str) -> Self {
+        let mut trip = Self::after(TripKind::Refused, at_s, times_s, "no valid reply");
+        trip.reason.push_str("; the drive answers: ");
+        trip.reason.push_str(said);
+        trip
     }
 
     pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {

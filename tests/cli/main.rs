@@ -33,3 +33,4 @@ mod stop;
 mod suite;
 mod tutorial;
 mod unknown;
+mod workshop;

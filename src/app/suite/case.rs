@@ -15,7 +15,6 @@ use super::line::Line;
 use super::own_drive::{self, DriveOrder, OwnDrive};
 use super::process::{self, Done, End, Watch, monotonic_s};
 use crate::app::failure::{INTERRUPTED, LINK, REFUSED, TRIP};
-use crate::app::files::read_text;
 use crate::app::{opening, output};
 use crate::bench::BenchFile;
 use crate::recording::open_run;
@@ -466,10 +465,8 @@ impl<'a> Progress<'a> {
             None => BenchFile::embedded_default(),
             Some(bench) => {
                 let path = self.bench.home.join(bench);
-                let text = read_text(&path)
-                    .map_err(|failure| Ended::error(failure.headline().to_owned()))?;
-                BenchFile::parse(&path.display().to_string(), &text)
-                    .map_err(|error| Ended::error(error.to_string()))?
+                opening::bench_file(&path)
+                    .map_err(|failure| Ended::error(failure.headline().to_owned()))?
             }
         };
         let named = self.emulator()?;

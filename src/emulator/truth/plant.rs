@@ -58,7 +58,7 @@ struct State {
 }
 
 impl State {
-    fn moved(self, rate: Self, h: f64) -> Self {
+    fn moved(self, rate: &Self, h: f64) -> Self {
         Self {
             i: self.i + h * rate.i,
             w: self.w + h * rate.w,
@@ -385,28 +385,27 @@ impl Plant {
 
     /// One Runge-Kutta step of fourth order in a fixed mode.
     fn rk4(&self, state: State, circuit: Option<f64>, direction: f64, h: f64) -> State {
-        let k1 = self.rate(state, circuit, direction);
-        let k2 = self.rate(state.moved(k1, 0.5 * h), circuit, direction);
-        let k3 = self.rate(state.moved(k2, 0.5 * h), circuit, direction);
-        let k4 = self.rate(state.moved(k3, h), circuit, direction);
-        state
-            .moved(k1, h / 6.0)
-            .moved(k2, h / 3.0)
-            .moved(k3, h / 3.0)
-            .moved(k4, h / 6.0)
+        let mut rate = State::default();
+        let mut end = state;
+        for (ahead, part) in [(0.0, 6.0), (0.5, 3.0), (0.5, 3.0), (1.0, 6.0)] {
+            rate = self.rate(&state.moved(&rate, ahead * h), circuit, direction);
+            end = end.moved(&rate, h / part);
+        }
+        end
     }
 
     /// L di/dt = u - R i - phi Ke w - losses, J dw/dt = phi Kt i - friction s - drag - load, with s the direction of the
     /// mode. Behind a coupling J is the motor's part, and J2 dw2/dt = T - friction s2, dx/dt = w - w2.
-    fn rate(&self, state: State, circuit: Option<f64>, direction: f64) -> State {
-        let State { i, w, w2, .. } = state;
+    #[inline]
+    fn rate(&self, state: &State, circuit: Option<f64>, direction: f64) -> State {
+        let State { i, w, w2, .. } = *state;
         let motor = &self.motor;
-        let at = self.moment(&state);
+        let at = self.moment(state);
         let di = circuit.map_or(0.0, |u| {
             let back_emf = motor.back_emf_v_s_per_rad * at.flux_factor * w;
             (u - self.resistance() * i - back_emf - self.voltage_loss(i)) / self.inductance(i)
         });
-        let coupled = self.coupling_torque(&state);
+        let coupled = self.coupling_torque(state);
         let (dw2, dx) = self.shaft.as_ref().map_or((0.0, 0.0), |shaft| {
             let s2 = self.load_motion.direction();
             let level = shaft.friction_split * motor.load_torque_n_m;
@@ -436,19 +435,18 @@ impl Plant {
     }
 
     /// What effects see of a state.
+    #[inline]
     fn moment(&self, state: &State) -> Moment {
         let mut at = Moment {
             time_s: self.time_s,
             current_a: state.i,
             speed_rad_s: state.w,
             angle_rad: state.theta,
-            ..Moment::default()
+            flux_factor: 0.0,
+            torque_n_m: 0.0,
         };
-        at.flux_factor = self
-            .effects
-            .iter()
-            .map(|effect| effect.flux_factor(&at))
-            .product();
+        let factors = self.effects.iter().map(|effect| effect.flux_factor(&at));
+        at.flux_factor = factors.product();
         at.torque_n_m = self.motor.torque_constant() * at.flux_factor * state.i;
         at
     }
