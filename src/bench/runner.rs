@@ -300,7 +300,7 @@ impl Runner<'_> {
         self.publish(
             now_s,
             options.rate_hz,
-            Some((outcome.name(), stop_error.clone())),
+            Some((outcome.name(), stop_error.clone(), stop.clone())),
         );
         let recorder = self.recorder.status();
         RunSummary {
@@ -605,8 +605,13 @@ impl Runner<'_> {
         estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
     }
 
-    /// `end`: the outcome of a run that is over, and why its stop could not be confirmed, if it could not.
-    fn publish(&mut self, now_s: f64, rate_hz: f64, end: Option<(&'static str, Option<String>)>) {
+    /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
+    fn publish(
+        &mut self,
+        now_s: f64,
+        rate_hz: f64,
+        end: Option<(&'static str, Option<String>, Option<Stop>)>,
+    ) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
         let estimator = self.estimator.as_ref();
         let innovation = estimator.and_then(|estimator| estimator.innovation());
@@ -619,8 +624,9 @@ impl Runner<'_> {
             shown.timing = self.punctuality.timing(rate_hz);
             shown.rows = recorder.rows as u64;
             shown.recorder_error = recorder.error;
-            if let Some((outcome, stop_error)) = end {
-                (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
+            if let Some((outcome, stop_error, stop)) = end {
+                shown.outcome = Some(outcome);
+                (shown.stop_error, shown.stop) = (stop_error, stop);
             }
         });
     }

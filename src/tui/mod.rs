@@ -38,3 +38,4 @@ pub use diagnosis::{DiagnosisScreen, DiagnosisSources, Opens};
 pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};
 pub use theme::use_light;
+pub use traces::StoppedAt;
