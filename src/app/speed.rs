@@ -345,6 +345,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
     let held = report.held_cycles.to_string();
     let changes = report.gain_changes.iter();
     let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    let found = (report.watch.iter()).map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
     let last = report
         .gains
         .iter()
@@ -359,7 +360,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
         ],
         tables: vec![tracking(report), steps(report)],
         reasons: report.reasons.clone(),
-        changes: changes.chain(last).collect(),
+        changes: changes.chain(found).chain(last).collect(),
     }
 }
 

@@ -36,6 +36,8 @@ pub struct Regulator {
     pub limiter: Limiter,
     pub holding: Holding,
     pub timing: LoopTiming,
+    /// Standard deviation of a speed sample, rad/s.
+    pub noise_rad_s: f64,
     /// Why the gains are what they are, before the motor moves.
     pub reasons: Vec<String>,
 }
@@ -230,6 +232,7 @@ impl Design<'_> {
             limiter,
             holding,
             timing: self.timing,
+            noise_rad_s: self.noise_rad_s,
             reasons,
         })
     }

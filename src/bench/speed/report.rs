@@ -14,6 +14,19 @@ pub struct GainChange {
     pub reason: String,
 }
 
+/// What the watch of the loop found while it ran.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Watched {
+    /// Since the begin of the reference, s.
+    pub time_s: f64,
+    pub found: &'static str,
+    /// Mean of the half-swings, rad/s; of a loop at its limit the error that does not fall.
+    pub error_rad_s: f64,
+    /// What is left of the tuned gain.
+    pub gain_share: f64,
+    pub reason: String,
+}
+
 /// The response to one step of the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepFigures {
@@ -64,6 +77,8 @@ pub struct SpeedReport {
     /// At the end.
     pub gains: Vec<String>,
     pub gain_changes: Vec<GainChange>,
+    /// Swings and limits that the watch found; empty: none.
+    pub watch: Vec<Watched>,
     /// Cycles without a speed, in which the last output was held.
     pub held_cycles: u64,
     /// One for each pass over the reference that came to its end.

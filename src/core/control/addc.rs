@@ -2,10 +2,9 @@
 //!
 //! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
 //! Gains change at a bounded rate, within bounds from the estimate's uncertainty, and stand still while the estimate is
-//! not settled or the output is limited. A loop that swings by itself is made softer ([`super::swing`]).
+//! not settled or the output is limited.
 
 use super::adaptation::LoadEstimator;
-use super::swing::{Swing, Verdict};
 use super::tuning::{Request, TuningError};
 use super::{
     AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
@@ -62,8 +61,6 @@ pub struct Addc {
     still: Option<&'static str>,
     /// The gains moved in this cycle.
     moved: bool,
-    swing: Swing,
-    swung: Option<Verdict>,
     told_proportional: f64,
     told_jumps: u32,
 }
@@ -98,8 +95,6 @@ impl Addc {
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
             still: Some(NOT_SETTLED),
             moved: false,
-            swing: Swing::new(settings.noise_rad_s),
-            swung: None,
             told_proportional: gains.proportional,
             told_jumps: 0,
         })
@@ -139,18 +134,6 @@ impl Addc {
         }
     }
 
-    /// Softer gains, or those of before, at once: a swing does not wait for the estimate.
-    fn still_the_swing(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
-        let before = self.swing.share();
-        self.swung = self.swing.push(reference_rad_s, speed_rad_s).or(self.swung);
-        let change = self.swing.share() / before;
-        if (change - 1.0).abs() > 1e-9 {
-            let mut gains = *self.pi.gains();
-            gains.proportional *= change;
-            (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
-        }
-    }
-
     fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
         let load = self.estimator.load();
         self.moved = false;
@@ -162,7 +145,7 @@ impl Addc {
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
         let quickest = load.acceleration_per_a + DOUBT * load.std;
         let wanted = (self.schedule).within(ratio(quickest), ratio(load.acceleration_per_a));
-        let share = self.swing.share();
+        let share = self.pi.share();
         let now = *self.pi.gains();
         let proportional = share * wanted.gains.proportional;
         let integral_time_s = wanted.gains.integral_time_s;
@@ -190,7 +173,6 @@ impl SpeedController for Addc {
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
-        self.still_the_swing(reference_rad_s, now.speed_rad_s, period_s);
         self.adapt(reference_rad_s, now.speed_rad_s, period_s);
         self.pi.step(reference_rad_s, now, period_s)
     }
@@ -209,8 +191,9 @@ impl SpeedController for Addc {
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
             format!(
-                "Kp = {:.4} per rad/s, Tn = {:.4} s; {}",
+                "Kp = {:.4} per rad/s{}, Tn = {:.4} s; {}",
                 gains.proportional,
+                self.pi.softened_text(),
                 gains.integral_time_s,
                 self.mechanical_text()
             ),
@@ -224,20 +207,13 @@ impl SpeedController for Addc {
         let jumped = self.estimator.jumps() > self.told_jumps;
         // One line for a change that takes some cycles, at its end.
         let arrived = !self.moved && (change - 1.0).abs() > NEWS;
-        let swung = self.swung.take();
-        if !arrived && !jumped && swung.is_none() {
+        if !arrived && !jumped {
             return None;
         }
-        let because = match swung {
-            Some(Verdict::Soften { share, swing_rad_s }) => format!(
-                "the loop swings by {swing_rad_s:.1} rad/s: {:.0} % of the tuned gain",
-                100.0 * share
-            ),
-            Some(Verdict::GiveBack { swing_rad_s }) => format!(
-                "the swing of {swing_rad_s:.1} rad/s is not the loop's: softer gains did not help"
-            ),
-            None if jumped => "the load changed: the memory of the estimate was dropped".to_owned(),
-            None => "the estimate moved".to_owned(),
+        let because = if jumped {
+            "the load changed: the memory of the estimate was dropped"
+        } else {
+            "the estimate moved"
         };
         let line = format!(
             "Kp {:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
@@ -249,5 +225,15 @@ impl SpeedController for Addc {
         self.told_proportional = gains.proportional;
         self.told_jumps = self.estimator.jumps();
         Some(line)
+    }
+
+    fn softens(&self) -> bool {
+        true
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        (self.pi).soften(share, reference_rad_s, speed_rad_s, period_s);
+        // Told of by who asked for it.
+        self.told_proportional = self.pi.gains().proportional;
     }
 }

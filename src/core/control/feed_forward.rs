@@ -150,6 +150,14 @@ impl SpeedController for Compensated {
     fn news(&mut self) -> Option<String> {
         self.inner.news()
     }
+
+    fn softens(&self) -> bool {
+        self.inner.softens()
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        (self.inner).soften(share, reference_rad_s, speed_rad_s, period_s);
+    }
 }
 
 #[cfg(test)]

@@ -8,6 +8,9 @@
 //!       on-line TM, Ta -------/                                 \-- current, voltage, slew
 //! ```
 //!
+//! Whatever the controller, a [`LoopWatch`] looks for swings and for limits that get nowhere, and has the gains lowered
+//! where they can be.
+//!
 //! A controller is a function of what is measured; it never sees a link, a file or a clock. A new one is one file here and
 //! one arm where the `[speed]` of a bench file becomes a controller.
 
@@ -25,12 +28,12 @@ mod pi;
 mod response;
 mod schedule;
 mod sensor;
-mod swing;
 #[cfg(test)]
 pub(crate) mod testing;
 mod timing;
 mod trial;
 pub mod tuning;
+mod watch;
 
 pub use actuator::Actuator;
 pub use adaptation::{Load, LoadEstimator};
@@ -50,6 +53,7 @@ pub use schedule::{Schedule, Scheduled};
 pub use sensor::{Direct, HallSensor, SpeedSensor};
 pub use timing::LoopTiming;
 pub use trial::{Course, TrialMachine, TrialPoint, trial, trial_seen_by};
+pub use watch::{Finding, LoopWatch};
 
 #[cfg(test)]
 mod loop_tests;
@@ -98,4 +102,13 @@ pub trait SpeedController: Send {
     fn news(&mut self) -> Option<String> {
         None
     }
+
+    /// Whether its gains can fall.
+    fn softens(&self) -> bool {
+        false
+    }
+
+    /// Gains at this share of what its tuning says, before the step of the cycle that comes, which has this reference and
+    /// this speed.
+    fn soften(&mut self, _share: f64, _reference_rad_s: f64, _speed_rad_s: f64, _period_s: f64) {}
 }
