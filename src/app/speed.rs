@@ -240,6 +240,11 @@ pub fn speed(
         .write(RunFile::Model, &request.model.to_toml());
     let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
+    let loop_report = whole.recorded.summary.speed.as_ref();
+    let adaptation = loop_report.and_then(|report| report.adaptation.clone());
+    if let Some(text) = adaptation {
+        whole.recorded.write(RunFile::Adaptation, &text);
+    }
     if let Some(report) = &whole.recorded.summary.speed {
         let page = speed_loop(report, whole.delay.as_ref());
         let plate = request.motor.motor();

@@ -3,10 +3,10 @@
 use super::delay::DelayMeter;
 use super::reference::Reference;
 use super::regulator::Regulator;
-use super::report::{Cycle, GainChange, SpeedReport, Watched, figures, tracking};
+use super::report::{Cycle, GainChange, SpeedReport, Watched, adaptation_csv, figures, tracking};
 use crate::bench::pilot::{Pilot, PilotNews};
 use crate::bench::trip::{Trip, TripKind};
-use crate::control::{Finding, LoopWatch, Measured, SpeedController};
+use crate::control::{Adapted, Finding, LoopWatch, Measured, SpeedController};
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Cycles that are kept for the figures: at 100 Hz nearly three hours.
@@ -58,6 +58,8 @@ pub struct SpeedPilot {
     found: Vec<Watched>,
     /// What the watch found and nobody was told of.
     untold: Option<String>,
+    /// Drive time, and what the controller followed then.
+    adaptation: Vec<(f64, Adapted)>,
     record: Vec<Cycle>,
 }
 
@@ -83,6 +85,7 @@ impl SpeedPilot {
             changes: Vec::new(),
             found: Vec::new(),
             untold: None,
+            adaptation: Vec::new(),
             record: Vec::new(),
         }
     }
@@ -118,6 +121,11 @@ impl SpeedPilot {
         self.turn_to_pass(elapsed_s, &now);
         self.look(now_s, reference, &now, period_s)?;
         self.wanted = self.controller().step(reference, &now, period_s);
+        if let Some(adapted) = self.controller().adapted()
+            && self.adaptation.len() < RECORD_MAX
+        {
+            self.adaptation.push((sample.time_s, adapted));
+        }
         let mut limiter = self.regulator.limiter;
         let unproven = !self.encoder_proven && elapsed_s < FIRST_MOVE_S;
         if let Some(current) = limiter.current.as_mut().filter(|_| unproven) {
@@ -295,6 +303,7 @@ impl Pilot for SpeedPilot {
         self.stepped = false;
         self.reference_rad_s = Some(speed_rad_s);
         self.record.clear();
+        self.adaptation.clear();
     }
 
     fn demand(&mut self, now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
@@ -384,6 +393,7 @@ impl Pilot for SpeedPilot {
             gains: controller.explain(),
             gain_changes: self.changes.clone(),
             watch: self.found.clone(),
+            adaptation: adaptation_csv(self.regulator.actuator, &self.adaptation),
             held_cycles: self.held_cycles,
             tracking: tracking(&self.record, &passes),
             steps: figures(&self.record, &self.reference.steps()),

@@ -1,13 +1,15 @@
 //! ADDC of paper A: a PI regulator whose gains follow the inertia that is identified on line.
 //!
 //! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
+//! Where the winding's time constant is identified as well, its share of Kp follows ([`super::electrical`]).
 //! Gains change at a bounded rate, within bounds from the estimate's uncertainty, and stand still while the estimate is
 //! not settled or the output is limited.
 
 use super::adaptation::LoadEstimator;
+use super::electrical::Electrical;
 use super::tuning::{Request, TuningError};
 use super::{
-    AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
+    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
 };
 use crate::plant::{Model, MotorKey};
 
@@ -53,6 +55,9 @@ pub struct Addc {
     pi: Pi,
     schedule: Schedule,
     estimator: LoadEstimator,
+    electrical: Option<Electrical>,
+    request: Request,
+    torque_n_m_per_a: f64,
     /// Kt/J of the model: the ratio of the schedule refers to it.
     model_acceleration_per_a: f64,
     /// Mechanical time constant of the model, s.
@@ -91,6 +96,9 @@ impl Addc {
             pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
             schedule,
             estimator,
+            electrical: None,
+            request: settings.request,
+            torque_n_m_per_a: model.motor.torque_constant().unwrap_or(f64::NAN),
             model_acceleration_per_a: acceleration_per_a,
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
             still: Some(NOT_SETTLED),
@@ -98,6 +106,20 @@ impl Addc {
             told_proportional: gains.proportional,
             told_jumps: 0,
         })
+    }
+
+    /// The same with gains that follow the time constant of the winding too; over a voltage only.
+    ///
+    /// # Errors
+    /// What the tuning refuses at a bound of that time constant.
+    pub fn adapting_to_the_winding(
+        mut self,
+        model: &Model,
+        viscous_n_m_s_per_rad: f64,
+        timing: &LoopTiming,
+    ) -> Result<Self, TuningError> {
+        self.electrical = Electrical::new(model, viscous_n_m_s_per_rad, timing, &self.request)?;
+        Ok(self)
     }
 
     /// The same with an estimate that forgets and does not look for jumps, as paper A's.
@@ -134,6 +156,11 @@ impl Addc {
         }
     }
 
+    fn electrical_text(&self) -> String {
+        let electrical = self.electrical.as_ref();
+        electrical.map_or_else(String::new, |one| format!("; {}", one.text()))
+    }
+
     fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
         let load = self.estimator.load();
         self.moved = false;
@@ -144,7 +171,10 @@ impl Addc {
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
         let quickest = load.acceleration_per_a + DOUBT * load.std;
-        let wanted = (self.schedule).within(ratio(quickest), ratio(load.acceleration_per_a));
+        let (low, middle) = (ratio(quickest), ratio(load.acceleration_per_a));
+        let wanted = self.schedule.within(low, middle);
+        let electrical = self.electrical.as_ref();
+        let wanted = electrical.map_or(wanted, |one| one.at(wanted, low, middle));
         let share = self.pi.share();
         let now = *self.pi.gains();
         let proportional = share * wanted.gains.proportional;
@@ -173,12 +203,18 @@ impl SpeedController for Addc {
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
+        if let Some(electrical) = &mut self.electrical {
+            electrical.push(now, period_s);
+        }
         self.adapt(reference_rad_s, now.speed_rad_s, period_s);
         self.pi.step(reference_rad_s, now, period_s)
     }
 
     fn applied(&mut self, output: f64) {
         self.pi.applied(output);
+        if let Some(electrical) = &mut self.electrical {
+            electrical.applied(output);
+        }
     }
 
     fn reset(&mut self, now: &Measured, output: f64) {
@@ -197,7 +233,7 @@ impl SpeedController for Addc {
                 gains.integral_time_s,
                 self.mechanical_text()
             ),
-            format!("gains {state}"),
+            format!("gains {state}{}", self.electrical_text()),
         ]
     }
 
@@ -225,6 +261,23 @@ impl SpeedController for Addc {
         self.told_proportional = gains.proportional;
         self.told_jumps = self.estimator.jumps();
         Some(line)
+    }
+
+    fn adapted(&self) -> Option<Adapted> {
+        let gains = self.pi.gains();
+        let load = Some(self.estimator.load()).filter(|load| load.settled);
+        let inertia = load.map(|load| self.torque_n_m_per_a / load.acceleration_per_a);
+        Some(Adapted {
+            proportional: gains.proportional,
+            integral_time_s: gains.integral_time_s,
+            mechanical_s: load.map(|_| self.inertia_ratio() * self.model_mechanical_s),
+            electrical_s: self
+                .electrical
+                .as_ref()
+                .and_then(Electrical::time_constant_s),
+            inertia_kg_m2: inertia,
+            load_torque_n_m: load.zip(inertia).map(|(load, j)| load.friction_rad_s2 * j),
+        })
     }
 
     fn softens(&self) -> bool {

@@ -17,6 +17,7 @@
 mod actuator;
 mod adaptation;
 mod addc;
+mod electrical;
 mod feed_forward;
 mod holding;
 mod limiter;
@@ -81,6 +82,20 @@ impl Measured {
     }
 }
 
+/// What a controller follows, and where its gains are. `None`: not known, or not settled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Adapted {
+    /// Kp, in the actuator's unit per rad/s, and Tn.
+    pub proportional: f64,
+    pub integral_time_s: f64,
+    /// TM and Ta.
+    pub mechanical_s: Option<f64>,
+    pub electrical_s: Option<f64>,
+    pub inertia_kg_m2: Option<f64>,
+    /// Coulomb torque.
+    pub load_torque_n_m: Option<f64>,
+}
+
 /// A regulator of the shaft's speed.
 pub trait SpeedController: Send {
     /// Key in bench files and on the command line.
@@ -100,6 +115,11 @@ pub trait SpeedController: Send {
 
     /// A change of the gains since the last call, as a line of the log.
     fn news(&mut self) -> Option<String> {
+        None
+    }
+
+    /// Its gains, and what it knows of the machine, as far as they follow what is identified on line.
+    fn adapted(&self) -> Option<Adapted> {
         None
     }
 

@@ -1,10 +1,11 @@
 //! Watch of a closed loop, whatever its controller: whether it swings by itself, or stands at a limit and gets nowhere.
 //!
 //! Play and elasticity between motor and load, or a delay that the model does not have, can turn gains that are right on
-//! paper into a steady swing. It is recognised by its half-swings: alike, quick, around a reference that stands still; or
-//! by a second that is spent at a limit while the error does not fall. The gains are then lowered by steps, where the
-//! controller can. A swing that goes on all the same is not the loop's own, and they are given back. What swings by much
-//! and cannot be made softer, or does not get to its reference at the limit, is to be ended.
+//! paper into a steady swing. It is recognised, around a reference that stands still, by its half-swings, which are alike
+//! and quick; where play makes them irregular, by what is left of them in every second; or by a second that is spent at a
+//! limit while the error does not fall. The gains are then lowered by steps, where the controller can. A swing that goes on
+//! all the same is not the loop's own, and they are given back. What swings by much and cannot be made softer, or does not
+//! get to its reference at the limit, is to be ended.
 
 use std::collections::VecDeque;
 
@@ -21,7 +22,9 @@ const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
 /// One that is told of, in the noise and in the last step of the reference.
 const TOLD_NOISES: f64 = 5.0;
-const TOLD_STEP_SHARE: f64 = 0.015;
+const TOLD_STEP_SHARE: f64 = 0.02;
+/// Times that half a second of it goes from one side to the other, beyond half of its size on either.
+const TURNS: u32 = 4;
 /// It is told of again when it has grown by this factor.
 const NEWS_FACTOR: f64 = 1.5;
 /// One that ends a loop which cannot be made softer: share of the largest reference so far.
@@ -74,6 +77,8 @@ pub struct LoopWatch {
     /// Errors of the last second with this reference, and whether a limit held the output.
     second: VecDeque<(f64, bool)>,
     cycles: usize,
+    /// Cycles until it is looked through again.
+    until_look: usize,
     steps: i32,
     first_rad_s: f64,
     gave_back: bool,
@@ -96,6 +101,7 @@ impl LoopWatch {
             halves: HalfSwings::default(),
             second: VecDeque::new(),
             cycles: cycles.max(FEWEST_CYCLES),
+            until_look: 0,
             steps: 0,
             first_rad_s: 0.0,
             gave_back: false,
@@ -142,33 +148,25 @@ impl LoopWatch {
         if self.second.len() > self.cycles {
             self.second.pop_front();
         }
-        if let Some((swing_rad_s, least_rad_s)) = swings
-            && let Some(finding) = self.judge(swing_rad_s, least_rad_s)
-        {
-            self.second.clear();
-            return Some(finding);
+        let alike = swings.filter(|(_, least_rad_s)| *least_rad_s > self.floor_rad_s());
+        if let Some((swing_rad_s, _)) = alike {
+            return self.found(swing_rad_s);
         }
-        self.saturated()
+        self.saturated().or_else(|| self.irregular())
+    }
+
+    /// A swing against which something is to be done.
+    fn found(&mut self, swing_rad_s: f64) -> Option<Finding> {
+        self.halves.forget();
+        self.second.clear();
+        let goes_on = swing_rad_s > GOES_ON * self.last_rad_s;
+        (self.last_rad_s, self.since) = (swing_rad_s, 0);
+        self.act(swing_rad_s, goes_on)
     }
 
     /// The least half-swing against which something is done, rad/s.
     fn floor_rad_s(&self) -> f64 {
         (NOISES * self.noise_rad_s).max(REFERENCE_SHARE * self.reference_rad_s.abs())
-    }
-
-    fn judge(&mut self, swing_rad_s: f64, least_rad_s: f64) -> Option<Finding> {
-        let told = (TOLD_NOISES * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
-        let floor = self.floor_rad_s();
-        if least_rad_s < told.min(floor) {
-            return None;
-        }
-        self.halves.forget();
-        if least_rad_s < floor {
-            return self.tell(swing_rad_s);
-        }
-        let goes_on = swing_rad_s > GOES_ON * self.last_rad_s;
-        (self.last_rad_s, self.since) = (swing_rad_s, 0);
-        self.act(swing_rad_s, goes_on)
     }
 
     fn tell(&mut self, swing_rad_s: f64) -> Option<Finding> {
@@ -198,13 +196,52 @@ impl LoopWatch {
             }
         }
         let most_rad_s = (NOISES * self.noise_rad_s).max(END_SHARE * self.largest_rad_s);
-        if goes_on && swing_rad_s > most_rad_s {
+        // One that is seen for the first time may be dying away.
+        if !goes_on {
+            return None;
+        }
+        if swing_rad_s > most_rad_s {
             return Some(Finding::SwingsOn {
                 swing_rad_s,
                 most_rad_s,
             });
         }
         self.tell(swing_rad_s)
+    }
+
+    /// What swings without half-swings that are alike, looked for four times in a second: by its size in the last half,
+    /// where it is not dying away.
+    fn irregular(&mut self) -> Option<Finding> {
+        self.until_look = self.until_look.saturating_sub(1);
+        if self.second.len() < self.cycles || self.until_look > 0 {
+            return None;
+        }
+        self.until_look = self.cycles / 4;
+        let half = self.cycles / 2;
+        let errors = || self.second.iter().map(|cycle| cycle.0);
+        let last = || errors().skip(half);
+        let (low, high) = ends(last());
+        let (swing_rad_s, middle) = (0.5 * (high - low), 0.5 * (high + low));
+        let before = ends(errors().take(half));
+        let told = (TOLD_NOISES * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
+        if swing_rad_s < told || swing_rad_s < GOES_ON * 0.5 * (before.1 - before.0) {
+            return None;
+        }
+        let beyond = |error: &f64| (error - middle).abs() > 0.5 * swing_rad_s;
+        let (mut side, mut turns) = (0.0, 0);
+        for error in last().filter(beyond) {
+            let now = (error - middle).signum();
+            turns += u32::from(side * now < 0.0);
+            side = now;
+        }
+        if turns < TURNS {
+            return None;
+        }
+        if swing_rad_s > self.floor_rad_s() {
+            self.found(swing_rad_s)
+        } else {
+            self.tell(swing_rad_s)
+        }
     }
 
     /// Most of the last second at a limit, and nothing comes of it.
@@ -239,6 +276,13 @@ impl LoopWatch {
             error_rad_s: last,
         })
     }
+}
+
+/// Least and largest.
+fn ends(errors: impl Iterator<Item = f64>) -> (f64, f64) {
+    errors.fold((f64::MAX, f64::MIN), |(low, high), error| {
+        (low.min(error), high.max(error))
+    })
 }
 
 /// Half-swings that follow each other.
@@ -322,14 +366,30 @@ mod tests {
             assert!(matches!(found[8], Finding::GiveBack { .. }), "{found:?}");
             assert!((share - 1.0).abs() < 1e-12);
             assert_eq!(ended(&found[9..]) > 0, ends, "{found:?}");
-            // Told within a second where nothing can be softened, and ended in the next where it is large.
+            // Told of within a second where nothing can be softened, and the end where it is large.
             let (found, _) = findings(false, 9.0, |_| amplitude, 60);
-            assert!(
-                matches!(found[..], [Finding::Swings { .. }, ..]),
-                "{found:?}"
-            );
+            assert_eq!(found.len(), 1, "{found:?}");
             assert_eq!(ended(&found) > 0, ends, "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_small_or_irregular_swing_is_told_of_once_and_what_cannot_be_told_from_noise_is_not() {
+        let told = |amplitude: f64| {
+            let mut watch = LoopWatch::new(0.15, PERIOD_S, false);
+            let (mut state, mut found) = (7_u32, Vec::new());
+            watch.push(90.0, 90.0, false);
+            for n in 0..600_u32 {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let size = amplitude * (0.2 + 0.8 * f64::from(state >> 16) / 65_536.0);
+                let side = if n % 8 < 4 { size } else { -size };
+                found.extend(watch.push(110.0, 110.3 + side, false));
+            }
+            found
+        };
+        let found = told(1.6);
+        assert!(matches!(found[..], [Finding::Swings { .. }]), "{found:?}");
+        assert!(told(0.5).is_empty());
     }
 
     #[test]
