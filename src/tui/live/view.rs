@@ -564,7 +564,7 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         (false, false) if !excitation.is_empty() => " parameters (▁ to █: excited) ",
         (false, _) => " parameters ",
     });
-    let block = match frozen_text(model) {
+    let block = match frozen_text(model, area.width > WIDE_PANEL) {
         Some(text) => block.title_bottom(Line::styled(text, theme::CAREFUL)),
         None => block,
     };
@@ -593,13 +593,15 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
 }
 
 /// That nothing is learnt now, and for how long so far.
-fn frozen_text(model: &Model) -> Option<String> {
+fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
     let frozen = model.viewed().frozen;
     frozen.since_s?;
     let (seconds, rows) = (fixed(frozen.seconds, 1), frozen.rows);
-    Some(format!(
-        " frozen: the drive limits ({seconds} s, {rows} rows) "
-    ))
+    Some(if is_wide {
+        format!(" frozen: the drive limits, {seconds} s, {rows} rows ")
+    } else {
+        format!(" frozen: drive limits {seconds} s ")
+    })
 }
 
 /// Every parameter with its name, its key and the whole reason.
