@@ -5,7 +5,7 @@
 //! comes in; the angle is the measured one. Behind a current command it is the torque over Kt. Any controller can be
 //! wrapped in it.
 
-use super::{Actuator, Measured, SpeedController};
+use super::{Actuator, Adapted, Measured, SpeedController};
 use crate::plant::{Balance, Instant, Model, MotorKey, ShaftAngle, Terms};
 
 /// Speed at which the friction's full size is given, rad/s: at rest its sign is not known.
@@ -149,6 +149,18 @@ impl SpeedController for Compensated {
 
     fn news(&mut self) -> Option<String> {
         self.inner.news()
+    }
+
+    fn adapted(&self) -> Option<Adapted> {
+        self.inner.adapted()
+    }
+
+    fn softens(&self) -> bool {
+        self.inner.softens()
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        (self.inner).soften(share, reference_rad_s, speed_rad_s, period_s);
     }
 }
 
