@@ -39,14 +39,14 @@ pub(super) struct Local {
     pub(super) explained: [f64; 2],
 }
 
-/// From lines that stand at equal distances about the frequency. `None` where they do not tell response and transient
+/// From lines that stand at equal distances, the frequency `offset` of them beside the middle one. `None` where they do not tell response and transient
 /// apart: without an input, or one whose spectrum is as smooth as a transient's.
-pub(super) fn local(lines: &[Line; LINES]) -> Option<Local> {
+pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let size = (lines.iter().map(|line| line.input.norm_sqr()).sum::<f64>() / LINES as f64).sqrt();
     if !(size.is_finite() && size > 0.0) {
         return None;
     }
-    let at = |row: usize| (row as f64 - SIDE as f64) / SIDE as f64;
+    let at = |row: usize| (row as f64 - SIDE as f64 - offset) / SIDE as f64;
     let regressors = DMatrix::from_fn(LINES, UNKNOWNS, |row, column| {
         let power = i32::try_from(column % (ORDER + 1)).unwrap_or(0);
         let base = if column <= ORDER {
@@ -112,10 +112,13 @@ mod tests {
     #[test]
     fn response_is_exact_without_noise_whatever_the_transient() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let found = local(&lines(&mut rng, 0.0)).unwrap();
+        let found = local(&lines(&mut rng, 0.0), 0.0).unwrap();
         assert!((found.response[0] - Complex::new(2.0, -1.0)).norm() < 1e-10);
         assert!((found.response[1] - Complex::new(1.0, -0.5)).norm() < 1e-10);
         assert!(found.noise[0] < 1e-18);
+        let beside = local(&lines(&mut rng, 0.0), 0.5).unwrap();
+        let expected = Complex::new(2.0, -1.0) + Complex::new(0.01, 0.02) * 0.5;
+        assert!((beside.response[0] - expected).norm() < 1e-10);
     }
 
     #[test]
@@ -124,7 +127,7 @@ mod tests {
         let (mut square, mut said, mut noise) = (0.0, 0.0, 0.0);
         let rounds = 4000;
         for _ in 0..rounds {
-            let found = local(&lines(&mut rng, 0.2)).unwrap();
+            let found = local(&lines(&mut rng, 0.2), 0.0).unwrap();
             square += (found.response[0] - Complex::new(2.0, -1.0)).norm_sqr();
             said += found.covariance[(0, 0)].re;
             noise += found.noise[0];
@@ -142,13 +145,13 @@ mod tests {
             input: none,
             outputs: [Complex::new(1.0, 0.0); 2],
         };
-        assert!(local(&[line; LINES]).is_none());
+        assert!(local(&[line; LINES], 0.0).is_none());
         let steady = Line {
             input: Complex::new(1.0, 0.0),
             ..line
         };
         assert!(
-            local(&[steady; LINES]).is_none(),
+            local(&[steady; LINES], 0.0).is_none(),
             "as smooth as a transient"
         );
     }

@@ -4,12 +4,14 @@
 //! ```text
 //! Scenario -> stretches in which the shaft keeps turning -> spectrum (Fourier integrals) -+-> local_polynomial -> points
 //!                                                                                         +-> rational -> modes
+//! beside: the same of a model under the same voltage, and where the two differ
 //! ```
 //!
 //! Any excitation serves that has many frequencies: a chirp, a pseudo-random sequence, a sum of sines. A shaft that passes
 //! zero has friction that jumps, which no linear response describes; stretches of one direction are therefore looked for, and
 //! an excitation about an offset has one.
 
+mod beside;
 mod local_polynomial;
 mod rational;
 mod spectrum;
@@ -21,12 +23,15 @@ use rayon::prelude::*;
 use serde::Serialize;
 use thiserror::Error;
 
+pub use self::beside::{Compared, Departure, compared, of_model};
 use self::local_polynomial::{FREEDOM, LINES, Line, Local, SIDE, local};
 use self::rational::{Lines, Pair};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::{mean, median_step};
 use crate::plant::{Input, Scenario};
+use crate::sample::TWO_SIDED_95;
 use crate::signal::{Point, holding_since};
+use crate::text::number::{shortest, with_std};
 
 /// Points per decade.
 const PER_DECADE: f64 = 100.0;
@@ -51,8 +56,17 @@ const FITTED_STRETCHES: usize = 3;
 const FITTED_LINES: usize = 1_200;
 /// Student's t, two-sided 95 %, for the ten real degrees of freedom of one stretch.
 const STUDENT_95: f64 = 2.23;
-/// Damping above which a pair makes no peak, and the deviations beyond which a pair is not known well enough to be named.
-const MOST_DAMPING: f64 = 0.5;
+/// Steps between carried points within which a band goes on, and points of a band.
+const BRIDGED: usize = 4;
+const FEWEST_OF_A_BAND: usize = 3;
+/// How far a peak stands from its frequency at the most, and in dampings how far from it what it stands above, as shares; and
+/// by how much it does at least, as a logarithm: 3 dB.
+const NEAREST: f64 = 0.025;
+const ASIDE: f64 = 3.0;
+const FARTHEST: f64 = 0.6;
+const LEAST_CONTRAST: f64 = 0.35;
+/// Damping above which a pair makes no peak to speak of, and the deviations beyond which a pair is not known well enough to be named.
+const MOST_DAMPING: f64 = 0.4;
 const MOST_FREQUENCY_SHARE: f64 = 0.05;
 const MOST_DAMPING_SHARE: f64 = 0.5;
 
@@ -78,6 +92,15 @@ impl Pathway {
             Self::VoltageToSpeed => "voltage to speed",
             Self::VoltageToCurrent => "voltage to current",
             Self::CurrentToSpeed => "current to speed",
+        }
+    }
+
+    /// As an argument names it.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::VoltageToSpeed => "voltage-to-speed",
+            Self::VoltageToCurrent => "voltage-to-current",
+            Self::CurrentToSpeed => "current-to-speed",
         }
     }
 
@@ -141,6 +164,15 @@ pub struct Mode {
     pub damping_std: f64,
 }
 
+impl Mode {
+    /// Kind, frequency and damping, each with its 95 % interval.
+    pub fn text(&self) -> String {
+        let hertz = with_std(self.frequency_hz, TWO_SIDED_95 * self.frequency_std_hz);
+        let damping = with_std(self.damping_ratio, TWO_SIDED_95 * self.damping_std);
+        format!("{} at {hertz} Hz, damping {damping}", self.kind.name())
+    }
+}
+
 /// What a record shows of its plant over frequency.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrequencyResponse {
@@ -155,6 +187,56 @@ pub struct FrequencyResponse {
     pub stretches: usize,
     /// What limits it, in sentences.
     pub cautions: Vec<String>,
+}
+
+impl FrequencyResponse {
+    pub fn of(&self, pathway: Pathway) -> Option<&PathwayResponse> {
+        self.pathways.iter().find(|own| own.pathway == pathway)
+    }
+
+    /// The modes of a pathway, the lowest first.
+    pub fn modes_of(&self, pathway: Pathway) -> Vec<Mode> {
+        let own = self.modes.iter().filter(|mode| mode.pathway == pathway);
+        let mut own: Vec<Mode> = own.copied().collect();
+        own.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
+        own
+    }
+
+    /// The pathway that tells most: the mechanics alone where they swing, else the first that is carried.
+    pub fn telling(&self) -> Option<Pathway> {
+        let mechanics = Pathway::CurrentToSpeed;
+        if !self.modes_of(mechanics).is_empty() {
+            return Some(mechanics);
+        }
+        let carried = self.pathways.iter().find(|own| !own.bands_hz().is_empty());
+        carried.or(self.pathways.first()).map(|own| own.pathway)
+    }
+
+    /// What the rate of the samples can show, and what it cannot.
+    pub fn rate_sentence(&self) -> String {
+        let [sampling, highest, half] =
+            [self.sampling_hz, self.highest_hz, 0.5 * self.sampling_hz].map(|hz| shortest(hz, 4));
+        format!(
+            "sampled at {sampling} Hz: shown up to {highest} Hz; a resonance above that is not seen, and one above {half} Hz \
+             would appear below it, at another frequency"
+        )
+    }
+}
+
+impl PathwayResponse {
+    /// Where the excitation carries the response, from and to; a few points that it does not carry do not end a band.
+    pub fn bands_hz(&self) -> Vec<(f64, f64)> {
+        let carried = self.points.iter().enumerate();
+        let carried: Vec<(usize, f64)> = carried
+            .filter(|(_, point)| point.is_carried)
+            .map(|(at, point)| (at, point.frequency_hz))
+            .collect();
+        let bands = carried.chunk_by(|a, b| b.0 - a.0 <= BRIDGED);
+        let bands = bands.filter(|band| band.len() >= FEWEST_OF_A_BAND);
+        bands
+            .map(|band| (band[0].1, band[band.len() - 1].1))
+            .collect()
+    }
 }
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -241,11 +323,18 @@ impl Stretch {
         }
     }
 
+    /// From the lines of whole periods nearest to the frequency: there alone is nothing left of the mean, which is large about
+    /// an offset. `None` below the lines that stand on either side of one.
     fn local(&self, frequency_hz: f64) -> Option<Local> {
-        let apart_hz = 1.0 / self.length_s();
+        let length_s = self.length_s();
+        let periods = frequency_hz * length_s;
+        let middle = periods.round();
+        if middle < (SIDE + 1) as f64 {
+            return None;
+        }
         let near_hz: [f64; LINES] =
-            std::array::from_fn(|line| frequency_hz + (line as f64 - SIDE as f64) * apart_hz);
-        local(&near_hz.map(|hertz| self.line(hertz)))
+            std::array::from_fn(|line| (middle + line as f64 - SIDE as f64) / length_s);
+        local(&near_hz.map(|hertz| self.line(hertz)), periods - middle)
     }
 }
 
@@ -291,17 +380,25 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
     (cut.take(MOST_STRETCHES).collect(), keeps_turning)
 }
 
-/// The response of what was measured in `scenarios`, all of one plant. Given scenarios in which a model's current and speed
-/// stand in the place of the measured ones, it is the model's, by the same estimator: what a measured one is compared with.
+/// The response of what was measured in `scenarios`, all of one plant.
 ///
 /// # Errors
 /// No voltage, one that never changes, a record too short.
 pub fn frequency_response(
     scenarios: &[Scenario],
 ) -> Result<FrequencyResponse, FrequencyResponseError> {
+    response_over(scenarios, scenarios)
+}
+
+/// That of `scenarios` over the stretches in which the shaft of `turning` keeps turning: of the same records, in which
+/// something else stands in the place of what was measured.
+fn response_over(
+    scenarios: &[Scenario],
+    turning: &[Scenario],
+) -> Result<FrequencyResponse, FrequencyResponseError> {
     let mut all = Vec::new();
     let mut cautions = Vec::new();
-    for scenario in scenarios {
+    for (scenario, turning) in scenarios.iter().zip(turning) {
         let run = || scenario.name.clone();
         if scenario.input != Input::Voltage {
             let input = scenario.input_channel.name();
@@ -318,7 +415,7 @@ pub fn frequency_response(
                 seconds,
             });
         }
-        let (rows, keeps_turning) = stretches(scenario);
+        let (rows, keeps_turning) = stretches(turning);
         if !keeps_turning {
             cautions.push(format!(
                 "{}: the shaft never keeps turning one way for {SHORTEST_S} s; its friction, which jumps with the sign of the speed, is in the response (an excitation about an offset leaves it out)",
@@ -372,7 +469,10 @@ impl Estimator {
         let lowest_hz = (SIDE + 1) as f64 * apart_hz;
         let highest_hz = HIGHEST / period_s;
         let factor = 10.0_f64.powf(1.0 / PER_DECADE);
-        let next = |hertz: &f64| Some((hertz * factor).max(hertz + 0.5 * apart_hz));
+        let next = |hertz: &f64| {
+            let lines = (hertz * factor / apart_hz).round();
+            Some((lines * apart_hz).max(hertz + apart_hz))
+        };
         let frequencies_hz = std::iter::successors(Some(lowest_hz), next)
             .take_while(|hertz| *hertz <= highest_hz)
             .collect();
@@ -561,21 +661,9 @@ impl Estimator {
             modes.extend(zeros(1).iter().map(|pair| mode(anti, mechanics, pair)));
             modes.extend(zeros(0).iter().map(|pair| mode(resonance, mechanics, pair)));
         }
-        let is_carried = |mode: &Mode| {
+        let is_seen = |mode: &Mode| {
             let own = pathways.iter().find(|own| own.pathway == mode.pathway);
-            let points = own.map_or(&[][..], |own| own.points.as_slice());
-            let nearest = points.iter().min_by(|a, b| {
-                let apart =
-                    |point: &ResponsePoint| (point.frequency_hz / mode.frequency_hz).ln().abs();
-                apart(a).total_cmp(&apart(b))
-            });
-            // An anti-resonance is where little comes out: what is around it has to be carried.
-            let near = |factor: f64| {
-                let at =
-                    points.partition_point(|point| point.frequency_hz < factor * mode.frequency_hz);
-                points.get(at).is_some_and(|point| point.is_carried)
-            };
-            nearest.is_some_and(|point| point.is_carried) || (near(0.8) && near(1.25))
+            own.is_some_and(|own| is_seen(mode, &own.points))
         };
         modes.retain(|mode| {
             (self.lowest_hz..=self.highest_hz).contains(&mode.frequency_hz)
@@ -583,7 +671,7 @@ impl Estimator {
                 && mode.damping_ratio < MOST_DAMPING
                 && mode.frequency_std_hz < MOST_FREQUENCY_SHARE * mode.frequency_hz
                 && mode.damping_std < MOST_DAMPING_SHARE * mode.damping_ratio
-                && is_carried(mode)
+                && is_seen(mode)
         });
         modes
     }
@@ -626,6 +714,35 @@ impl Estimator {
             frequency_hz,
         }
     }
+}
+
+/// Whether the measured magnitude itself has the peak, or the dip, of a mode, beyond its intervals: a pair of roots alone may
+/// be what a fit has made of something else, as of what happens between the samples.
+fn is_seen(mode: &Mode, points: &[ResponsePoint]) -> bool {
+    let place = |hertz: f64| points.partition_point(|point| point.frequency_hz < hertz);
+    let sign = match mode.kind {
+        ModeKind::Resonance => 1.0,
+        ModeKind::AntiResonance => -1.0,
+    };
+    let near = mode.damping_ratio.max(NEAREST);
+    let (first, last) = (
+        place(mode.frequency_hz * (1.0 - near)),
+        place(mode.frequency_hz * (1.0 + near)),
+    );
+    let height = |point: &ResponsePoint| sign * point.magnitude.ln();
+    let near = points.get(first..=last).into_iter().flatten();
+    let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else {
+        return false;
+    };
+    let aside = (ASIDE * mode.damping_ratio).clamp(2.0 * NEAREST, FARTHEST);
+    let sides = [1.0 - aside, 1.0 / (1.0 - aside)].map(|factor| place(mode.frequency_hz * factor));
+    let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else {
+        return false;
+    };
+    let contrast = height(top) - 0.5 * (height(below) + height(above));
+    let half = |point: &ResponsePoint| (point.magnitude_high / point.magnitude).ln();
+    let unsure = half(top).hypot(0.5 * half(below).hypot(half(above)));
+    below.is_carried && above.is_carried && contrast > LEAST_CONTRAST && contrast > unsure
 }
 
 /// A phase moved by whole turns to within half a turn of the one before.
