@@ -193,6 +193,18 @@ impl LinearPlant {
         plant
     }
 
+    /// The same with the inductance `ratio` times as large; another actuator than the voltage hides it.
+    #[must_use]
+    pub(super) fn with_inductance_ratio(&self, ratio: f64) -> Self {
+        let mut plant = *self;
+        if self.actuator == Actuator::Voltage {
+            plant.a[(0, 0)] /= ratio;
+            plant.a[(0, 1)] /= ratio;
+            plant.b[0] /= ratio;
+        }
+        plant
+    }
+
     pub const fn coupling(&self) -> Option<&Coupling> {
         self.coupling.as_ref()
     }

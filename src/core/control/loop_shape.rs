@@ -41,13 +41,13 @@ pub struct PiGains {
 }
 
 impl PiGains {
-    /// Kp, Tn and the notch, as a person reads them.
-    pub fn text(&self) -> String {
+    /// Kp, what has become of it, Tn and the notch, as a person reads them.
+    pub(super) fn text(&self, softened: &str) -> String {
         let (kp, tn_s) = (self.proportional, self.integral_time_s);
         let notch = self
             .notch
             .map_or_else(String::new, |notch| format!(", {}", notch.text()));
-        format!("Kp = {kp:.4} per rad/s, Tn = {tn_s:.4} s{notch}")
+        format!("Kp = {kp:.4} per rad/s{softened}, Tn = {tn_s:.4} s{notch}")
     }
 }
 

@@ -31,6 +31,29 @@ pub struct Scheduled {
     pub small_time_s: f64,
 }
 
+impl Scheduled {
+    /// On the way to another: that share of it.
+    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+        let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
+        // Where a load is so light that its frequency is out of reach, that of the other serves.
+        let [own, others] = [self, other].map(|point| point.gains.notch);
+        let notch = own.or(others).zip(others.or(own)).map(|(low, high)| Notch {
+            frequency_hz: low.frequency_hz + share * (high.frequency_hz - low.frequency_hz),
+            ..low
+        });
+        Self {
+            gains: PiGains {
+                proportional: between(|point| point.gains.proportional),
+                integral_time_s: between(|point| point.gains.integral_time_s),
+                reference_filter_s: between(|point| point.gains.reference_filter_s),
+                notch,
+            },
+            most_proportional: between(|point| point.most_proportional),
+            small_time_s: between(|point| point.small_time_s),
+        }
+    }
+}
+
 impl Schedule {
     /// The grid around the model's plant; it ends where the rule refuses. Beside the model's own inertia only those of the
     /// draws are looked at that leave the loop least there, and a notch is where it was found to help there.
@@ -88,25 +111,7 @@ impl Schedule {
         let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
         let index = whole(place).min(last.saturating_sub(1));
         let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
-        let share = place - index as f64;
-        let between = |of: fn(&Scheduled) -> f64| of(low) + share * (of(high) - of(low));
-        // Where a load is so light that its frequency is out of reach, that of the next serves.
-        let ends = [(low, high), (high, low)];
-        let ends = ends.map(|(one, other)| one.gains.notch.or(other.gains.notch));
-        let notch = ends[0].zip(ends[1]).map(|(low, high)| Notch {
-            frequency_hz: low.frequency_hz + share * (high.frequency_hz - low.frequency_hz),
-            ..low
-        });
-        Scheduled {
-            gains: PiGains {
-                proportional: between(|point| point.gains.proportional),
-                integral_time_s: between(|point| point.gains.integral_time_s),
-                reference_filter_s: between(|point| point.gains.reference_filter_s),
-                notch,
-            },
-            most_proportional: between(|point| point.most_proportional),
-            small_time_s: between(|point| point.small_time_s),
-        }
+        low.towards(high, place - index as f64)
     }
 
     /// Gains for an inertia that may be anything between two ratios: those of the middle, but never beyond what the
