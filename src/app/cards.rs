@@ -226,5 +226,10 @@ pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
 fn tracking_text(pass: &Tracking) -> String {
     let with = if pass.feed_forward { "with" } else { "without" };
     let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
-    format!("error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most")
+    let reversals = pass.reversal_rms_rad_s;
+    let reversals =
+        reversals.map_or_else(String::new, |rms| format!("; {rms:.2} rms at reversals"));
+    format!(
+        "error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most{reversals}"
+    )
 }

@@ -375,10 +375,13 @@ fn tracking(report: &SpeedReport) -> Table {
         let (from, until) = (fixed(pass.from_s, 1), fixed(pass.until_s, 1));
         let errors = [pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s];
         let errors = errors.map(|error| Cell::text(significant(error, 3)));
+        let reversal = pass.reversal_rms_rad_s.map(|error| significant(error, 3));
+        let reversal = Cell::text(reversal.unwrap_or_else(|| "-".to_owned()));
         let followed = Cell::text(format!("{from} to {until} s"));
         [Cell::text(with), followed]
             .into_iter()
             .chain(errors)
+            .chain([reversal])
             .collect()
     });
     Table {
@@ -388,6 +391,7 @@ fn tracking(report: &SpeedReport) -> Table {
             "error rms, rad/s",
             "mean, rad/s",
             "peak, rad/s",
+            "rms of reversals, rad/s",
         ],
         rows: rows.collect(),
     }

@@ -303,7 +303,7 @@ impl Runner<'_> {
         self.publish(
             now_s,
             options.rate_hz,
-            Some((outcome.name(), stop_error.clone())),
+            Some((outcome.name(), stop_error.clone(), stop.clone())),
         );
         let recorder = self.recorder.status();
         RunSummary {
@@ -614,8 +614,13 @@ impl Runner<'_> {
         estimator.map_or_else(Frozen::default, |estimator| estimator.frozen())
     }
 
-    /// `end`: the outcome of a run that is over, and why its stop could not be confirmed, if it could not.
-    fn publish(&mut self, now_s: f64, rate_hz: f64, end: Option<(&'static str, Option<String>)>) {
+    /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
+    fn publish(
+        &mut self,
+        now_s: f64,
+        rate_hz: f64,
+        end: Option<(&'static str, Option<String>, Option<Stop>)>,
+    ) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
         let frozen = self.frozen();
         let estimator = self.estimator.as_ref();
@@ -630,8 +635,9 @@ impl Runner<'_> {
             shown.timing = self.punctuality.timing(rate_hz);
             shown.rows = recorder.rows as u64;
             shown.recorder_error = recorder.error;
-            if let Some((outcome, stop_error)) = end {
-                (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
+            if let Some((outcome, stop_error, stop)) = end {
+                shown.outcome = Some(outcome);
+                (shown.stop_error, shown.stop) = (stop_error, stop);
             }
         });
     }

@@ -17,6 +17,9 @@ const BEFORE_S: f64 = 2.0;
 pub struct Stop {
     /// What the output had to go off for.
     pub cause: String,
+    /// When that was decided, from the start of the run, s.
+    #[serde(default)]
+    pub at_s: Option<f64>,
     /// From the wish to end until the output had come down, ms; null where it was cut at once.
     pub ramp_ms: Option<f64>,
     /// Until the first request to stop was handed to the line, ms; null: none got out.
@@ -32,6 +35,18 @@ pub struct Stop {
 }
 
 impl Stop {
+    /// In a few words: what for, when, and how soon the drive said that its output is zero.
+    pub fn short(&self) -> String {
+        let at = self
+            .at_s
+            .map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
+        let cause = &self.cause;
+        match self.confirmed_after_ms {
+            Some(ms) => format!("stopped: {cause}{at}, zero confirmed after {ms:.0} ms"),
+            None => format!("stop NOT confirmed: {cause}{at}"),
+        }
+    }
+
     /// One line: for a card, a screen and a page.
     pub fn sentence(&self) -> String {
         let after_ramp = self
@@ -76,6 +91,8 @@ pub struct LastSeconds {
 #[derive(Debug, Default)]
 pub(super) struct StopWatch {
     was_on: bool,
+    /// When the run began.
+    began_s: Option<f64>,
     asked_s: Option<f64>,
     decided_s: Option<f64>,
     cause: &'static str,
@@ -103,6 +120,9 @@ impl StopWatch {
         self.was_on |= phase.is_energised();
         if !self.was_on {
             return;
+        }
+        if phase == Phase::Running {
+            self.began_s.get_or_insert(now_s);
         }
         if phase == Phase::RampDown {
             self.asked_s.get_or_insert(now_s);
@@ -169,6 +189,7 @@ impl StopWatch {
         let after_ms = |at_s: f64| 1e3 * (at_s - decided_s).max(0.0);
         Some(Stop {
             cause: self.cause.to_owned(),
+            at_s: self.began_s.map(|began_s| decided_s - began_s),
             ramp_ms: self.asked_s.map(|asked_s| 1e3 * (decided_s - asked_s)),
             sent_after_ms: self.sent_s.map(after_ms),
             confirmed_after_ms: self.confirmed_s.map(after_ms),
@@ -213,6 +234,10 @@ mod tests {
         watch.asked(5.1, true);
         let stop = watch.stop(Some(0.2)).unwrap();
         assert_eq!(stop.attempts, 2);
+        assert_eq!(
+            stop.short(),
+            "stopped: over-current at 5.00 s, zero confirmed after 25 ms"
+        );
         assert_eq!(
             stop.sentence(),
             "stop sent 10.0 ms after over-current, confirmed after 25.0 ms (2 attempts)"

@@ -41,8 +41,9 @@ pub struct SpeedPilot {
     encoder_proven: bool,
     meter: DelayMeter,
     reference_rad_s: Option<f64>,
-    /// The sample that the next output answers to.
+    /// The sample that the next output answers to, and when it came.
     fresh: Option<Sample>,
+    came_s: f64,
     /// Time stamp and speed of the sample that was answered last.
     answered: Option<(f64, f64)>,
     /// Host time of the last sample with a speed.
@@ -75,6 +76,7 @@ impl SpeedPilot {
             meter: DelayMeter::default(),
             reference_rad_s: None,
             fresh: None,
+            came_s: 0.0,
             answered: None,
             heard_s: 0.0,
             stepped: false,
@@ -120,6 +122,9 @@ impl SpeedPilot {
         };
         self.turn_to_pass(elapsed_s, &now);
         self.look(now_s, reference, &now, period_s)?;
+        let (whole, came_s) = (&self.reference, self.came_s);
+        let ahead = |ahead_s: f64| whole.value_at(came_s + ahead_s);
+        self.regulator.passes[self.pass].1.foresee(&ahead);
         self.wanted = self.controller().step(reference, &now, period_s);
         if let Some(adapted) = self.controller().adapted()
             && self.adaptation.len() < RECORD_MAX
@@ -297,6 +302,7 @@ impl Pilot for SpeedPilot {
         self.encoder_proven = false;
         self.watch = watch_of(&self.regulator, self.pass);
         self.fresh = sample.cloned();
+        self.came_s = 0.0;
         self.answered = None;
         self.heard_s = now_s;
         (self.output, self.wanted) = (output, output);
@@ -348,6 +354,7 @@ impl Pilot for SpeedPilot {
         };
         self.heard_s = now_s;
         self.fresh = Some(sample.clone());
+        self.came_s = elapsed_s;
         if self.record.len() < RECORD_MAX {
             self.record.push(Cycle {
                 time_s: elapsed_s,

@@ -282,10 +282,11 @@ impl Design<'_> {
 
     /// The controller with the model's effects beside it. What is given forward is not for it to hold.
     fn compensated(&self, plant: &LinearPlant) -> Result<Box<dyn SpeedController>, RegulatorError> {
-        let forward = FeedForward::new(self.model, self.actuator);
+        let limit_a = self.current_limit_a();
+        let forward = FeedForward::new(self.model, self.actuator, &self.timing, limit_a);
         let why = match self.actuator {
             Actuator::Speed => "with a speed command: the drive's own loop holds the speed",
-            _ => "without the motor's friction and constants in the model",
+            _ => "without the motor's friction, inertia and constants in the model",
         };
         let forward = forward.ok_or(RegulatorError::NothingForward { why })?;
         let rest = Holding {

@@ -52,6 +52,8 @@ pub struct Tracking {
     pub rms_rad_s: f64,
     pub peak_rad_s: f64,
     pub mean_abs_rad_s: f64,
+    /// Root of the mean square while the reference passes zero, 0.1 s to either side; null where it never does.
+    pub reversal_rms_rad_s: Option<f64>,
 }
 
 /// One cycle of the record that figures are made of.
@@ -126,6 +128,27 @@ fn cycles(record: &[Cycle], from_s: f64, until_s: f64) -> Option<&[Cycle]> {
     (until_s <= end_s + 2.0 * period_s && !cycles.is_empty()).then_some(cycles)
 }
 
+/// To either side of an instant at which the reference passes zero, s.
+const REVERSAL_S: f64 = 0.1;
+
+/// The cycles around those between which the reference changes its direction.
+fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
+    let turning = cycles.iter().filter(|cycle| cycle.reference_rad_s != 0.0);
+    let mut turning = turning.peekable();
+    let mut at_s = Vec::new();
+    while let (Some(before), Some(after)) = (turning.next(), turning.peek()) {
+        if before.reference_rad_s * after.reference_rad_s < 0.0 {
+            at_s.push(0.5 * (before.time_s + after.time_s));
+        }
+    }
+    let near = move |cycle: &&Cycle| {
+        let next = at_s.partition_point(|at| *at < cycle.time_s - REVERSAL_S);
+        at_s.get(next)
+            .is_some_and(|at| *at <= cycle.time_s + REVERSAL_S)
+    };
+    cycles.iter().filter(near)
+}
+
 /// The error of each pass that the record reaches the end of.
 pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<Tracking> {
     let track = |&(feed_forward, (from_s, until_s)): &(bool, (f64, f64))| {
@@ -133,6 +156,11 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
         let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
         let errors = || cycles.iter().map(error);
         let count = cycles.len() as f64;
+        let reversing: Vec<f64> = around_reversals(cycles).map(error).collect();
+        let mean_square = |errors: &[f64]| {
+            let squares = errors.iter().map(|error| error * error);
+            squares.sum::<f64>() / errors.len() as f64
+        };
         Some(Tracking {
             feed_forward,
             from_s,
@@ -140,6 +168,7 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
             rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
             peak_rad_s: errors().fold(0.0, f64::max),
             mean_abs_rad_s: errors().sum::<f64>() / count,
+            reversal_rms_rad_s: (!reversing.is_empty()).then(|| mean_square(&reversing).sqrt()),
         })
     };
     passes.iter().filter_map(track).collect()
@@ -231,5 +260,27 @@ mod tests {
         near(tracked[0].mean_abs_rad_s, 1.05, 0.01);
         assert!((tracked[0].rms_rad_s - 2.35).abs() < 0.02, "{tracked:?}");
         assert!((tracked[0].peak_rad_s - 10.0).abs() < 1e-9);
+        assert_eq!(tracked[0].reversal_rms_rad_s, None);
+    }
+
+    #[test]
+    fn the_error_of_a_reversal_is_that_of_the_cycles_about_it() {
+        // From 5 to -5 rad/s, at rest in between; off by 2 for 0.1 s about zero and by 1 elsewhere.
+        let cycle = |n: i32| {
+            let time_s = f64::from(n) * 0.01;
+            let reference_rad_s = f64::from((100 - n).signum() * (100 - n).abs().min(5));
+            let near = (time_s - 1.0).abs() < 0.104;
+            Cycle {
+                time_s,
+                reference_rad_s,
+                speed_rad_s: reference_rad_s - if near { 2.0 } else { 1.0 },
+                output: 0.0,
+                limited: false,
+            }
+        };
+        let record: Vec<Cycle> = (0..200).map(cycle).collect();
+        let tracked = tracking(&record, &[(false, (0.0, 1.99))]);
+        near(tracked[0].reversal_rms_rad_s.unwrap(), 2.0, 1e-9);
+        assert!(tracked[0].rms_rad_s < 1.3);
     }
 }

@@ -201,6 +201,10 @@ impl SpeedController for Addc {
         Self::ID
     }
 
+    fn follow_plan(&mut self) -> bool {
+        self.pi.follow_plan()
+    }
+
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
         if let Some(electrical) = &mut self.electrical {

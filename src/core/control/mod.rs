@@ -39,7 +39,7 @@ mod watch;
 pub use actuator::Actuator;
 pub use adaptation::{Load, LoadEstimator};
 pub use addc::{Addc, AddcSettings};
-pub use feed_forward::{Compensated, FeedForward};
+pub use feed_forward::{Compensated, FeedForward, Motion};
 pub use holding::Holding;
 pub use limiter::{CurrentLimit, Limiter};
 pub use linear_plant::{Dominant, LinearPlant, PlantError, viscous_n_m_s_per_rad};
@@ -100,6 +100,15 @@ pub struct Adapted {
 pub trait SpeedController: Send {
     /// Key in bench files and on the command line.
     fn id(&self) -> &'static str;
+
+    /// The reference of the cycle that comes and of what follows: a function of the time since its sample, s.
+    fn foresee(&mut self, _reference_rad_s: &dyn Fn(f64) -> f64) {}
+
+    /// From now on the reference is a planned motion, and what it costs is given beside this controller, which regulates
+    /// the error about it. False where it has a model of its own, to which that would be a load.
+    fn follow_plan(&mut self) -> bool {
+        false
+    }
 
     /// One cycle of `period_s`: the output that is wanted, in the unit of the actuator.
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64;

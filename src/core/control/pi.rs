@@ -35,6 +35,8 @@ pub struct Pi {
     limited: f64,
     /// What the integral holds beyond the model: the load that nobody told us.
     load: f64,
+    /// The reference is a planned motion: it needs no filter, and no holding output of this controller.
+    is_planned: bool,
 }
 
 impl Pi {
@@ -51,6 +53,7 @@ impl Pi {
             wanted: 0.0,
             limited: 0.0,
             load: 0.0,
+            is_planned: false,
         }
     }
 
@@ -94,6 +97,9 @@ impl Pi {
 
     /// The reference behind its filter in this cycle.
     fn filtered(&self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
+        if self.is_planned {
+            return reference_rad_s;
+        }
         let share = lag_share(period_s, self.gains.reference_filter_s);
         // A start from rest or after a stop begins at the speed that is there.
         let before = self.reference_rad_s.unwrap_or(speed_rad_s);
@@ -104,6 +110,12 @@ impl Pi {
 impl SpeedController for Pi {
     fn id(&self) -> &'static str {
         Self::ID
+    }
+
+    fn follow_plan(&mut self) -> bool {
+        self.is_planned = true;
+        self.holding = Holding::default();
+        true
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {

@@ -24,6 +24,7 @@ use crate::tui::frame::{
     help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
 };
 use crate::tui::keys::On;
+use crate::tui::response::{self, ResponsePage};
 use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
 
@@ -63,8 +64,11 @@ impl Places {
 fn places(state: &State, area: Rect) -> Places {
     let tall = area.height >= 20;
     let verdict_room = usize::from(area.width).saturating_sub(1);
-    let most_rows = if tall { 3 } else { 1 };
-    let verdict_rows = wrapped(&verdict_line(state).to_string(), verdict_room).len();
+    let most_rows = usize::from(state.stopped.is_some()) + if tall { 3 } else { 1 };
+    let verdict_rows = verdict_lines(state)
+        .iter()
+        .map(|line| wrapped(&line.to_string(), verdict_room).len())
+        .sum::<usize>();
     let most = match area.height {
         0..=11 => 0,
         12..=19 => 2,
@@ -139,7 +143,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     let places = places(state, area);
     let body = places.body();
     top_bar(state, places.top, buffer);
-    text(vec![verdict_line(state)], inset(places.verdict), buffer);
+    text(verdict_lines(state), inset(places.verdict), buffer);
     match state.over {
         Over::Nothing => {
             failing(state, places.failing, buffer);
@@ -155,6 +159,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Over::Card(line) => card(state, line, body, buffer),
         Over::Map(index) => charts::map(state, index, body, buffer),
         Over::Traces => traces::view(&state.traces, body, buffer),
+        Over::Response => response::view(&state.response, body, buffer),
         Over::Next(line) => next(state, line, body, buffer),
         Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
@@ -214,6 +219,13 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         ..area
     };
     row(&Line::from(work), right, buffer);
+}
+
+/// How the run was stopped, where it did not go to its end, and the verdict.
+fn verdict_lines(state: &State) -> Vec<Line<'static>> {
+    let stopped = state.stopped.iter();
+    let stopped = stopped.map(|text| Line::styled(text.clone(), theme::BAD));
+    stopped.chain([verdict_line(state)]).collect()
 }
 
 fn verdict_line(state: &State) -> Line<'static> {
@@ -316,6 +328,7 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         _ if state.help.is_some() => ("Up Down scroll", "any other key closes the help"),
         Over::Traces if state.traces.is_choosing() => ("Up Down select|Enter show", "Esc back"),
         Over::Traces => (TracesPage::KEYS, "v Esc back"),
+        Over::Response => (ResponsePage::KEYS, "g Esc back"),
         Over::Card(_) => ("Up Down scroll|a add|r remove", "Esc back"),
         Over::Next(_) => ("Up Down scroll", "n Esc back"),
         Over::Map(0) => ("e the other equation", "Esc back"),
@@ -338,9 +351,10 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
             "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
         ),
-        Over::Nothing if state.only_compares() => {
-            ("d diagnose|v traces|j worst place|c curve|e map", LEAVE)
-        }
+        Over::Nothing if state.only_compares() => (
+            "d diagnose|v traces|j worst place|c curve|g frequency|e map",
+            LEAVE,
+        ),
         Over::Nothing if state.working.is_some() => (
             "v traces|Up Down select|Enter card|p guess first|e map",
             LEAVE,

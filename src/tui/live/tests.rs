@@ -15,7 +15,7 @@ use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
 use super::{WorkerCell, WorkerState};
 use crate::bench::{
-    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Target, Timing,
+    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
     TracePoint, Trip, TripKind,
 };
 use crate::diagnosis::Leaning;
@@ -171,6 +171,16 @@ fn tripped() -> Snapshot {
         notices,
         recorder_error: Some("no space left on device".to_owned()),
         outcome: Some("tripped"),
+        stop: Some(Stop {
+            cause: "over-current".to_owned(),
+            at_s: Some(8.4),
+            ramp_ms: None,
+            sent_after_ms: Some(0.1),
+            confirmed_after_ms: Some(18.0),
+            attempts: 1,
+            watchdog_s: Some(0.5),
+            last_refusal: None,
+        }),
         ..running()
     }
 }

@@ -463,6 +463,22 @@ impl Banner {
                 format!(" Stop NOT confirmed: see that the shaft stands still. q = {quit}.")
             }
         };
+        let stop = snapshot.stop.as_ref().filter(|_| is_over);
+        let at = stop.and_then(|stop| stop.at_s);
+        let at = at.map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
+        let confirmed = stop.and_then(|stop| stop.confirmed_after_ms);
+        let confirmed = confirmed.map_or_else(String::new, |ms| {
+            format!("; zero confirmed after {ms:.0} ms")
+        });
+        // What was found and its limit, and when and how the output came to be off.
+        let stopped = |reason: &str| {
+            let head = if at.is_empty() {
+                String::new()
+            } else {
+                format!("stopped{at}: ")
+            };
+            format!("{head}{reason}{confirmed}.{end}")
+        };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
             ("HARDWARE", text.to_owned(), theme::ALARM)
@@ -481,30 +497,30 @@ impl Banner {
             };
             (title, format!("{text}.{end}"), style)
         } else if let Some(trip) = &snapshot.trip {
-            (
-                "SAFETY TRIP",
-                format!("{}.{end}", trip.reason),
-                theme::ALARM,
-            )
+            ("SAFETY TRIP", stopped(&trip.reason), theme::ALARM)
         } else if is_lost {
             let mut last = snapshot.notices.iter().rev();
             let error = last.find(|notice| notice.level == Level::Error);
             let reason = error.map(|notice| notice.text.as_str());
             let reason = reason.unwrap_or("the drive does not answer any more");
-            ("LINK LOST", format!("{reason}.{end}"), theme::ALARM)
+            ("LINK LOST", stopped(reason), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
                 // The page says what the whole loop came to, its top that the output is off.
                 "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
-                "done" => ("DONE", "The run went to its end.", theme::GOOD),
-                "stopped" => ("STOPPED", "The run was stopped.", theme::CAREFUL),
-                "interrupted" => ("INTERRUPTED", "The run was interrupted.", theme::CAREFUL),
-                "not_started" => ("NOT STARTED", "The run was not started.", theme::CAREFUL),
-                other => (other, "The run has ended.", theme::CAREFUL),
+                "done" => ("DONE", "The run went to its end", theme::GOOD),
+                "stopped" => ("STOPPED", "The run was stopped", theme::CAREFUL),
+                "interrupted" => ("INTERRUPTED", "The run was interrupted", theme::CAREFUL),
+                "not_started" => ("NOT STARTED", "The run was not started", theme::CAREFUL),
+                other => (other, "The run has ended", theme::CAREFUL),
+            };
+            let how = match snapshot.outcome {
+                Some("stopped" | "interrupted") => format!("{at}{confirmed}"),
+                _ => String::new(),
             };
             let is_sure = snapshot.stop_error.is_none();
             let style = if is_sure { style } else { theme::ALARM };
-            (title, format!("{text}{end}"), style)
+            (title, format!("{text}{how}.{end}"), style)
         };
         let title = format!(" {title} ");
         Some(Self { title, text, style })
