@@ -178,6 +178,9 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
         let changes = report.gain_changes.iter();
         let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
         card.say("gains", changes.collect::<Vec<_>>(), 0);
+        let found = report.watch.iter();
+        let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
+        card.say("watch", found.collect::<Vec<_>>(), 3);
         card.say("at end", report.gains.iter().map(String::as_str), 1);
     }
     if summary.outcome == Outcome::Done {
@@ -214,6 +217,9 @@ pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
     let changes = report.gain_changes.iter();
     let changes = changes.map(|change| format!("{:>8.2} s  {}", change.time_s, change.reason));
     rows.extend(changes.flat_map(|text| fitted(&text)));
+    let found = report.watch.iter();
+    let found = found.map(|one| format!("{:>8.2} s  {}", one.time_s, one.reason));
+    rows.extend(found.flat_map(|text| fitted(&text)));
     rows
 }
 

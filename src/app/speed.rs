@@ -240,6 +240,11 @@ pub fn speed(
         .write(RunFile::Model, &request.model.to_toml());
     let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
+    let loop_report = whole.recorded.summary.speed.as_ref();
+    let adaptation = loop_report.and_then(|report| report.adaptation.clone());
+    if let Some(text) = adaptation {
+        whole.recorded.write(RunFile::Adaptation, &text);
+    }
     if let Some(report) = &whole.recorded.summary.speed {
         let page = speed_loop(report, whole.delay.as_ref());
         let plate = request.motor.motor();
@@ -345,6 +350,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
     let held = report.held_cycles.to_string();
     let changes = report.gain_changes.iter();
     let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    let found = (report.watch.iter()).map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
     let last = report
         .gains
         .iter()
@@ -359,7 +365,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
         ],
         tables: vec![tracking(report), steps(report)],
         reasons: report.reasons.clone(),
-        changes: changes.chain(last).collect(),
+        changes: changes.chain(found).chain(last).collect(),
     }
 }
 

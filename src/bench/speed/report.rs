@@ -4,13 +4,26 @@ use serde::Serialize;
 
 use super::delay::LoopDelay;
 use super::reference::ReferenceStep;
-use crate::control::{Actuator, LoopTiming, Response, response};
+use crate::control::{Actuator, Adapted, LoopTiming, Response, response};
 
 /// A change of the gains while the loop ran.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GainChange {
     /// Since the begin of the reference, s.
     pub time_s: f64,
+    pub reason: String,
+}
+
+/// What the watch of the loop found while it ran.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Watched {
+    /// Since the begin of the reference, s.
+    pub time_s: f64,
+    pub found: &'static str,
+    /// Mean of the half-swings, rad/s; of a loop at its limit the error that does not fall.
+    pub error_rad_s: f64,
+    /// What is left of the tuned gain.
+    pub gain_share: f64,
     pub reason: String,
 }
 
@@ -66,11 +79,44 @@ pub struct SpeedReport {
     /// At the end.
     pub gains: Vec<String>,
     pub gain_changes: Vec<GainChange>,
+    /// Swings and limits that the watch found; empty: none.
+    pub watch: Vec<Watched>,
+    /// The gains and what they follow, cycle by cycle, as CSV; `None`: they follow nothing.
+    #[serde(skip)]
+    pub adaptation: Option<String>,
     /// Cycles without a speed, in which the last output was held.
     pub held_cycles: u64,
     /// One for each pass over the reference that came to its end.
     pub tracking: Vec<Tracking>,
     pub steps: Vec<StepFigures>,
+}
+
+/// Gains and what they follow over the drive's time: one row for each sample that was answered; an empty cell is not
+/// known, or not settled.
+pub(super) fn adaptation_csv(actuator: Actuator, rows: &[(f64, Adapted)]) -> Option<String> {
+    let unit = match actuator {
+        Actuator::Voltage => "v_s_per_rad",
+        Actuator::Current => "a_s_per_rad",
+        Actuator::Speed => "1",
+    };
+    let head = format!("time_s,kp_{unit},tn_s,tm_s,ta_s,inertia_kg_m2,load_torque_n_m\n");
+    (!rows.is_empty()).then(|| {
+        rows.iter().fold(head, |mut text, (time_s, now)| {
+            let cells = [
+                Some(*time_s),
+                Some(now.proportional),
+                Some(now.integral_time_s),
+                now.mechanical_s,
+                now.electrical_s,
+                now.inertia_kg_m2,
+                now.load_torque_n_m,
+            ];
+            let cells = cells.map(|cell| cell.map_or_else(String::new, |value| value.to_string()));
+            text.push_str(&cells.join(","));
+            text.push('\n');
+            text
+        })
+    })
 }
 
 /// The cycles from one instant to another, s; `None` where the record does not reach the end of it, or has none.
@@ -152,6 +198,24 @@ pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigu
 mod tests {
     use super::*;
     use crate::bench::testing::near;
+
+    #[test]
+    fn the_adaptation_is_a_csv_in_which_what_is_not_known_is_empty() {
+        let now = Adapted {
+            proportional: 1.5,
+            integral_time_s: 0.25,
+            mechanical_s: Some(0.2),
+            electrical_s: None,
+            inertia_kg_m2: Some(0.0225),
+            load_torque_n_m: None,
+        };
+        let text = adaptation_csv(Actuator::Voltage, &[(10.25, now)]).unwrap();
+        assert_eq!(
+            text,
+            "time_s,kp_v_s_per_rad,tn_s,tm_s,ta_s,inertia_kg_m2,load_torque_n_m\n10.25,1.5,0.25,0.2,,0.0225,\n"
+        );
+        assert_eq!(adaptation_csv(Actuator::Voltage, &[]), None);
+    }
 
     #[test]
     fn each_step_has_the_figures_of_its_own_time() {

@@ -13,7 +13,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Actuator, LoopTiming, Measured, SpeedController};
+use super::{Actuator, Adapted, LoopTiming, Measured, SpeedController};
 use crate::numerics::count::whole;
 use crate::plant::{Balance, Instant, Model, MotorKey, ShaftAngle, Terms};
 
@@ -389,6 +389,18 @@ impl SpeedController for Compensated {
 
     fn news(&mut self) -> Option<String> {
         self.inner.news()
+    }
+
+    fn adapted(&self) -> Option<Adapted> {
+        self.inner.adapted()
+    }
+
+    fn softens(&self) -> bool {
+        self.inner.softens()
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        (self.inner).soften(share, reference_rad_s, speed_rad_s, period_s);
     }
 }
 

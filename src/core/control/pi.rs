@@ -23,6 +23,8 @@ pub enum AntiWindup {
 #[derive(Clone, Debug)]
 pub struct Pi {
     gains: PiGains,
+    /// What is left of the proportional gain that the tuning gives.
+    share: f64,
     anti_windup: AntiWindup,
     holding: Holding,
     integral: f64,
@@ -43,6 +45,7 @@ impl Pi {
     pub const fn new(gains: PiGains, anti_windup: AntiWindup, holding: Holding) -> Self {
         Self {
             gains,
+            share: 1.0,
             anti_windup,
             holding,
             integral: 0.0,
@@ -56,6 +59,21 @@ impl Pi {
 
     pub const fn gains(&self) -> &PiGains {
         &self.gains
+    }
+
+    /// What is left of the proportional gain that the tuning gives: less where the loop swung.
+    pub const fn share(&self) -> f64 {
+        self.share
+    }
+
+    /// The same in words, after the gain; empty where it is the tuned one.
+    pub(super) fn softened_text(&self) -> String {
+        if self.share < 1.0 {
+            let percent = 100.0 * self.share;
+            format!(" ({percent:.0} % of the tuned one, for the loop swung)")
+        } else {
+            String::new()
+        }
     }
 
     /// Whether the last output was cut by a limit.
@@ -147,11 +165,24 @@ impl SpeedController for Pi {
         };
         vec![
             format!(
-                "Kp = {:.4} per rad/s, Tn = {:.4} s, fixed",
-                self.gains.proportional, self.gains.integral_time_s
+                "Kp = {:.4} per rad/s{}, Tn = {:.4} s, fixed",
+                self.gains.proportional,
+                self.softened_text(),
+                self.gains.integral_time_s
             ),
             format!("while the output is limited the integral part {integral}"),
         ]
+    }
+
+    fn softens(&self) -> bool {
+        true
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        let mut gains = self.gains;
+        gains.proportional *= share / self.share;
+        self.share = share;
+        self.set_gains(gains, reference_rad_s, speed_rad_s, period_s);
     }
 }
 
