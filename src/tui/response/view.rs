@@ -268,11 +268,13 @@ fn panel(
     ];
     if let Some(beside) = beside {
         // Beyond what the measurement carries there is nothing to be compared.
+        let bands = own.bands_hz();
+        let (first_hz, last_hz) = match bands.as_slice() {
+            [(first, _), .., (_, last)] | [(first, last)] => (*first, *last),
+            [] => (f64::INFINITY, 0.0),
+        };
         let measured = |point: &ResponsePoint, value: f64| {
-            let place = own
-                .points
-                .partition_point(|own| own.frequency_hz < point.frequency_hz);
-            let is_there = own.points.get(place).is_some_and(|own| own.is_carried);
+            let is_there = (first_hz..=last_hz).contains(&point.frequency_hz);
             is_there && (low..=high).contains(&value)
         };
         traces.push(line(
