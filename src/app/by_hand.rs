@@ -12,11 +12,13 @@ use super::ending::{self, Watched, spawn, watched};
 use super::evidence::{EvidenceFiles, Judging, Place, prepare};
 use super::failure::Failure;
 use super::files::{load, model_file};
-use super::{output, signals};
+use super::{output, pages, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::identification::frequency_response::{Compared, Pathway};
 use crate::plant::FileHistory;
-use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen};
+use crate::tui::{
+    self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
+};
 use crate::workflow::{Discovery, News, Order};
 
 /// Where a model goes for which no name was given.
@@ -31,6 +33,8 @@ pub(crate) struct Shown {
     pub(crate) guess_first: bool,
     /// With what the screen opens.
     pub(crate) opens: Opens,
+    /// Where the run was stopped, if it was.
+    pub(crate) stopped_at: Option<StoppedAt>,
     /// Run that the model is fitted on.
     pub(crate) fitted_on: String,
     /// Of the model that the diagnosis began with.
@@ -160,6 +164,7 @@ fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
         title: prepared.about.title.clone(),
         guess_first: false,
         opens,
+        stopped_at: pages::stopped_at(&prepared),
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
         output: None,
@@ -178,6 +183,7 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         title: shown.title.clone(),
         guess_first: shown.guess_first,
         opens: shown.opens,
+        stopped_at: shown.stopped_at.clone(),
         news,
         orders,
         hang_up: Arc::clone(&hang_up),

@@ -53,6 +53,15 @@ impl Failure {
         Self { help, ..self }
     }
 
+    /// With what is to be known beside it.
+    pub(crate) fn beside(self, text: Option<&str>) -> Self {
+        let headline = match text {
+            Some(text) => format!("{}; {text}", self.headline),
+            None => self.headline,
+        };
+        Self { headline, ..self }
+    }
+
     /// Usage or configuration, or more asked than plan or line allow.
     pub fn usage(headline: impl Into<String>, help: impl Into<String>) -> Self {
         Self::with_help(USAGE, headline, help)

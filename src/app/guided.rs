@@ -192,6 +192,7 @@ fn shown(title: &str, guess_first: bool, fitted_on: &Path) -> Shown {
         title: title.to_owned(),
         guess_first,
         opens: Opens::Search,
+        stopped_at: None,
         fitted_on: fitted_on.display().to_string(),
         history: FileHistory::default(),
         output: None,

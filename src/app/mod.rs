@@ -8,7 +8,7 @@
 //! ```
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
-//!   lines that are only looked at.
+//!   lines that are only looked at; `registers`: raw ones, read and written; `catalogue`: the effects.
 //! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
 //!   order of work of each command; a test of a live run gives a rig of its own.
 //! * `suite`: bench tests, each step a process of this program; `analyse`: many runs as one table, a row each.
@@ -24,6 +24,7 @@ pub(crate) mod analyse;
 pub(crate) mod bode;
 pub(crate) mod by_hand;
 pub(crate) mod cards;
+pub(crate) mod catalogue;
 mod controls;
 pub(crate) mod doctor;
 mod ending;
@@ -39,6 +40,7 @@ pub(crate) mod opening;
 pub(crate) mod output;
 pub(crate) mod pages;
 pub(crate) mod progress;
+pub(crate) mod registers;
 pub(crate) mod report;
 mod rig;
 mod run;

@@ -4,7 +4,7 @@
 //! This file owns the wall clock (the stamps of run folders and captures).
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -12,6 +12,7 @@ use super::failure::Failure;
 use super::files::read_text;
 use super::output;
 use crate::bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
+use crate::drive::serial_ports::holder_names;
 use crate::drive::{
     self, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target, offer,
     open_tapped,
@@ -20,6 +21,17 @@ use crate::emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
     SoftDrive, VirtualClock, open_line, spawn_as,
 };
+
+/// A bench file; the profile beside it is found from wherever the program is started.
+pub(crate) fn bench_file(path: &Path) -> Result<BenchFile, Failure> {
+    let mut bench = BenchFile::parse(&path.display().to_string(), &read_text(path)?)?;
+    let profile = &mut bench.drive.profile;
+    let near = path.parent().map(|folder| folder.join(&*profile));
+    if let Some(near) = near.filter(|near| near.is_file() && !Path::new(&*profile).exists()) {
+        *profile = near.display().to_string();
+    }
+    Ok(bench)
+}
 
 /// A drive profile by its built-in name, else from a file; with its text.
 pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
@@ -268,6 +280,8 @@ pub struct Reopener {
     pub(super) link: String,
     pub(super) limit_s: Option<f64>,
     pub(super) open: Box<Open>,
+    /// Of a serial port.
+    path: Option<PathBuf>,
 }
 
 impl Reopener {
@@ -277,6 +291,10 @@ impl Reopener {
         Self {
             link: anchor.target().to_string(),
             limit_s,
+            path: match target {
+                Target::Serial { path, .. } => Some(PathBuf::from(path)),
+                Target::Tcp { .. } => None,
+            },
             open: Box::new(move |profile, tap| {
                 if let Some(reason) = anchor.stranger(Path::new("/")) {
                     return Err(LinkError::Identity(anchor.target().to_string(), reason));
@@ -296,7 +314,16 @@ impl Reopener {
             link: link.to_owned(),
             limit_s,
             open: Box::new(move |_, _| open()),
+            path: None,
         }
+    }
+
+    /// Who else has the serial port open, in a sentence: what another program reads of it is missing here.
+    pub(crate) fn other_reader(&self) -> Option<String> {
+        let names = holder_names(self.path.as_deref()?)?;
+        Some(format!(
+            "{names} has the port open as well: the replies that it reads are missing here"
+        ))
     }
 }
 

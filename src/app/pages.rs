@@ -20,6 +20,7 @@ use crate::report::{
     SpeedLoop, Target,
 };
 use crate::sample::Channel;
+use crate::tui::StoppedAt;
 use crate::workflow::CommissionResult;
 
 /// Writes the page of one run into its folder; where there is none that is said.
@@ -303,6 +304,31 @@ pub(crate) fn table(value: &Value) -> Facts {
 /// How the run was stopped, where its output was on.
 pub(crate) fn stop(manifest: &Manifest) -> Option<Stop> {
     serde_json::from_value(manifest.stop.clone()).ok()
+}
+
+/// Where a run that tripped or lost its drive was stopped, for a screen that shows it.
+pub(crate) fn stopped_at(prepared: &Prepared) -> Option<StoppedAt> {
+    let manifest = prepared.run.manifest.as_ref()?;
+    let last: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
+    let at_s = last.time_s - prepared.evidence.training.begin_s();
+    let stop = Stop {
+        at_s: Some(at_s),
+        ..stop(manifest)?
+    };
+    let kinds = [
+        ("current", Channel::Current),
+        ("circuit", Channel::Current),
+        ("bus", Channel::Bus),
+    ];
+    let kind = kinds
+        .into_iter()
+        .find(|(word, _)| stop.cause.contains(word));
+    Some(StoppedAt {
+        run: prepared.run.run.name.clone(),
+        at_s,
+        shows: kind.map(|(_, channel)| channel),
+        text: stop.short(),
+    })
 }
 
 /// Rate and lateness of a run, and how it was stopped.

@@ -19,10 +19,10 @@ use super::opening::{
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
-    Guard, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, RATE_CHECK,
-    ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary, Session, Snapshot,
-    SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest, measure_delay,
-    plan, reopen, run, stage_session,
+    Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome, Plan,
+    Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary,
+    Session, Snapshot, SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest,
+    measure_delay, plan, reopen, run, stage_session,
 };
 use crate::drive::offer::{self, Purpose};
 use crate::drive::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
@@ -31,7 +31,7 @@ use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
-use crate::recording::{Layout, Manifest, Recorder, RunFolder, utc_stamp};
+use crate::recording::{Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp};
 use crate::sample::{Channel, Origin};
 
 /// What stands for the emulator's configuration in a bench file that hides it.
@@ -247,7 +247,10 @@ impl Rig {
         if matches!(report, Ok(_) | Err(CheckError::Stopped)) {
             self.rests();
         }
-        let report = report?;
+        let report = report.map_err(|error| {
+            let reopener = self.way.reopener.as_ref();
+            Failure::from(error).beside(reopener.and_then(Reopener::other_reader).as_deref())
+        })?;
         self.answered = Some(report.identity.clone());
         if controls.is_stopped() {
             return Err(Failure::interrupted(
@@ -453,6 +456,7 @@ impl Rig {
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
+        self.name_other_reader(&mut summary, &mut recorder, controls);
         if summary.stop_error.is_none() {
             self.rests();
         }
@@ -548,6 +552,36 @@ impl Rig {
             }
         }
         manifest
+    }
+
+    /// Says who else has the port open where replies were lost on it, once the drive has been told to stop.
+    fn name_other_reader(
+        &self,
+        summary: &mut RunSummary,
+        recorder: &mut Recorder,
+        controls: &Controls,
+    ) {
+        let reopener = self.way.reopener.as_ref();
+        let has_lost = summary.link.sent > summary.link.ok;
+        let Some(text) = reopener
+            .filter(|_| has_lost)
+            .and_then(Reopener::other_reader)
+        else {
+            return;
+        };
+        let time_s = self.way.clock.now_s() + summary.end.drive_minus_host_s;
+        let event = Event::new(time_s, None, "other_reader");
+        recorder.event(event.with("text", text.as_str()));
+        if let Outcome::LinkLost { reason } = &mut summary.outcome {
+            *reason = format!("{reason}; {text}");
+        }
+        let level = Level::Warning;
+        let notice = Notice { level, text };
+        let mut shown = (*controls.snapshots.latest()).clone();
+        shown.notices.push(notice.clone());
+        controls.snapshots.publish(shown);
+        controls.snapshots.tell(&notice);
+        summary.notices.push(notice);
     }
 
     /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.

@@ -5,6 +5,7 @@ use std::io::IsTerminal as _;
 use super::by_hand::{self, Left, Shown};
 use super::evidence::{Place, Prepared};
 use super::failure::Failure;
+use super::pages;
 use crate::diagnosis::ErrorOf;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
@@ -29,6 +30,7 @@ pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failu
         title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
         guess_first: false,
         opens: Opens::Comparison(error_of),
+        stopped_at: pages::stopped_at(prepared),
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
         output: None,

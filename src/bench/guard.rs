@@ -80,6 +80,8 @@ pub struct Guard {
     seen: [bool; WATCHED.len()],
     last_sample: Option<Seen>,
     last_valid_s: Option<f64>,
+    /// What the drive said last instead of a valid reply, since the last of those.
+    refusal: Option<String>,
     last_step_s: Option<f64>,
     counts: Counts,
     /// Time that the drive may take from the command to run until it reports that it does, s.
@@ -169,6 +171,7 @@ impl Guard {
             seen: [false; WATCHED.len()],
             last_sample: None,
             last_valid_s: None,
+            refusal: None,
             last_step_s: None,
             counts: Counts::default(),
             enable_time_s: CommandTimes::default().enable_s,
@@ -266,7 +269,10 @@ impl Guard {
         let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
         if silent_s > limit_s - TO_THE_END_S {
             let times_s = (silent_s, limit_s);
-            return self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply");
+            return match self.refusal.take() {
+                Some(said) => self.latch(Trip::refused(now_s, times_s, &said)),
+                None => self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply"),
+            };
         }
         let since_s = self.counts.on_since_s;
         let on_s = self.counts.on_total_s + since_s.map_or(0.0, |since_s| now_s - since_s);
@@ -301,6 +307,11 @@ impl Guard {
         })
     }
 
+    /// The drive answers, and says that it cannot do now what it is asked: should this go on for too long, that is why.
+    pub fn refused(&mut self, said: &str) {
+        self.refusal = Some(said.to_owned());
+    }
+
     /// Of the time since the last step so much was spent waiting for the link: no stall of the host.
     pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
         let last_s = self.last_step_s.map(|last_s| last_s + waited_s.max(0.0));
@@ -320,6 +331,7 @@ impl Guard {
     /// signals there are and that the link lives.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
+        self.refusal = None;
         self.shaper.hear(now_s);
         let is_newer = (self.last_sample).is_none_or(|last| sample.time_s > last.sample_s);
         for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {

@@ -27,6 +27,7 @@ use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
+use crate::identification::online::Frozen;
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate};
 
@@ -76,6 +77,8 @@ pub struct RunSummary {
     pub estimates: Vec<ParameterEstimate>,
     /// How far the data carried each of them at the end.
     pub excitation: Excitation,
+    /// For how long a limit of the drive kept the estimators from learning.
+    pub frozen: Frozen,
     /// How the speed loop went, if there was one.
     #[serde(rename = "loop", skip_serializing_if = "Option::is_none")]
     pub speed: Option<SpeedReport>,
@@ -239,7 +242,7 @@ impl Runner<'_> {
         let mut start_pending = options.auto_start;
         while self.outcome.is_none() {
             let mut due_s = begin_s + cycle as f64 * period_s;
-            clock.sleep_until_s(due_s);
+            self.await_cycle(clock, due_s);
             let now_s = clock.now_s();
             let missed = whole((now_s - due_s) / period_s) as u64;
             if missed > 0 {
@@ -272,7 +275,7 @@ impl Runner<'_> {
         // Whatever the session knows: the last word to the drive is zero output.
         let told_s = clock.now_s();
         let stopped = self.link.0.stop();
-        self.note_last_stop(told_s, clock.now_s(), stopped.as_ref().err());
+        self.note_last_stop(told_s, clock.now_s(), &stopped);
         if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
@@ -300,7 +303,7 @@ impl Runner<'_> {
         self.publish(
             now_s,
             options.rate_hz,
-            Some((outcome.name(), stop_error.clone())),
+            Some((outcome.name(), stop_error.clone(), stop.clone())),
         );
         let recorder = self.recorder.status();
         RunSummary {
@@ -312,6 +315,7 @@ impl Runner<'_> {
             wire: Wire::of(self.link.0),
             estimates: self.estimates(),
             excitation: self.excitation(),
+            frozen: self.frozen(),
             speed: self.session.report(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
@@ -328,13 +332,14 @@ impl Runner<'_> {
     }
 
     /// The stop with which every run ends: a routine where the drive has said before that its output is off.
-    fn note_last_stop(&mut self, told_s: f64, now_s: f64, failed: Option<&LinkError>) {
+    fn note_last_stop(&mut self, told_s: f64, now_s: f64, stopped: &Result<(), LinkError>) {
         self.stop.asked(told_s, self.link.0.has_sent_command());
-        match failed {
+        self.stop.answered(stopped);
+        match stopped {
             // Who does not tell whether the output is off has not confirmed that it is.
-            None if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
-            None => {}
-            Some(_) => self.stop.withdraw(),
+            Ok(()) if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
+            Ok(()) => {}
+            Err(_) => self.stop.withdraw(),
         }
     }
 
@@ -352,6 +357,19 @@ impl Runner<'_> {
                 text: stop.sentence(),
             });
         }
+    }
+
+    /// Waits until the next cycle is due; the end of the silence that is allowed is not waited out until then.
+    fn await_cycle(&mut self, clock: &mut dyn Clock, due_s: f64) {
+        if self.session.phase().is_energised() {
+            let now_s = clock.now_s();
+            let over_s = now_s + self.session.guard().silence_left_s(now_s);
+            if over_s < due_s {
+                clock.sleep_until_s(over_s);
+                self.feed(clock, Input::Silence);
+            }
+        }
+        clock.sleep_until_s(due_s);
     }
 
     /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
@@ -461,6 +479,7 @@ impl Runner<'_> {
         if command.demand == Demand::Stop {
             // What stops a motor waits for no silence of the line: it goes out as soon as it is handed over.
             self.stop.asked(sent_s, self.link.0.has_sent_command());
+            self.stop.answered(&answer);
         }
         if is_recorded && self.link.0.has_sent_command() {
             let row = CommandRow {
@@ -590,9 +609,20 @@ impl Runner<'_> {
         estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
     }
 
-    /// `end`: the outcome of a run that is over, and why its stop could not be confirmed, if it could not.
-    fn publish(&mut self, now_s: f64, rate_hz: f64, end: Option<(&'static str, Option<String>)>) {
+    fn frozen(&self) -> Frozen {
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Frozen::default, |estimator| estimator.frozen())
+    }
+
+    /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
+    fn publish(
+        &mut self,
+        now_s: f64,
+        rate_hz: f64,
+        end: Option<(&'static str, Option<String>, Option<Stop>)>,
+    ) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
+        let frozen = self.frozen();
         let estimator = self.estimator.as_ref();
         let innovation = estimator.and_then(|estimator| estimator.innovation());
         self.publisher.innovation(innovation);
@@ -600,12 +630,14 @@ impl Runner<'_> {
         let session = &self.session;
         self.publisher.publish(now_s, session, estimates, |shown| {
             shown.excitation = Arc::new(excitation);
+            shown.frozen = frozen;
             shown.link_statistics = self.link.0.statistics();
             shown.timing = self.punctuality.timing(rate_hz);
             shown.rows = recorder.rows as u64;
             shown.recorder_error = recorder.error;
-            if let Some((outcome, stop_error)) = end {
-                (shown.outcome, shown.stop_error) = (Some(outcome), stop_error);
+            if let Some((outcome, stop_error, stop)) = end {
+                shown.outcome = Some(outcome);
+                (shown.stop_error, shown.stop) = (stop_error, stop);
             }
         });
     }

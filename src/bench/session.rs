@@ -10,18 +10,20 @@
 //! and no set-point survives a reconnect. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
+mod word;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
+use self::word::{DriveWord, StopRequest};
 use serde_json::{Value, json};
 
 use super::check::WATCHDOG;
 use super::guard::{Causes, Guard};
 use super::mechanics::Brake;
-use super::pilot::{OpenLoop, Pilot, Program};
+use super::pilot::{OpenLoop, Pilot, PilotNews, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
-use super::trip::Trip;
+use super::trip::{Trip, TripKind};
 use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
@@ -34,47 +36,6 @@ const COME_TO_REST_S: f64 = 2.0;
 const FIRST_REPLY_S: f64 = 3.0;
 
 const TOLD_NOTHING: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
-
-/// What the drive tells of its state, and how long that is waited for.
-struct DriveWord {
-    /// Whether the drive tells that its output is off.
-    tells_stop: bool,
-    /// Longest wait for its word that it has stopped, s.
-    stop_time_s: f64,
-    /// When it was heard last, s.
-    heard_s: f64,
-    /// It was seen to run, or does not tell whether it does.
-    has_run: bool,
-    /// Of its watchdog, s.
-    watchdog_s: Option<f64>,
-    /// The user waived its watchdog: nothing is known of what it does when nobody talks to it.
-    is_unwatched: bool,
-    stop: StopRequest,
-}
-
-/// How far the stop with which a session ends has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum StopRequest {
-    /// A state that answers anything before it says nothing of the stop.
-    NotSent,
-    Sent,
-    /// The session ended without the drive's word that the output is off.
-    Unconfirmed,
-}
-
-impl Default for DriveWord {
-    fn default() -> Self {
-        Self {
-            tells_stop: true,
-            stop_time_s: CommandTimes::default().stop_s,
-            heard_s: 0.0,
-            has_run: false,
-            watchdog_s: None,
-            is_unwatched: false,
-            stop: StopRequest::NotSent,
-        }
-    }
-}
 
 /// The order of a brake that holds a load: torque, then release; rest, then the brake, then the output off.
 ///
@@ -306,7 +267,8 @@ impl Session {
         self.pilot.report()
     }
 
-    /// Takes one input and appends what is to be done. Each `Cycle` sends exactly one command.
+    /// Takes one input and appends what is to be done. Each `Cycle` sends one command, unless it only waits for a drive that
+    /// was told to stop and gives no sample.
     pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
         self.now_s = now_s;
         self.inputs += 1;
@@ -315,6 +277,9 @@ impl Session {
             self.notice(Level::Warning, format!("waived: {check}"));
         }
         let was = self.phase;
+        if let Input::Lost(Lost::Busy(said)) = &input {
+            self.guard.refused(said);
+        }
         // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
         let trip = match input {
             Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
@@ -329,11 +294,10 @@ impl Session {
             Input::Sample(sample) => self.sample(*sample),
             Input::Lost(lost) => {
                 self.lost(&lost);
-                // At once, not in the next cycle: an exchange is given no more than what is left of the silence.
-                if was.is_energised() && self.phase == Phase::Stopping {
-                    self.send(Demand::Stop);
-                }
+                // An exchange is given no more than what is left of the silence.
+                self.stop_at_once(was);
             }
+            Input::Silence => self.stop_at_once(was),
             Input::Missed(cycles) => {
                 self.event("deadline_lost", json!({ "cycles": cycles }));
             }
@@ -345,6 +309,13 @@ impl Session {
             Input::Suspended(_) | Input::OtherMaster(_) => {}
         }
         actions.append(&mut self.actions);
+    }
+
+    /// Where the output was on until now: a stop goes out with what has brought it about, not in the next cycle.
+    fn stop_at_once(&mut self, was: Phase) {
+        if was.is_energised() && self.phase == Phase::Stopping {
+            self.send(Demand::Stop);
+        }
     }
 
     fn cycle(&mut self) {
@@ -365,6 +336,13 @@ impl Session {
         if self.phase == Phase::Stopping {
             self.finish_if_late();
         }
+        let asks = || {
+            let (watchdog_s, since_s) = (self.watchdog_s(), self.stopping_since_s);
+            self.word.asks_to_stop(self.now_s, since_s, watchdog_s)
+        };
+        if self.phase == Phase::Stopping && !asks() {
+            return;
+        }
         let wanted = self.wanted().unwrap_or_else(|trip| {
             if let Some(trip) = self.guard.latch(trip).cloned() {
                 self.trip(&trip);
@@ -375,9 +353,13 @@ impl Session {
         let command = self.send(wanted);
         if self.phase == Phase::Running {
             self.pilot.sent(&command);
-            if let Some(reason) = self.pilot.news() {
-                self.notice(Level::Info, format!("gains: {reason}"));
-                self.event("gains", json!({ "reason": reason }));
+            while let Some(news) = self.pilot.news() {
+                let (name, level, reason) = match news {
+                    PilotNews::Gains(reason) => ("gains", Level::Info, reason),
+                    PilotNews::Watch(reason) => ("watch", Level::Warning, reason),
+                };
+                self.notice(level, format!("{name}: {reason}"));
+                self.event(name, json!({ "reason": reason }));
             }
         }
         if self.phase != Phase::RampDown {
@@ -436,6 +418,9 @@ impl Session {
             seq: self.seq,
             demand,
         };
+        if demand == Demand::Stop {
+            self.word.told_s = self.now_s;
+        }
         if demand == Demand::Stop && self.word.stop == StopRequest::NotSent {
             self.word.stop = StopRequest::Sent;
         }
@@ -459,6 +444,7 @@ impl Session {
         }
         let state = sample.state;
         self.word.heard_s = self.now_s;
+        self.word.sampled_s = self.now_s;
         self.word.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
             let value = sample.get(channel)?;
@@ -505,10 +491,11 @@ impl Session {
     fn lost(&mut self, lost: &Lost) {
         let (kind, message) = match lost {
             Lost::Transient(message) => ("reply_lost", message),
+            Lost::Busy(message) => ("refused_for_now", message),
             Lost::Refused(message) => ("refused_by_drive", message),
             Lost::Gone(message) => ("link_gone", message),
         };
-        if matches!(lost, Lost::Refused(_)) {
+        if matches!(lost, Lost::Busy(_) | Lost::Refused(_)) {
             self.word.heard_s = self.now_s;
         }
         self.event(kind, json!({ "message": message }));
@@ -691,7 +678,11 @@ impl Session {
         } else if self.phase != Phase::Stopping || !has_reason {
             self.ending = Some(Outcome::Tripped(trip.clone()));
         }
-        self.stop_now();
+        // A drive that gives no sample while it is told to stop is given no more time for it.
+        let is_unheard = matches!(trip.kind, TripKind::LinkSilence | TripKind::Refused);
+        if !(is_unheard && self.phase == Phase::Stopping) {
+            self.stop_now();
+        }
     }
 
     /// A lost link is how the session ends, unless a trip or a person had ended it before.
@@ -751,7 +742,11 @@ impl Session {
         if self.word.stop != StopRequest::Unconfirmed && failed.is_none() {
             return None;
         }
-        let not = |why: &str| format!("stop NOT confirmed by the drive{why}");
+        let answers = match failed {
+            Some(error @ LinkError::Exception { .. }) => format!(" (it answers: {error})"),
+            _ => String::new(),
+        };
+        let not = |why: &str| format!("stop NOT confirmed by the drive{answers}{why}");
         let (level, text) = match failed {
             None if self.word.tells_stop => (
                 Level::Warning,

@@ -8,9 +8,11 @@ use super::limits::Nameplate;
 use super::live_online::Excitation;
 use super::plan::under_voltage;
 use super::session::{Notice, Phase, Session};
+use super::stop::Stop;
 use super::timing::Timing;
 use super::trip::Trip;
 use crate::drive::{Identity, LinkStatistics};
+use crate::identification::online::Frozen;
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
 use crate::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
@@ -85,6 +87,8 @@ pub struct Snapshot {
     pub estimates: Arc<Vec<ParameterEstimate>>,
     /// How far the data carry each parameter so far.
     pub excitation: Arc<Excitation>,
+    /// For how long a limit of the drive has kept the estimators from learning.
+    pub frozen: Frozen,
     /// Whether the model of the trace is the nameplate's or the identified one.
     pub model_is_identified: bool,
     pub link_statistics: LinkStatistics,
@@ -101,6 +105,8 @@ pub struct Snapshot {
     pub outcome: Option<&'static str>,
     /// Why zero output could not be confirmed then, if it could not.
     pub stop_error: Option<String>,
+    /// How soon it stopped, where its output was on.
+    pub stop: Option<Stop>,
 }
 
 /// The latest snapshot, shared between the runner and the screens. Neither waits for the other.
@@ -129,7 +135,8 @@ impl SnapshotCell {
         }
     }
 
-    fn tell(&self, notice: &Notice) {
+    /// Whoever listens hears it.
+    pub fn tell(&self, notice: &Notice) {
         if let Some(listener) = &self.listener {
             // Nobody listens any more: the notice is in the summary all the same.
             let _ = listener.send(notice.clone());

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::session::Phase;
+use crate::drive::LinkError;
 
 /// So much of the record before a trip is pointed out, s.
 const BEFORE_S: f64 = 2.0;
@@ -16,6 +17,9 @@ const BEFORE_S: f64 = 2.0;
 pub struct Stop {
     /// What the output had to go off for.
     pub cause: String,
+    /// When that was decided, from the start of the run, s.
+    #[serde(default)]
+    pub at_s: Option<f64>,
     /// From the wish to end until the output had come down, ms; null where it was cut at once.
     pub ramp_ms: Option<f64>,
     /// Until the first request to stop was handed to the line, ms; null: none got out.
@@ -24,11 +28,25 @@ pub struct Stop {
     pub confirmed_after_ms: Option<f64>,
     /// Attempts to stop until then: those of the cycles, and the last one, in which the link itself asks several times.
     pub attempts: u64,
+    /// What the drive answered last instead of confirming it: it hears, and refuses; null: nothing, or it was confirmed.
+    pub last_refusal: Option<String>,
     /// Command silence after which the drive stops the motor by itself, s; null: none is known of, or it was waived.
     pub watchdog_s: Option<f64>,
 }
 
 impl Stop {
+    /// In a few words: what for, when, and how soon the drive said that its output is zero.
+    pub fn short(&self) -> String {
+        let at = self
+            .at_s
+            .map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
+        let cause = &self.cause;
+        match self.confirmed_after_ms {
+            Some(ms) => format!("stopped: {cause}{at}, zero confirmed after {ms:.0} ms"),
+            None => format!("stop NOT confirmed: {cause}{at}"),
+        }
+    }
+
     /// One line: for a card, a screen and a page.
     pub fn sentence(&self) -> String {
         let after_ramp = self
@@ -39,6 +57,10 @@ impl Stop {
             1 => "1 attempt".to_owned(),
             count => format!("{count} attempts"),
         };
+        let answer = self
+            .last_refusal
+            .as_ref()
+            .map_or_else(String::new, |said| format!("; last answer: {said}"));
         let sent = self.sent_after_ms.map_or_else(
             || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
@@ -46,10 +68,10 @@ impl Stop {
         match (self.confirmed_after_ms, self.watchdog_s) {
             (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({attempts})"),
             (None, Some(watchdog_s)) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s{answer}"
             ),
             (None, None) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still{answer}"
             ),
         }
     }
@@ -69,12 +91,15 @@ pub struct LastSeconds {
 #[derive(Debug, Default)]
 pub(super) struct StopWatch {
     was_on: bool,
+    /// When the run began.
+    began_s: Option<f64>,
     asked_s: Option<f64>,
     decided_s: Option<f64>,
     cause: &'static str,
     sent_s: Option<f64>,
     confirmed_s: Option<f64>,
     attempts: u64,
+    last_refusal: Option<String>,
     rows: usize,
     /// Times of the last rows until the decision.
     row_times_s: VecDeque<f64>,
@@ -96,6 +121,9 @@ impl StopWatch {
         if !self.was_on {
             return;
         }
+        if phase == Phase::Running {
+            self.began_s.get_or_insert(now_s);
+        }
         if phase == Phase::RampDown {
             self.asked_s.get_or_insert(now_s);
         }
@@ -113,6 +141,20 @@ impl StopWatch {
             if is_sent {
                 self.sent_s.get_or_insert(at_s);
             }
+        }
+    }
+
+    /// What came in answer to a request to stop: a refusal is kept until something else is answered.
+    pub(super) fn answered<T>(&mut self, answer: &Result<T, LinkError>) {
+        match answer {
+            Ok(_) => self.last_refusal = None,
+            Err(LinkError::Exception {
+                request,
+                code,
+                name,
+                ..
+            }) => self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}")),
+            Err(_) => {}
         }
     }
 
@@ -147,10 +189,12 @@ impl StopWatch {
         let after_ms = |at_s: f64| 1e3 * (at_s - decided_s).max(0.0);
         Some(Stop {
             cause: self.cause.to_owned(),
+            at_s: self.began_s.map(|began_s| decided_s - began_s),
             ramp_ms: self.asked_s.map(|asked_s| 1e3 * (decided_s - asked_s)),
             sent_after_ms: self.sent_s.map(after_ms),
             confirmed_after_ms: self.confirmed_s.map(after_ms),
             attempts: self.attempts,
+            last_refusal: (self.last_refusal.clone()).filter(|_| self.confirmed_s.is_none()),
             watchdog_s,
         })
     }
@@ -191,14 +235,28 @@ mod tests {
         let stop = watch.stop(Some(0.2)).unwrap();
         assert_eq!(stop.attempts, 2);
         assert_eq!(
+            stop.short(),
+            "stopped: over-current at 5.00 s, zero confirmed after 25 ms"
+        );
+        assert_eq!(
             stop.sentence(),
             "stop sent 10.0 ms after over-current, confirmed after 25.0 ms (2 attempts)"
         );
         let last = watch.last_seconds().unwrap();
         assert_eq!((last.from_row, last.to_row), (300, 502));
+        let busy = LinkError::Exception {
+            link: "x".to_owned(),
+            request: "the command".to_owned(),
+            code: 6,
+            name: "device busy",
+        };
+        watch.answered::<()>(&Err(busy));
+        assert_eq!(watch.stop(None).unwrap().last_refusal, None);
         watch.withdraw();
         let stop = watch.stop(Some(0.2)).unwrap();
         has(stop.sentence(), "NOT confirmed");
+        let words = "0.2 s; last answer: exception 0x06 device busy to the command";
+        has(stop.sentence(), words);
         has(stop.sentence(), "its watchdog stops the motor after 0.2 s");
     }
 

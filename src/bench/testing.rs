@@ -21,7 +21,9 @@ use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Action, Input, Intent, Lost, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};
 use super::trip::TripKind;
-use crate::drive::{CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::drive::{
+    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, exception_name,
+};
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use crate::recording::{Layout, MemoryRecorder};
 use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
@@ -98,6 +100,8 @@ pub(super) enum Fault {
     NeverRuns,
     ClockStops,
     IgnoresStop,
+    /// Every request, with this exception.
+    Refuses(u8),
 }
 
 /// A drive with a first-order shaft and the current that goes with it: no physics, only states, stamps and faults.
@@ -194,6 +198,14 @@ impl DriveLink for ScriptedDrive {
             self.statistics.aborted += 1;
             return Err(gone(self.name().0));
         }
+        let refused = faults.iter().find_map(|fault| match fault {
+            Fault::Refuses(code) => Some(*code),
+            _ => None,
+        });
+        if let Some(code) = refused {
+            self.statistics.exception += 1;
+            return Err(refusal(self.name().0, code));
+        }
         self.statistics.ok += 1;
         self.voltage_v = command.demand.voltage_v().unwrap_or(0.0);
         let obeys = !has(Fault::NeverRuns) && !has(Fault::LeavesRunning);
@@ -273,6 +285,15 @@ impl DriveLink for ScriptedDrive {
 
 pub(super) fn gone(link: String) -> LinkError {
     LinkError::Gone(link, "unplugged".to_owned())
+}
+
+pub(super) fn refusal(link: String, code: u8) -> LinkError {
+    LinkError::Exception {
+        link,
+        request: "the command".to_owned(),
+        code,
+        name: exception_name(code),
+    }
 }
 
 pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {

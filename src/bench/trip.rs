@@ -20,6 +20,8 @@ pub enum TripKind {
     TimeLimit,
     /// No valid reply for longer than the limit.
     LinkSilence,
+    /// The same of a drive, or a gateway, that answers: with exceptions.
+    Refused,
     /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
     Suspended,
     /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
@@ -68,6 +70,10 @@ pub enum TripKind {
     FieldLost,
     /// The speed grows beyond its reference although the torque is against it.
     Runaway,
+    /// A speed loop swings by itself, and its gains cannot fall.
+    LoopSwings,
+    /// A speed loop stands at a limit and does not get to its reference.
+    LoopSaturated,
 }
 
 impl TripKind {
@@ -81,6 +87,7 @@ impl TripKind {
             Self::BusHigh => "bus voltage too high",
             Self::TimeLimit => "time limit",
             Self::LinkSilence => "link silent",
+            Self::Refused => "requests refused",
             Self::Suspended => "computer suspended",
             Self::HostGap => "host stood still",
             Self::SignalMissing => "signal missing",
@@ -105,12 +112,17 @@ impl TripKind {
             Self::SignalsSwapped => "signals swapped",
             Self::FieldLost => "field lost",
             Self::Runaway => "runaway",
+            Self::LoopSwings => "loop swings",
+            Self::LoopSaturated => "loop saturated",
         }
     }
 
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
-        matches!(self, Self::LinkSilence | Self::HostGap | Self::Suspended)
+        matches!(
+            self,
+            Self::LinkSilence | Self::Refused | Self::HostGap | Self::Suspended
+        )
     }
 }
 
@@ -152,6 +164,14 @@ impl Trip {
     ) -> Self {
         let what = format!("{what} for {value_s:.3} s, limit {limit_s:.3} s");
         Self::new(kind, at_s, (value_s, limit_s), what)
+    }
+
+    /// No valid reply for too long from somebody who answers; `said` is the refusal that came last.
+    pub(super) fn refused(at_s: f64, times_s: (f64, f64), said: &str) -> Self {
+        let mut trip = Self::after(TripKind::Refused, at_s, times_s, "no valid reply");
+        trip.reason.push_str("; the drive answers: ");
+        trip.reason.push_str(said);
+        trip
     }
 
     pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {

@@ -8,7 +8,7 @@ use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::failure::Failure;
-use super::output;
+use super::{opening, output};
 use crate::app::evidence::{EvidenceFiles, Judging, Prepared, prepare};
 use crate::app::export::require_parquet;
 use crate::app::files::{load, read_text};
@@ -490,7 +490,7 @@ impl LiveArguments {
     /// The bench file with the command line's overrides.
     fn bench_file(&self) -> Result<BenchFile, Failure> {
         let mut bench = match &self.bench {
-            Some(path) => BenchFile::parse(&path.display().to_string(), &read_text(path)?)?,
+            Some(path) => opening::bench_file(path)?,
             None => BenchFile::embedded_default(),
         };
         if let Some(port) = &self.port {

@@ -107,6 +107,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             title: prepared.about.title.clone(),
             guess_first: on_screen.guess,
             opens: Opens::Search,
+            stopped_at: pages::stopped_at(&prepared),
             fitted_on: prepared.run.run.name.clone(),
             history: prepared.model.file.history.clone(),
             output: on_screen.output.clone(),

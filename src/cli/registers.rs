@@ -1,26 +1,17 @@
 //! `registers`: raw Modbus registers, read and written, of any unit.
 //!
 //! ```text
-//! registers read  -> batch of reads -> values that are vouched for, rates, counters
-//! registers write -> what is there, what is to come -> yes? -> write once -> read back
+//! registers read  -> batch of reads -> app::registers: values that are vouched for, rates, counters
+//! registers write -> app::registers: what is there, what is to come -> yes? -> write once -> read back
 //! ```
-//!
-//! Writing is guarded, because a register of a drive may start a motor.
-
-use std::fmt::Write as _;
-use std::sync::atomic::AtomicBool;
 
 use clap::Subcommand;
-use serde::Serialize;
 
 use super::arguments::WireArguments;
 use super::failure::Failure;
-use super::output::{self, lines};
-use super::signals;
-use crate::drive::{
-    Batch, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable,
-    WriteFunction, read_batch, registers,
-};
+use super::{output, signals};
+use crate::app::registers::{ReadResult, WriteResult, verdict, write_once};
+use crate::drive::{MOST_READ, MOST_WRITTEN, ReadRequest, RegisterTable, read_batch, registers};
 
 /// Read or write raw Modbus registers of any unit, over a serial port or TCP
 #[derive(clap::Args)]
@@ -45,21 +36,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// What a link error means to someone who named the registers himself.
-fn failure(error: LinkError) -> Failure {
-    match error {
-        LinkError::Exception { .. } => Failure::link(
-            error.to_string(),
-            "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
-        ),
-        LinkError::Gone { .. } => {
-            let help = "the cable or the peer went away: check it, and ask again";
-            Failure::link(error.to_string(), help)
-        }
-        other => other.into(),
-    }
-}
-
 /// What a register takes: as [`number`], or negative in two's complement.
 fn value(text: &str) -> Result<u16, String> {
     match text.parse::<i16>() {
@@ -79,9 +55,6 @@ fn number(text: &str) -> Result<u16, String> {
     parsed
         .ok_or_else(|| format!("{text:?} is not a number from 0 to 65535 (0x... for hexadecimal)"))
 }
-
-/// Values on one line of the text.
-const A_LINE: usize = 8;
 
 /// Read registers by protocol address; exit status 0 when every read is answered, 3 otherwise
 #[derive(clap::Args)]
@@ -120,29 +93,6 @@ fn span(text: &str) -> Result<(u16, u16), String> {
     last.map(|_| (address, count)).ok_or_else(beyond)
 }
 
-/// The result as JSON.
-#[derive(Serialize)]
-struct ReadResult {
-    reads: Vec<ReadOutcome>,
-    /// Reads of all rounds.
-    asked: u64,
-    answered: u64,
-    rate_hz: Option<f64>,
-    p50_us: Option<f64>,
-    p99_us: Option<f64>,
-    worst_us: Option<f64>,
-    counters: RawCounters,
-}
-
-#[derive(Serialize)]
-struct ReadOutcome {
-    address: u16,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    values: Option<Vec<u16>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    error: Option<String>,
-}
-
 fn read(arguments: &ReadArguments) -> Result<(), Failure> {
     let table = if arguments.input {
         RegisterTable::Input
@@ -163,99 +113,13 @@ fn read(arguments: &ReadArguments) -> Result<(), Failure> {
     let counters = client.counters();
     drop(client);
     drop(tap);
-    let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
-    let reads = batch.reads.iter().map(|read| ReadOutcome {
-        address: read.request.address,
-        values: read.values.as_ref().ok().cloned(),
-        error: read.values.as_ref().err().map(ToString::to_string),
-    });
-    let result = ReadResult {
-        reads: reads.collect(),
-        asked: batch.asked,
-        answered: batch.answered,
-        rate_hz: batch.rate_hz(),
-        p50_us: us(batch.quantile_s(0.5)),
-        p99_us: us(batch.quantile_s(0.99)),
-        worst_us: us(batch.quantile_s(1.0)),
-        counters,
-    };
-    output::result(&result, arguments.json, read_text)?;
+    let result = ReadResult::of(&batch, counters);
+    output::result(&result, arguments.json, ReadResult::text)?;
     if batch.is_interrupted {
         let headline = format!("interrupted after {} of the reads", batch.asked);
         return Err(Failure::interrupted(headline));
     }
     verdict(batch)
-}
-
-/// Every read was answered, or the first that was not is the failure.
-fn verdict(batch: Batch) -> Result<(), Failure> {
-    if batch.is_all_answered() {
-        return Ok(());
-    }
-    let missing = batch.asked - batch.answered.min(batch.asked);
-    match batch.reads.into_iter().find_map(|read| read.values.err()) {
-        Some(error) => Err(failure(error)),
-        None => Err(Failure::link(
-            format!("{missing} of {} reads got no answer", batch.asked),
-            "see the counters: timeout (cable, power), crc (noise, baud rate), stale (late replies: a longer --timeout-ms)",
-        )),
-    }
-}
-
-fn read_text(result: &ReadResult) -> String {
-    let mut text = String::new();
-    for read in &result.reads {
-        if let Some(error) = &read.error {
-            let _ = writeln!(text, "{:>5}  error: {error}", read.address);
-        }
-        let lines = read.values.as_deref().unwrap_or_default().chunks(A_LINE);
-        for (index, line) in lines.enumerate() {
-            let decimal: Vec<String> = line.iter().map(|value| format!("{value:>5}")).collect();
-            let hexadecimal: Vec<String> = line.iter().map(|v| format!("{v:04x}")).collect();
-            let (decimal, hexadecimal) = (decimal.join(" "), hexadecimal.join(" "));
-            let address = usize::from(read.address) + index * A_LINE;
-            let _ = writeln!(text, "{address:>5}  {decimal:<48} {hexadecimal}");
-        }
-    }
-    let c = &result.counters;
-    let r = &c.requests;
-    if let (true, Some(rate_hz), Some(p50), Some(p99), Some(worst)) = (
-        result.asked > result.reads.len() as u64,
-        result.rate_hz,
-        result.p50_us,
-        result.p99_us,
-        result.worst_us,
-    ) {
-        let _ = writeln!(
-            text,
-            "{} of {} reads answered, {rate_hz:.0} per second; round trip {p50:.0} us (median), {p99:.0} us (99 %), {worst:.0} us (worst)",
-            result.answered, result.asked
-        );
-    }
-    // What a probe that the line is in step was refused is no refusal of anything that was asked for.
-    let is_clean = result.answered == result.asked
-        && result.reads.iter().all(|read| read.error.is_none())
-        && r.timeout + r.crc + r.stale + r.mismatch + r.aborted == 0;
-    if !is_clean {
-        let probes = match c.probes {
-            0 => String::new(),
-            1 => " and 1 probe that the line is in step".to_owned(),
-            count => format!(" and {count} probes that the line is in step"),
-        };
-        let _ = writeln!(
-            text,
-            "{} requests{probes}: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
-            r.sent - c.probes,
-            r.ok,
-            r.timeout,
-            r.crc,
-            r.stale,
-            r.mismatch,
-            r.exception,
-            r.aborted
-        );
-    }
-    text
 }
 
 /// Write holding registers once, read them back and compare; asks before, or needs --yes
@@ -293,23 +157,6 @@ struct WriteArguments {
     json: bool,
 }
 
-/// The result as JSON.
-#[derive(Serialize)]
-struct WriteResult<'a> {
-    address: u16,
-    /// Null where the registers cannot be read.
-    before: Option<Vec<u16>>,
-    written: &'a [u16],
-    after: Option<Vec<u16>>,
-    /// The registers read back what was written.
-    confirmed: bool,
-    /// Why the write itself was not acknowledged.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    error: Option<String>,
-    is_emulator: bool,
-    counters: RawCounters,
-}
-
 fn write(arguments: &WriteArguments) -> Result<(), Failure> {
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
@@ -323,76 +170,12 @@ fn write(arguments: &WriteArguments) -> Result<(), Failure> {
     }
     let tap = arguments.wire.tap()?;
     let mut client = arguments.wire.open(&tap)?;
-    let is_emulator = is_emulator(&mut client)?;
-    let before = read_back(&mut client, address, count);
-    if let Err(error @ (LinkError::Timeout { .. } | LinkError::Gone { .. })) = before {
-        return Err(error.into());
-    }
-    let before = before.ok();
-    announce(address, before.as_deref(), values);
-    consent(arguments, is_emulator)?;
-    let function = if values.len() > 1 || arguments.multiple {
-        WriteFunction::Multiple
-    } else {
-        WriteFunction::Single
-    };
-    let written = client.write(function, address, values);
-    // Whether it was acknowledged or not, what counts is what the unit holds.
-    let after = read_back(&mut client, address, count);
-    let confirmed = after.as_ref().is_ok_and(|after| after == values);
-    let result = WriteResult {
-        address,
-        before,
-        written: values,
-        after: after.as_ref().ok().cloned(),
-        confirmed,
-        error: written.as_ref().err().map(ToString::to_string),
-        is_emulator,
-        counters: client.counters(),
-    };
+    let consent = |is_emulator| consent(arguments, is_emulator);
+    let (result, verdict) = write_once(&mut client, address, values, arguments.multiple, consent)?;
     drop(client);
     drop(tap);
-    output::result(&result, arguments.json, write_text)?;
-    match (written, after) {
-        (Err(error), _) | (Ok(()), Err(error)) => Err(failure(error)),
-        (Ok(()), Ok(_)) if confirmed => Ok(()),
-        (Ok(()), Ok(after)) => Err(Failure::link(
-            format!("the unit acknowledged {values:?} at {address} and holds {after:?}"),
-            "the register may be limited, clear itself, or be writable only in another state; see the drive's manual",
-        )),
-    }
-}
-
-/// Only what says so itself is an emulator; a unit that answers otherwise, or not, counts as hardware.
-fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
-    match client.identify() {
-        Ok(identity) => Ok(identity.is_some_and(|identity| identity.is_emulator)),
-        Err(error) if error.is_transient() => Ok(false),
-        Err(error) => Err(error.into()),
-    }
-}
-
-/// The values now, vouched for.
-fn read_back(client: &mut RawClient, address: u16, count: u16) -> Result<Vec<u16>, LinkError> {
-    let request = ReadRequest {
-        table: RegisterTable::Holding,
-        address,
-        count,
-    };
-    let never = AtomicBool::new(false);
-    let reads = read_batch(client, &[request], 1, &never).reads;
-    let read = reads.into_iter().next();
-    read.map_or(Ok(Vec::new()), |read| read.values)
-}
-
-/// Told before anything is asked or done.
-fn announce(address: u16, before: Option<&[u16]>, values: &[u16]) {
-    for (index, value) in values.iter().enumerate() {
-        let there = before.and_then(|before| before.get(index));
-        let there = there.map_or("?".to_owned(), ToString::to_string);
-        let address = usize::from(address) + index;
-        output::message(&format!("{address:>5}  {there} -> {value} (0x{value:04x})"));
-    }
+    output::result(&result, arguments.json, WriteResult::text)?;
+    verdict
 }
 
 fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure> {
@@ -418,24 +201,6 @@ fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure>
             "add --yes to write without a question",
         )),
     }
-}
-
-fn write_text(result: &WriteResult<'_>) -> String {
-    let mut text = String::new();
-    let (what, address) = (registers(result.written.len()), result.address);
-    let confirmed = if result.confirmed {
-        "confirmed by reading back"
-    } else {
-        "NOT confirmed"
-    };
-    let _ = writeln!(text, "{what} at {address}: {confirmed}");
-    let after = result.after.as_ref().filter(|_| !result.confirmed);
-    lines(
-        &mut text,
-        "the unit holds ",
-        after.map(|after| format!("{after:?}")),
-    );
-    text
 }
 
 #[cfg(test)]

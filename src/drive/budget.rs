@@ -334,6 +334,19 @@ mod tests {
         assert!(budget.usual_rate_hz() < budget.rate_hz());
     }
 
+    #[test]
+    fn no_profile_promises_a_rate_that_its_own_replies_do_not_allow() {
+        for name in DriveProfile::names() {
+            let mut profile = DriveProfile::named(name).unwrap();
+            let Some(fast_hz) = profile.registers.as_ref().map(|map| map.rates.fast_hz) else {
+                continue;
+            };
+            profile.link.protocol = Protocol::ModbusRtu;
+            let most_hz = LineBudget::of(&profile).unwrap().rate_hz();
+            assert!(fast_hz <= most_hz, "{name}: {fast_hz} Hz, {most_hz:.2} Hz");
+        }
+    }
+
     /// Strict gap, 0.5 ms drive, 1.2 ms USB.
     #[test]
     fn the_arithmetic_is_that_of_the_table() {

@@ -3,6 +3,7 @@
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::MetadataExt;
+use std::path::Path;
 use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
@@ -53,7 +54,7 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
         serialport::ErrorKind::Io(kind) => {
             return open_error(path, &io::Error::new(kind, error.to_string()));
         }
-        serialport::ErrorKind::NoDevice => match holder_names(path) {
+        serialport::ErrorKind::NoDevice => match holder_names(Path::new(path)) {
             None => format!("another program holds it, or it is no port ({error})"),
             Some(names) => format!("{names} holds it ({error})"),
         },

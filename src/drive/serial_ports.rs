@@ -135,8 +135,8 @@ pub fn holders(root: &Path, path: &Path) -> Vec<Holder> {
 }
 
 /// The names of those programs; `None`: nobody, as far as we can see.
-pub(super) fn holder_names(path: &str) -> Option<String> {
-    let holders = holders(Path::new("/"), Path::new(path));
+pub fn holder_names(path: &Path) -> Option<String> {
+    let holders = holders(Path::new("/"), path);
     let names: Vec<String> = holders.iter().map(ToString::to_string).collect();
     (!names.is_empty()).then(|| names.join(", "))
 }

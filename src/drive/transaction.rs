@@ -73,6 +73,11 @@ impl Bound {
         self.until.is_some_and(|until| wanted || now >= until)
     }
 
+    /// Whether the exchange has to end before `at`.
+    pub(super) fn ends_before(&self, at: Instant) -> bool {
+        self.until.is_some_and(|until| until < at)
+    }
+
     /// `at`, or where the exchange has to end.
     pub(super) fn earlier(&self, at: Instant) -> Instant {
         self.until.map_or(at, |until| at.min(until))
@@ -394,7 +399,10 @@ mod tests {
         bound.set(0.08, now);
         assert!(bound.is_set() && !bound.is_over(now + Duration::from_millis(79)));
         assert!(bound.is_over(now + Duration::from_millis(80)));
+        assert!(bound.ends_before(now + Duration::from_millis(81)));
+        assert!(!bound.ends_before(now + Duration::from_millis(80)));
         bound.set(f64::INFINITY, now);
-        assert!(!bound.is_set() && !bound.is_over(now + Duration::from_secs(3600)));
+        let late = now + Duration::from_secs(3600);
+        assert!(!bound.is_set() && !bound.is_over(late) && !bound.ends_before(late));
     }
 }

@@ -41,3 +41,4 @@ pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};
 pub use response::ResponseScreen;
 pub use theme::use_light;
+pub use traces::StoppedAt;

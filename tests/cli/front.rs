@@ -256,6 +256,79 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
 }
 
 #[test]
+fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
+    let desk = Desk::new();
+    let own = model(&desk, "own.toml", STRIBECK);
+    let runs = Runs::plain();
+    let (fit, other): (&Path, &Path) = (runs.fit.as_ref(), runs.holdout.as_ref());
+    let text = "export --torque-map friction --run {} --run {} --model {} --to csv";
+    let table = call(text, &[fit, other, &own]).expect(0).stdout;
+    let rows: Vec<Vec<&str>> = table
+        .lines()
+        .map(|line| line.split(',').collect())
+        .collect();
+    assert_eq!(
+        rows[0].join(","),
+        "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows"
+    );
+    assert_eq!(rows.len(), 25, "{table}");
+    let mut known = 0;
+    for row in &rows[1..] {
+        let [speed, cells @ .., windows] = row.as_slice() else {
+            panic!("{row:?}")
+        };
+        let windows: u32 = windows.parse().unwrap();
+        assert_eq!(
+            cells.iter().all(|cell| cell.is_empty()),
+            windows < 4,
+            "{row:?}"
+        );
+        if windows < 4 {
+            continue;
+        }
+        known += 1;
+        let against = speed.parse::<f64>().unwrap().signum();
+        let [mean, low, high] = [0, 1, 2].map(|at| against * cells[at].parse::<f64>().unwrap());
+        // Coulomb friction of the specimen, which the nameplate knows to a tenth; of its J and Kt too.
+        assert!(mean > 0.25 && mean < 0.65, "{row:?}");
+        assert!((low - mean) * (high - mean) < 0.0, "{row:?}");
+    }
+    assert!(known >= 6, "{table}");
+    let header = desk.path("cogging.h");
+    let text = "export --torque-map cogging --run {} --model {} --to c --output {}";
+    let said = call(text, &[fit, &own, &header]).expect(0).stdout;
+    has(&said, &["cogging of ZK-22FC, ", " of 72 bins measured in"]);
+    has(
+        &fs::read_to_string(&header).unwrap(),
+        &["cogging_torque(float angle_rad,"],
+    );
+    for (text, paths, words) in [
+        (
+            "export --torque-map friction --run {} --to csv",
+            vec![fit],
+            "--model",
+        ),
+        (
+            "export --torque-map friction --run {} --model {} --to json",
+            vec![fit, &own],
+            "a torque map as csv or c",
+        ),
+        (
+            "export --model {} --to csv",
+            vec![own.as_path()],
+            "--torque-map",
+        ),
+        (
+            "export --torque-map drag --run {} --model {} --to csv",
+            vec![fit, &own],
+            "friction, cogging",
+        ),
+    ] {
+        has(&refusal(text, &paths), &[words]);
+    }
+}
+
+#[test]
 fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
     let desk = Desk::new();
     if cfg!(not(feature = "parquet")) {

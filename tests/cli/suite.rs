@@ -143,6 +143,43 @@ fn a_step_that_made_no_run_is_not_judged_by_the_run_of_another() {
 }
 
 #[test]
+fn a_step_about_no_run_carries_none_and_the_one_before_it_stays_the_last() {
+    let desk = Desk::new();
+    let text = "name = \"plans\"\n[defaults]\nemulator = \"zk-22fc-plain\"\n[[case]]\nname = \"between\"\n\
+                [[case.step]]\nexcite = {}\n[[case.step]]\nplan = {}\n[[case.step]]\nidentify = {}\n";
+    let found = found_by(&tested(&desk, text, "").expect(0));
+    for name in ["j.xml", "m.txt"] {
+        fs::remove_file(desk.path(name)).unwrap();
+    }
+    let steps = found["cases"][0]["steps"].as_array().unwrap();
+    assert!(word(&steps[2], "/command").contains("/runs/"), "{steps:?}");
+    let judged = "[[case.step]]\nof = \"plan\"\n\
+                  signal = [{ channel = \"current_a\", at_s = 0.2, value = 0.0, within = 99.0 }]\n";
+    let done = tested(&desk, &format!("{text}{judged}"), "").expect(1);
+    has(&done.stderr, &["signal: no run was recorded"]);
+}
+
+#[test]
+fn a_file_with_other_keys_is_made_for_the_case() {
+    let desk = Desk::new();
+    desk.put("bench.toml", BENCH);
+    let case = |key: &str| {
+        format!(
+            "name = \"files\"\n[[case]]\nname = \"slow\"\nbench = \"@case/slow.toml\"\n[[case.step]]\n\
+             file = {{ of = \"bench.toml\", name = \"slow.toml\", set = {{ limits = {{ {key} = 100.0 }} }} }}\n\
+             [[case.step]]\nplan = {{}}\nstatus = 2\n[[case.step]]\nassert = {{ error = \"~ WORDS\" }}\n"
+        )
+    };
+    let text = case("speed_rad_s").replace("WORDS", "100");
+    tested(&desk, &text, "").expect(0);
+    for name in ["j.xml", "m.txt"] {
+        fs::remove_file(desk.path(name)).unwrap();
+    }
+    let text = case("speed_rads").replace("WORDS", "unknown field `speed_rads`");
+    tested(&desk, &text, "").expect(0);
+}
+
+#[test]
 fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let desk = Desk::new();
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\

@@ -413,6 +413,7 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
                 [
                     "run-seed",
                     "drive",
+                    "output",
                     "holdout",
                     "controller",
                     "reset-fault",

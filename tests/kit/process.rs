@@ -180,7 +180,7 @@ impl KeptWaiting {
 const STOOD_STILL_S: f64 = 0.02;
 /// Statuses of a link that was lost and of a trip: what a machine that stands still ends in, as it must.
 const LOST: [i32; 2] = [3, 4];
-const ATTEMPTS: u32 = 3;
+const ATTEMPTS: u32 = 5;
 
 /// A command in real time, with what it left behind. It is repeated only where it lost its link and the machine is seen to
 /// have stood still meanwhile, which says nothing of what is tested; whatever else goes wrong stands.

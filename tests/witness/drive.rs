@@ -96,6 +96,8 @@ pub(crate) struct Drive {
     delay_s: f64,
     /// When the fault begins, once that is known.
     pub(crate) from_s: Option<f64>,
+    /// Since when every reading has told something else than the truth, s.
+    apart_s: Option<f64>,
     /// When the host could first have seen it.
     pub(crate) visible_s: Option<f64>,
     /// Last write that was heard while the output was on.
@@ -430,8 +432,14 @@ impl Drive {
             Act::SecondMaster | Act::LateOnce(_) => false,
             _ => true,
         };
-        if is_seen && self.is_on() || matches!(self.act, Act::Trip | Act::CommLoss) {
-            self.see();
+        let is_seen = is_seen && self.is_on() || matches!(self.act, Act::Trip | Act::CommLoss);
+        // A single reading says nothing of its sensor: a current that is read four times as large at the end of an acceleration,
+        // and nothing that differs enough for as long as a loop then holds its speed, cannot be told from a true one.
+        let is_reading = matches!(self.act, Act::Speed(_) | Act::Current(_));
+        let since_s = self.apart_s.filter(|_| is_reading);
+        self.apart_s = is_seen.then(|| since_s.unwrap_or(self.now_s));
+        if is_seen && (since_s.is_some() || !is_reading) {
+            self.visible_s = self.visible_s.or(self.apart_s);
         }
         told
     }

@@ -214,9 +214,6 @@ const TRIP: &[i32] = &[4];
 const LINK_OR_TRIP: &[i32] = &[3, 4];
 /// The longer of 200 ms and 5 cycles, in which a measurement that cannot be is found out, s.
 const FOUND_OUT_S: f64 = 0.2;
-/// In which a factor of the current is: it shows in what voltage and acceleration both ask for, and a loop that holds its
-/// speed accelerates nothing until its reference moves, s.
-const FACTOR_FOUND_OUT_S: f64 = 0.3;
 /// In which somebody else on the line shows in what they leave, s.
 const NOTICED_S: f64 = 1.0;
 
@@ -242,7 +239,7 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
             LINK,
             "exception 0x04|device failure|server failure",
         ),
-        Act::Exception(_) => (Cut(0.0), LINK, "busy|exception 0x06|no reply|silent"),
+        Act::Exception(_) => (Cut(0.0), LINK, "exception 0x06"),
         Act::Dead(f64::INFINITY) => (Watchdog, LINK, "no reply|silent|gone"),
         Act::Dead(seconds) => (Cut(seconds), LINK, "no reply|silent|gone"),
         Act::Mute => (Cut(0.0), LINK, "no reply|silent"),
@@ -259,7 +256,6 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
             };
             (Cut(FOUND_OUT_S), TRIP, words)
         }
-        Act::Current(Sensor::Scaled(by)) if by > 0.0 => (Cut(FACTOR_FOUND_OUT_S), TRIP, "current"),
         Act::Current(_) => (Cut(FOUND_OUT_S), TRIP, "current"),
         Act::SetPointsIgnored => (Cut(FOUND_OUT_S), TRIP, "set-point|setpoint|voltage"),
         // Nor does it tell that it has stopped.

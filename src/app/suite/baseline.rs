@@ -7,9 +7,12 @@
 //! ```
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
 
 use serde_json::Value;
 
+use super::process::{self, End};
 use crate::app::failure::Failure;
 use crate::app::files::read_text;
 use crate::identification::drift::{Drift, between, name};
@@ -153,6 +156,52 @@ impl Baseline {
     fn is_same(&self, before: &Machine, now: &Machine) -> bool {
         self.any_machine || before.is_like(now)
     }
+}
+
+/// What a step found on which machine and, where there is a baseline, what has drifted since.
+///
+/// # Errors
+/// As [`Baseline::drift`].
+pub(super) fn found(
+    baseline: Option<&Baseline>,
+    names: (&str, &str),
+    result: &Value,
+    run: Option<&Path>,
+    identify: impl FnMut(&Path) -> Result<Value, String>,
+) -> Result<IdentifiedStep, String> {
+    let manifest = run.and_then(manifest_of).unwrap_or_default();
+    let mut found = IdentifiedStep {
+        machine: manifest.machine(),
+        excitation: manifest.excitation(),
+        parameters: result["parameters"].clone(),
+        drift: None,
+    };
+    if let Some(baseline) = baseline {
+        found.drift = Some(baseline.drift(names, &found, identify)?);
+    }
+    Ok(found)
+}
+
+/// The parameters that the command of a step finds in an earlier run.
+///
+/// # Errors
+/// Why it finds none.
+pub(super) fn identified(
+    command: Command,
+    [stdout, stderr]: [PathBuf; 2],
+    timeout_s: f64,
+    stop: &AtomicBool,
+) -> Result<Value, String> {
+    let done = process::finish(command, &stdout, &stderr, timeout_s, stop);
+    let done = done.map_err(|error| error.to_string())?;
+    if done.end != End::Status(0) {
+        let said = process::error_said(&stderr);
+        let said = said.unwrap_or_else(|| "it did not end in its time".to_owned());
+        return Err(format!("the baseline cannot be identified: {said}"));
+    }
+    let text = std::fs::read_to_string(&stdout).unwrap_or_default();
+    let result: Value = serde_json::from_str(&text).unwrap_or_default();
+    Ok(result["parameters"].clone())
 }
 
 impl Source {

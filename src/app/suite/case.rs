@@ -9,11 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
 
-use super::baseline::{Baseline, figures as drift_figures, manifest_of};
+use super::baseline::{self, Baseline};
 use super::host::{self, STOOD_STILL_S, Stage};
 use super::line::Line;
 use super::own_drive::{self, DriveOrder, OwnDrive};
-use super::process::{self, Done, End, Watch, monotonic_s};
+use super::process::{self, Done, End, Watch, error_said, monotonic_s};
 use crate::app::failure::{INTERRUPTED, LINK, REFUSED, TRIP};
 use crate::app::files::read_text;
 use crate::app::{opening, output};
@@ -21,7 +21,7 @@ use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, Answered, CASE, Case, CaseOutcome, Check, HostAct, IdentifiedStep, Limit,
+    Act, Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, HostAct, Limit,
     SignalLimit, Step, StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 
@@ -80,8 +80,9 @@ struct Progress<'a> {
     seed: u64,
     folder: &'a Path,
     left: BTreeMap<String, Left>,
-    /// Name of the last command.
+    /// Name of the last command, and of the last one that was about a run.
     last: Option<String>,
+    last_with_run: Option<String>,
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
     outcomes: Vec<StepOutcome>,
@@ -169,6 +170,7 @@ fn attempt(
         folder,
         left: BTreeMap::new(),
         last: None,
+        last_with_run: None,
         changed: toml::Table::new(),
         outcomes: Vec::new(),
         drive: None,
@@ -209,6 +211,7 @@ impl<'a> Progress<'a> {
                 merge(&mut self.changed, keys);
                 Ok(())
             }
+            Action::File(file) => self.make(file),
             Action::Command {
                 verb,
                 options,
@@ -231,7 +234,7 @@ impl<'a> Progress<'a> {
         statuses: &[u8],
         host: Option<HostAct>,
     ) -> Result<(), Ended> {
-        let has_own_drive = self.case.has_own_drive() && verb.is_live();
+        let has_own_drive = self.case.has_own_drive() && verb.has_link();
         let mut line = None;
         if has_own_drive {
             line = self.plug_in(host)?;
@@ -245,10 +248,7 @@ impl<'a> Progress<'a> {
                 .join(format!("{number:02}-{}.{ending}", step.name))
         };
         let (stdout, stderr) = (file("json"), file("txt"));
-        let mut command = Command::new(self.bench.program);
-        command
-            .args(&words)
-            .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        let command = self.command_of(&words);
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
         let before = host::runs_in(&self.folder.join("runs"));
         let begin_s = monotonic_s();
@@ -306,17 +306,20 @@ impl<'a> Progress<'a> {
         }
         let run = if verb.is_live() {
             host::newest(&self.folder.join("runs"), &before)
-        } else {
+        } else if verb.has_run() {
             self.run_about(options)?
+        } else {
+            None
         };
         self.keep(step, verb, &stdout, &done, error, run);
         if let Some(left) = self.left.get_mut(&step.name)
             && let Value::Object(figures) = &mut left.result
         {
-            // A sentence that was folded is one line again.
-            let said = fs::read_to_string(&stderr)
-                .unwrap_or_default()
-                .replace("\n  ", " ");
+            // What it says to programs is under `error`; a sentence that was folded is one line again.
+            let said = fs::read_to_string(&stderr).unwrap_or_default();
+            let said = said.split_inclusive('\n');
+            let said = said.filter(|line| !line.starts_with("{\"error\""));
+            let said = said.collect::<String>().replace("\n  ", " ");
             figures.insert("said".to_owned(), said.into());
             figures.extend(motor.map(|motor| ("motor".to_owned(), motor)));
             figures.extend(host_said.map(|said| ("host".to_owned(), said)));
@@ -337,34 +340,27 @@ impl<'a> Progress<'a> {
         let Some(Left { result, run }) = self.left.get(&step.name) else {
             return Ok(());
         };
-        let manifest = run.as_deref().and_then(manifest_of);
-        let manifest = manifest.unwrap_or_default();
-        let mut found = IdentifiedStep {
-            machine: manifest.machine(),
-            excitation: manifest.excitation(),
-            parameters: result["parameters"].clone(),
-            drift: None,
+        let (number, mut earlier) = (self.outcomes.len(), 0);
+        let identify = |run: &Path| {
+            earlier += 1;
+            let same = options.iter().filter(|(key, _)| key != "run").cloned();
+            let run = toml::Value::String(run.display().to_string());
+            let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
+            let words = self.words(Verb::Identify, &options, &self.bench.port, false);
+            let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
+            let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
+            let files = ["json", "txt"].map(|ending| self.folder.join(format!("{name}.{ending}")));
+            baseline::identified(self.command_of(&words), files, timeout_s, self.bench.stop)
         };
-        if let Some(baseline) = self.bench.baseline {
-            let number = self.outcomes.len();
-            let mut earlier = 0;
-            let identify = |run: &Path| {
-                earlier += 1;
-                let same = options.iter().filter(|(key, _)| key != "run").cloned();
-                let run = toml::Value::String(run.display().to_string());
-                let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
-                let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
-                self.identify_earlier(&options, &name, timeout_s)
-            };
-            let drift = baseline.drift((&self.case.name, &step.name), &found, identify);
-            let drift = drift.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
-            if let Some(Value::Object(figures)) =
-                self.left.get_mut(&step.name).map(|left| &mut left.result)
-            {
-                let own = drift_figures(&drift).into_iter();
-                figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
-            }
-            found.drift = Some(drift);
+        let names = (self.case.name.as_str(), step.name.as_str());
+        let found = baseline::found(self.bench.baseline, names, result, run.as_deref(), identify);
+        let found = found.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
+        if let (Some(drift), Some(Value::Object(figures))) = (
+            &found.drift,
+            self.left.get_mut(&step.name).map(|left| &mut left.result),
+        ) {
+            let own = baseline::figures(drift).into_iter();
+            figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
         }
         if let Some(outcome) = self.outcomes.last_mut() {
             outcome.identified = Some(found);
@@ -372,31 +368,13 @@ impl<'a> Progress<'a> {
         Ok(())
     }
 
-    /// What the command of a step finds in an earlier run.
-    fn identify_earlier(
-        &self,
-        options: &[(String, toml::Value)],
-        name: &str,
-        timeout_s: f64,
-    ) -> Result<Value, String> {
-        let words = self.words(Verb::Identify, options, &self.bench.port, false);
-        let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
-        let file = |ending: &str| self.folder.join(format!("{name}.{ending}"));
-        let (stdout, stderr) = (file("json"), file("txt"));
+    /// This program with these words.
+    fn command_of(&self, words: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
         command
-            .args(&words)
+            .args(words)
             .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
-        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop);
-        let done = done.map_err(|error| error.to_string())?;
-        if done.end != End::Status(0) {
-            let said =
-                error_said(&stderr).unwrap_or_else(|| "it did not end in its time".to_owned());
-            return Err(format!("the baseline cannot be identified: {said}"));
-        }
-        let text = fs::read_to_string(&stdout).unwrap_or_default();
-        let result: Value = serde_json::from_str(&text).unwrap_or_default();
-        Ok(result["parameters"].clone())
+        command
     }
 
     fn act_on(
@@ -410,7 +388,7 @@ impl<'a> Progress<'a> {
     ) -> Result<host::Came, Ended> {
         let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
         let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
-        let mut other = || OwnDrive::start(&order.order());
+        let mut other = || OwnDrive::start(&order);
         let runs = self.folder.join("runs");
         let before = host::runs_in(&runs);
         let gone = || Ended::error("the software drive is gone".to_owned());
@@ -451,7 +429,7 @@ impl<'a> Progress<'a> {
             self.drive = None;
             let name = format!("drive-{}", self.outcomes.len() + 1);
             let order = self.order(self.seed, &name)?;
-            let drive = OwnDrive::start(&order.order()).map_err(cannot)?;
+            let drive = OwnDrive::start(&order).map_err(cannot)?;
             self.drive = Some((drive, self.changed.clone()));
         }
         let on_line = host.is_some_and(|host| host.act.is_on_line());
@@ -461,16 +439,11 @@ impl<'a> Progress<'a> {
     }
 
     /// What a software drive of this case is started with.
-    fn order(&self, seed: u64, name: &str) -> Result<KeptOrder<'a>, Ended> {
-        let bench = match &self.case.bench {
+    fn order(&self, seed: u64, name: &str) -> Result<DriveOrder<'a>, Ended> {
+        let bench = match self.bench_path()? {
             None => BenchFile::embedded_default(),
-            Some(bench) => {
-                let path = self.bench.home.join(bench);
-                let text = read_text(&path)
-                    .map_err(|failure| Ended::error(failure.headline().to_owned()))?;
-                BenchFile::parse(&path.display().to_string(), &text)
-                    .map_err(|error| Ended::error(error.to_string()))?
-            }
+            Some(path) => opening::bench_file(&path)
+                .map_err(|failure| Ended::error(failure.headline().to_owned()))?,
         };
         let named = self.emulator()?;
         let named = named.unwrap_or_else(|| bench.emulator.config.clone());
@@ -478,12 +451,13 @@ impl<'a> Progress<'a> {
         let watchdog_s = opening::emulator_config(&named).map_or(GUISE_WATCHDOG_S, |config| {
             f64::from(config.watchdog_ms) * 1e-3
         });
-        Ok(KeptOrder {
+        Ok(DriveOrder {
             program: self.bench.program,
             folder: self.folder,
             name: name.to_owned(),
             emulator: named,
-            bench,
+            profile: bench.drive.profile,
+            protocol: bench.link.protocol,
             seed,
             watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
             stop: self.bench.stop,
@@ -587,10 +561,14 @@ impl<'a> Progress<'a> {
         let run = recorded.and_then(Value::as_str).map(PathBuf::from).or(run);
         self.left.insert(step.name.clone(), Left { result, run });
         self.last = Some(step.name.clone());
+        if verb.has_run() {
+            self.last_with_run.clone_from(&self.last);
+        }
     }
 
     fn last_run(&self) -> Option<&Path> {
-        self.left.get(self.last.as_ref()?)?.run.as_deref()
+        let last = self.last_with_run.as_ref()?;
+        self.left.get(last)?.run.as_deref()
     }
 
     /// The run that a command which records none is about: the one that it is given, else that of the last command.
@@ -619,8 +597,8 @@ impl<'a> Progress<'a> {
         };
         let given = |key: &str| option(key).and_then(toml::Value::as_str);
         if verb.is_live() || verb == Verb::Plan {
-            if let Some(bench) = &self.case.bench {
-                words.push(self.bench.home.join(bench).display().to_string());
+            if let Some(bench) = self.bench_path()? {
+                words.push(bench.display().to_string());
             }
         } else if let Some(effect) = given("effect") {
             words.push(effect.to_owned());
@@ -628,7 +606,7 @@ impl<'a> Progress<'a> {
         if verb == Verb::Probe {
             words.extend(["--port".to_owned(), port.to_owned()]);
         }
-        if !verb.is_live() && !matches!(verb, Verb::Plan | Verb::Probe) {
+        if !verb.is_live() && verb.has_run() {
             let run = self.run_about(options)?;
             let run = run.ok_or_else(|| {
                 Ended::error(format!(
@@ -691,6 +669,32 @@ impl<'a> Progress<'a> {
         let run = self.left.get(name).and_then(|left| left.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))
+    }
+
+    /// The bench file of the case.
+    fn bench_path(&self) -> Result<Option<PathBuf>, Ended> {
+        let Some(bench) = &self.case.bench else {
+            return Ok(None);
+        };
+        Ok(Some(match reference(bench) {
+            Some(_) => PathBuf::from(self.resolved(bench)?),
+            None => self.bench.home.join(bench),
+        }))
+    }
+
+    /// Makes a file with other keys than those of the one that it is of.
+    fn make(&self, file: &ChangedFile) -> Result<(), Ended> {
+        let wrong = |error: &dyn std::fmt::Display| Ended::error(format!("file: {error}"));
+        let path = self.bench.home.join(&file.of);
+        let text = read_text(&path).map_err(|failure| wrong(&failure.headline()))?;
+        let mut table: toml::Table = text.parse().map_err(|error| wrong(&error))?;
+        let mut keys = toml::Value::Table(file.set.clone());
+        lead_to(&mut keys, self.folder);
+        if let toml::Value::Table(keys) = &keys {
+            merge(&mut table, keys);
+        }
+        let text = toml::to_string(&table).map_err(|error| wrong(&error))?;
+        fs::write(self.folder.join(&file.name), text).map_err(|error| wrong(&error))
     }
 
     /// The emulator's name or file, with what the faults changed in it.
@@ -771,34 +775,6 @@ impl<'a> Progress<'a> {
     }
 }
 
-/// A [`DriveOrder`] that owns what it was made of.
-struct KeptOrder<'a> {
-    program: &'a Path,
-    folder: &'a Path,
-    name: String,
-    emulator: String,
-    bench: BenchFile,
-    seed: u64,
-    watchdog_s: f64,
-    stop: &'a AtomicBool,
-}
-
-impl KeptOrder<'_> {
-    fn order(&self) -> DriveOrder<'_> {
-        DriveOrder {
-            program: self.program,
-            folder: self.folder,
-            name: self.name.clone(),
-            emulator: Some(self.emulator.clone()),
-            profile: &self.bench.drive.profile,
-            protocol: self.bench.link.protocol,
-            seed: self.seed,
-            watchdog_s: self.watchdog_s,
-            stop: self.stop,
-        }
-    }
-}
-
 fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
     let run = run.ok_or("signal: no run was recorded")?;
     let loaded = open_run(run, None).map_err(|error| error.to_string())?;
@@ -811,6 +787,20 @@ fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, Strin
         value: None,
         failure: signal.fails(points.map(|(time_s, value)| (time_s - begin_s, value))),
     })
+}
+
+/// Puts the folder of the case in the place of its name.
+fn lead_to(value: &mut toml::Value, folder: &Path) {
+    match value {
+        toml::Value::String(text) => {
+            if let Some((CASE, rest)) = reference(text) {
+                *text = format!("{}{rest}", folder.display());
+            }
+        }
+        toml::Value::Array(values) => values.iter_mut().for_each(|own| lead_to(own, folder)),
+        toml::Value::Table(table) => table.iter_mut().for_each(|(_, own)| lead_to(own, folder)),
+        _ => {}
+    }
 }
 
 /// Puts the keys of `changes` over those of `table`, table by table.
@@ -837,19 +827,6 @@ fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
             format!("{ended}{said}; how it left the motor is not known")
         }
     }
-}
-
-/// The error that a command ended with, as it says it to programs.
-fn error_said(stderr: &Path) -> Option<String> {
-    let text = fs::read_to_string(stderr).ok()?;
-    let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
-    let Some(line) = lines.next_back() else {
-        // As a person reads it.
-        let (_, said) = text.rsplit_once("error: ")?;
-        return said.lines().next().map(str::to_owned);
-    };
-    let said: Value = serde_json::from_str(line).ok()?;
-    said.pointer("/error/message")?.as_str().map(str::to_owned)
 }
 
 #[cfg(test)]

@@ -246,6 +246,7 @@ pub(super) fn run(stage: Stage<'_>, command: Command, files: [&Path; 2]) -> io::
         act_s: None,
         pending: None,
         second: None,
+        reader: None,
         other: None,
         lost_s: None,
         stderr: files[1].to_owned(),
@@ -275,6 +276,7 @@ struct Watched<'a> {
     /// What is still to be done, and when, s.
     pending: Option<(f64, Act)>,
     second: Option<Child>,
+    reader: Option<Child>,
     other: Option<OwnDrive>,
     /// When the command said that its link is lost.
     lost_s: Option<f64>,
@@ -374,6 +376,13 @@ impl Watched<'_> {
                 let second = std::mem::replace(second, Command::new("true"));
                 self.second = Some(process::start(second)?);
             }
+            Act::SecondReader => {
+                let mut reader = Command::new("cat");
+                reader.arg(self.stage.drive.port());
+                reader.stdin(Stdio::null()).stdout(Stdio::null());
+                reader.stderr(File::create(self.stage.folder.join("second-reader.txt"))?);
+                self.reader = Some(process::start(reader)?);
+            }
             Act::FolderGone => {
                 // At once: while it is emptied file by file, it may be made again.
                 let gone = self.stage.folder.join("gone");
@@ -407,7 +416,8 @@ impl Watched<'_> {
     }
 
     fn listen(&mut self, now_s: f64) {
-        let loses = self.stage.act.act.is_on_line() || self.stage.act.act == Act::KillDrive;
+        let act = self.stage.act.act;
+        let loses = act.is_on_line() || matches!(act, Act::KillDrive | Act::SecondReader);
         if loses && self.lost_s.is_none() {
             let said = fs::read_to_string(&self.stderr).unwrap_or_default();
             let is_said = LOST.iter().any(|words| said.contains(words));
@@ -434,6 +444,7 @@ impl Watched<'_> {
 
     fn came(mut self, done: Done) -> io::Result<Came> {
         self.outlet.read();
+        self.end_reader();
         let act = self.stage.act.act;
         let (timeout_s, stop) = (self.stage.timeout_s, self.stage.stop);
         let second = match self.second.take() {
@@ -485,9 +496,20 @@ impl Watched<'_> {
     }
 }
 
+impl Watched<'_> {
+    fn end_reader(&mut self) {
+        if let Some(mut reader) = self.reader.take() {
+            // It may have ended with its port.
+            let _ = reader.kill();
+            let _ = reader.wait();
+        }
+    }
+}
+
 impl Drop for Watched<'_> {
-    /// Whatever cut it short, the second host does not run on unwatched.
+    /// Whatever cut it short, neither the second host nor the second reader runs on unwatched.
     fn drop(&mut self) {
+        self.end_reader();
         if let Some(mut second) = self.second.take() {
             let _ = process::end(&mut second, LOOK, &mut |_| Ok(()));
         }

@@ -27,7 +27,8 @@ use super::{opening, output, signals};
 use crate::bench::Port;
 use crate::recording::utc_stamp;
 use crate::workflow::suite::{
-    Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
+    Act, Action, Case, CaseOutcome, Need, Step, Suite, SuiteOutcome, Verb, Verdict, junit,
+    open_metrics,
 };
 use baseline::Baseline;
 use case::Bench;
@@ -243,6 +244,12 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     }
     if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
         return Some("it compares with an earlier run, and there is no --baseline".to_owned());
+    }
+    let reads = |step: &Step| matches!(step.action, Action::Command { host: Some(host), .. } if host.act == Act::SecondReader);
+    if case.steps.iter().any(reads) && !rustix::process::geteuid().is_root() {
+        return Some(
+            "another program reads the port in it, which only root may open twice".to_owned(),
+        );
     }
     let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();

@@ -29,8 +29,8 @@ pub(super) struct DriveOrder<'a> {
     /// Of its files, among several in one folder.
     pub(super) name: String,
     /// Embedded name or file of its motor.
-    pub(super) emulator: Option<String>,
-    pub(super) profile: &'a str,
+    pub(super) emulator: String,
+    pub(super) profile: String,
     pub(super) protocol: Protocol,
     pub(super) seed: u64,
     pub(super) watchdog_s: f64,
@@ -55,8 +55,8 @@ impl OwnDrive {
         let journal = file(".csv");
         let is_network = order.protocol == Protocol::ModbusTcp;
         let mut command = Command::new(order.program);
-        command.arg("emulate").args(&order.emulator);
-        command.args(["--profile", order.profile]);
+        command.args(["emulate", &order.emulator]);
+        command.args(["--profile", &order.profile]);
         command.args(["--link", order.protocol.name()]);
         command.args(["--seed", &order.seed.to_string(), "--json"]);
         command.arg("--journal").arg(&journal);

@@ -4,7 +4,7 @@
 //! guard brings the motor to zero; only one that does not is killed, and then the drive's watchdog stops the motor. Where the
 //! suite itself is gone the kernel asks in its place (on Linux): no command runs on unwatched.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io;
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt as _;
@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use rustix::time::{ClockId, clock_gettime};
+use serde_json::Value;
 
 /// Between two looks at a process.
 pub(super) const LOOK: Duration = Duration::from_millis(5);
@@ -190,6 +191,19 @@ pub(super) fn end(
     child.kill()?;
     child.wait()?;
     Ok(End::Killed)
+}
+
+/// The error that a command ended with, as it says it to programs.
+pub(super) fn error_said(stderr: &Path) -> Option<String> {
+    let text = fs::read_to_string(stderr).ok()?;
+    let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
+    let Some(line) = lines.next_back() else {
+        // As a person reads it.
+        let (_, said) = text.rsplit_once("error: ")?;
+        return said.lines().next().map(str::to_owned);
+    };
+    let said: Value = serde_json::from_str(line).ok()?;
+    said.pointer("/error/message")?.as_str().map(str::to_owned)
 }
 
 #[cfg(test)]

@@ -282,7 +282,9 @@ fn work(
             _ => Session::new(Box::new(bench.program(run_seed).unwrap()), guard),
         };
         let sent = link.statistics().sent;
+        let watchdog_s = report.identity.watchdog_s;
         let session = session.after_seq(last_seq).with_rest(&report.rest);
+        let session = session.with_watchdog(watchdog_s);
         let (summary, record) =
             one_run(session, bench, &report, link, clock, (interrupted, intents));
         last_seq += summary.link.sent - sent + 1;
@@ -447,9 +449,6 @@ fn whatever_the_drive_does_it_ends_at_zero() {
 /// Trials of the stop; rates of the run, Hz: at 80 Hz the line is busy for half of a cycle.
 const STOPS: u64 = 1000;
 const RATES_HZ: std::ops::Range<f64> = 25.0..80.0;
-/// Stops that are late all the same, of a drive that is busy, and by how much at most, s.
-const LATE: u64 = 2;
-const LATE_BY_S: f64 = 0.005;
 /// Buckets of the histogram, ms.
 const BUCKET_MS: f64 = 10.0;
 
@@ -485,14 +484,13 @@ fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
 fn with_a_live_link_the_stop_is_on_the_line_in_time_in_a_thousand_trials() {
     let seeds: Vec<u64> = (0..STOPS).collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let done = trials::at_once(cores, &seeds, |seed| stop_latency(*seed));
+    let done = trials::at_once(cores, &seeds, |seed| (*seed, stop_latency(*seed)));
     let mut counts = std::collections::BTreeMap::new();
-    let (mut worst, mut wrong, mut late) = (0.0_f64, Vec::new(), 0);
-    for (fault, latency_s, allowed_s) in &done {
-        late += u64::from(latency_s > allowed_s);
-        if *latency_s > allowed_s + LATE_BY_S {
+    let (mut worst, mut wrong) = (0.0_f64, Vec::new());
+    for (seed, (fault, latency_s, allowed_s)) in &done {
+        if latency_s > allowed_s {
             wrong.push(format!(
-                "{fault}: {latency_s:.4} s, allowed {allowed_s:.4} s"
+                "{fault}, seed {seed}: {latency_s:.4} s, allowed {allowed_s:.4} s"
             ));
         }
         worst = worst.max(latency_s / allowed_s);
@@ -512,6 +510,5 @@ fn with_a_live_link_the_stop_is_on_the_line_in_time_in_a_thousand_trials() {
         );
     }
     println!("{text}");
-    assert!(late <= LATE, "{late} of {STOPS} are late");
     assert!(wrong.is_empty(), "{} of {STOPS}: {wrong:#?}", wrong.len());
 }

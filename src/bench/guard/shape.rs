@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 use serde::Serialize;
 
-use super::{Limits, Nameplate};
+use super::{Limits, Nameplate, REST_SPEED_SHARE};
 use crate::sample::Demand;
 
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
@@ -72,6 +72,8 @@ pub(super) struct Shaper {
     winding_v: Option<f64>,
     /// Last speed that was measured: a missing one must not make the back-EMF vanish at full speed.
     speed_rad_s: f64,
+    /// Speed below which the shaft counts as at rest, and its back-EMF as the sensor's noise.
+    rest_rad_s: f64,
     /// When it came; `None`: the drive gives none.
     speed_at_s: Option<f64>,
     /// The last of them, the newest at the end.
@@ -101,6 +103,7 @@ impl Shaper {
             slew_v_per_s: limits.slew_v_per_s,
             back_emf_v_s_per_rad,
             winding_v,
+            rest_rad_s: REST_SPEED_SHARE * limits.speed_rad_s,
             fresh_s: f64::INFINITY,
             was_off: true,
             ..Self::default()
@@ -254,9 +257,11 @@ impl Shaper {
     ) -> f64 {
         let back_emf_v = (self.back_emf_v_s_per_rad * self.speed_rad_s).clamp(-limit_v, limit_v);
         if self.was_off {
-            // The terminals of a coasting motor stand at its back-EMF: from there no current flows. Nothing is switched
+            // The terminals of a coasting motor stand at its back-EMF: from there no current flows. At rest they stand at
+            // zero, and what the sensor's noise makes of it would be a first command that nobody gave. Nothing is switched
             // on to stop.
-            self.output_v = if self.stop_by_s.is_none() {
+            let coasts = self.speed_rad_s.abs() > self.rest_rad_s;
+            self.output_v = if coasts && self.stop_by_s.is_none() {
                 back_emf_v
             } else {
                 0.0

@@ -291,6 +291,17 @@ fn after_coasting_the_voltage_begins_at_the_back_emf() {
 }
 
 #[test]
+fn at_rest_the_noise_of_the_speed_is_no_first_command() {
+    // 1 % of 366 rad/s counts as at rest.
+    for (speed_rad_s, first_v) in [(0.4, 0.0), (-3.6, 0.0), (-3.7, -3.7 * 0.3538)] {
+        let mut guard = guard();
+        guard.begin(0.0, &sample(0.0));
+        guard.watch(0.0, &at_rad_s(0.0, speed_rad_s), true);
+        near(guard.volts(0.0, 0.0), first_v, 1e-9);
+    }
+}
+
+#[test]
 fn travel_counts_from_the_first_angle_where_the_run_began_without_one() {
     let mut guard = guard();
     guard.begin(0.0, &sample(0.0).with(Channel::Angle, f64::NAN));

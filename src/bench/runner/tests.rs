@@ -598,10 +598,10 @@ fn torque_off_before_the_start_is_refused_in_words_and_nothing_is_enabled() {
 fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_that_is_allowed() {
     type Case = (&'static str, fn(&mut ForeignDrive), [&'static str; 2]);
     let illegal = ["profile epulse50-dc:", "exception 0x02"];
-    let silent = ["link silent", "limit 0.400 s"];
+    let busy = ["requests refused", "exception 0x06"];
     let cases: [Case; 2] = [
         ("refused", |drive| drive.refuse(Some(2)), illegal),
-        ("busy", |drive| drive.refuse(Some(6)), silent),
+        ("busy", |drive| drive.refuse(Some(6)), busy),
     ];
     for (name, happens, words) in cases {
         let (summary, events, _) = foreign(&telling(), SLOW, 60, happens);

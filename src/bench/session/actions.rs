@@ -18,6 +18,8 @@ pub enum Input {
     Cycle,
     Sample(Box<Sample>),
     Lost(Lost),
+    /// The silence that is allowed is over, and no cycle begins yet.
+    Silence,
     /// The computer was suspended for so long, s.
     Suspended(f64),
     /// So many frames on the line write to the drive and are not ours.
@@ -32,6 +34,8 @@ pub enum Input {
 pub enum Lost {
     /// The next cycle may try again.
     Transient(String),
+    /// The drive, or a gateway, answers that it cannot do so now: the next cycle may try again.
+    Busy(String),
     /// The drive does not have what it was asked: asking again is of no use.
     Refused(String),
     /// The link does not come back within this session.
@@ -46,7 +50,7 @@ impl From<&LinkError> for Lost {
                 ..
             } => Self::Refused(error.to_string()),
             // A busy drive (04 to 06) or a gateway: the limit of link silence decides.
-            LinkError::Exception { .. } => Self::Transient(error.to_string()),
+            LinkError::Exception { .. } => Self::Busy(error.to_string()),
             error if error.is_transient() => Self::Transient(error.to_string()),
             error => Self::Gone(error.to_string()),
         }

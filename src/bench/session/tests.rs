@@ -3,9 +3,10 @@ use proptest::prelude::*;
 use super::*;
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::mechanics::Brake;
-use crate::bench::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, unspoilt, within};
+use crate::bench::testing::{
+    Fault, Lab, ScriptedDrive, Wave, gone, has, refusal, unspoilt, within,
+};
 use crate::bench::timing::whole;
-use crate::bench::trip::TripKind;
 use crate::drive::LinkError;
 use crate::emulator::VirtualClock;
 
@@ -346,6 +347,39 @@ fn a_drive_that_says_nothing_is_not_waited_for_as_for_a_slow_ramp() {
 }
 
 #[test]
+fn a_busy_drive_is_named_and_told_to_stop_as_long_as_its_watchdog_takes_and_then_seldom() {
+    let times = CommandTimes {
+        stop_s: 2.0,
+        ..CommandTimes::default()
+    };
+    let watched = session().with_command_times(times).with_watchdog(Some(0.2));
+    let busy = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(6));
+    let busy = bench(watched, busy).started(600);
+    has(lost(&busy), "requests refused: no valid reply for 0.1");
+    has(lost(&busy), "the command: exception 0x06 device busy");
+    assert_eq!(
+        events(&busy, "refused_for_now").len(),
+        busy.link.demands.len() - 60
+    );
+    // 0.2 s of cycles, and then in 1.8 s once in 0.3 s.
+    within(stops(&busy) as f64, 20.0..28.0);
+    let failed = refusal("script:".to_owned(), 6);
+    let said = busy.session.last_word(Some(&failed)).unwrap();
+    has(&said.text, "it answers: script: the drive refused");
+    has(&said.text, "its watchdog stops the motor 0.2 s after");
+    // Refused for good it is told no more often, although the silence is over meanwhile.
+    let watched = session().with_command_times(times).with_watchdog(Some(0.2));
+    let refused = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(2));
+    let refused = bench(watched, refused).started(600);
+    has(lost(&refused), "illegal data address");
+    within(stops(&refused) as f64, 20.0..28.0);
+    // A refusal that was followed by a reply is not why the link falls silent later.
+    let drive = ScriptedDrive::new(0.01).with(50, 55, Fault::Refuses(6));
+    let silent = drive.with(60, EVER, Fault::Timeout);
+    has(lost(&bench(session(), silent).started(600)), "link silent");
+}
+
+#[test]
 fn a_stop_asked_for_while_the_output_goes_off_is_not_forgotten() {
     let mut bench = run_for(0, 60, EVER, Fault::IgnoresStop);
     while bench.session.phase() != Phase::Stopping {
@@ -442,6 +476,8 @@ fn any_input() -> impl Strategy<Value = Input> {
         8 => Just(Input::Cycle),
         8 => sample,
         1 => Just(Input::Lost(Lost::Transient("late".to_owned()))),
+        1 => Just(Input::Lost(Lost::Busy("busy".to_owned()))),
+        1 => Just(Input::Silence),
         1 => Just(Input::Missed(2)),
         2 => intent.prop_map(Input::Intent),
     ]

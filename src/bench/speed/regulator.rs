@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::section::{ControllerKind, GainsSection, SpeedSection};
+use super::section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::timing::whole;
 use crate::control::tuning::{Request, TuningError, tune};
@@ -36,6 +36,8 @@ pub struct Regulator {
     pub limiter: Limiter,
     pub holding: Holding,
     pub timing: LoopTiming,
+    /// Standard deviation of a speed sample, rad/s.
+    pub noise_rad_s: f64,
     /// Why the gains are what they are, before the motor moves.
     pub reasons: Vec<String>,
 }
@@ -230,6 +232,7 @@ impl Design<'_> {
             limiter,
             holding,
             timing: self.timing,
+            noise_rad_s: self.noise_rad_s,
             reasons,
         })
     }
@@ -279,10 +282,11 @@ impl Design<'_> {
 
     /// The controller with the model's effects beside it. What is given forward is not for it to hold.
     fn compensated(&self, plant: &LinearPlant) -> Result<Box<dyn SpeedController>, RegulatorError> {
-        let forward = FeedForward::new(self.model, self.actuator);
+        let limit_a = self.current_limit_a();
+        let forward = FeedForward::new(self.model, self.actuator, &self.timing, limit_a);
         let why = match self.actuator {
             Actuator::Speed => "with a speed command: the drive's own loop holds the speed",
-            _ => "without the motor's friction and constants in the model",
+            _ => "without the motor's friction, inertia and constants in the model",
         };
         let forward = forward.ok_or(RegulatorError::NothingForward { why })?;
         let rest = Holding {
@@ -323,8 +327,18 @@ impl Design<'_> {
                     request,
                     ..AddcSettings::new(holding, self.noise_rad_s)
                 };
-                let addc =
+                let mut addc =
                     Addc::new(self.model, plant, &self.timing, &settings).map_err(refused)?;
+                // What is given forward is no part of the voltage that the regulator knows of.
+                let is_alone = self.section.feed_forward == ForwardUse::Off;
+                if self.actuator == Actuator::Voltage && is_alone {
+                    let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
+                    let adapting =
+                        addc.clone()
+                            .adapting_to_the_winding(self.model, viscous, &self.timing);
+                    // A rule that refuses a bound of the winding's time constant leaves it at the model's.
+                    addc = adapting.unwrap_or(addc);
+                }
                 (Box::new(addc), tuning.reasons)
             }
             ControllerKind::Mrac => {

@@ -121,7 +121,8 @@ impl LoadEstimator {
     fn watch(&mut self, regressor: &[f64; 2], moved: f64) {
         let known = self.estimator.parameters();
         let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
-        let believed = self.estimator.rows() >= FEWEST_ROWS;
+        // An estimate that has not settled misses whatever the load does.
+        let believed = self.load().settled;
         if self.watch.take(foreseen, moved, believed) {
             self.estimator = RecursiveLeastSquares::new(known, self.scale, PRIOR, self.forgetting);
             self.interrupt();

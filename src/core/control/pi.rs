@@ -23,6 +23,8 @@ pub enum AntiWindup {
 #[derive(Clone, Debug)]
 pub struct Pi {
     gains: PiGains,
+    /// What is left of the proportional gain that the tuning gives.
+    share: f64,
     anti_windup: AntiWindup,
     holding: Holding,
     integral: f64,
@@ -33,6 +35,8 @@ pub struct Pi {
     limited: f64,
     /// What the integral holds beyond the model: the load that nobody told us.
     load: f64,
+    /// The reference is a planned motion: it needs no filter, and no holding output of this controller.
+    is_planned: bool,
 }
 
 impl Pi {
@@ -41,6 +45,7 @@ impl Pi {
     pub const fn new(gains: PiGains, anti_windup: AntiWindup, holding: Holding) -> Self {
         Self {
             gains,
+            share: 1.0,
             anti_windup,
             holding,
             integral: 0.0,
@@ -48,11 +53,27 @@ impl Pi {
             wanted: 0.0,
             limited: 0.0,
             load: 0.0,
+            is_planned: false,
         }
     }
 
     pub const fn gains(&self) -> &PiGains {
         &self.gains
+    }
+
+    /// What is left of the proportional gain that the tuning gives: less where the loop swung.
+    pub const fn share(&self) -> f64 {
+        self.share
+    }
+
+    /// The same in words, after the gain; empty where it is the tuned one.
+    pub(super) fn softened_text(&self) -> String {
+        if self.share < 1.0 {
+            let percent = 100.0 * self.share;
+            format!(" ({percent:.0} % of the tuned one, for the loop swung)")
+        } else {
+            String::new()
+        }
     }
 
     /// Whether the last output was cut by a limit.
@@ -76,6 +97,9 @@ impl Pi {
 
     /// The reference behind its filter in this cycle.
     fn filtered(&self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
+        if self.is_planned {
+            return reference_rad_s;
+        }
         let share = lag_share(period_s, self.gains.reference_filter_s);
         // A start from rest or after a stop begins at the speed that is there.
         let before = self.reference_rad_s.unwrap_or(speed_rad_s);
@@ -86,6 +110,12 @@ impl Pi {
 impl SpeedController for Pi {
     fn id(&self) -> &'static str {
         Self::ID
+    }
+
+    fn follow_plan(&mut self) -> bool {
+        self.is_planned = true;
+        self.holding = Holding::default();
+        true
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
@@ -135,11 +165,24 @@ impl SpeedController for Pi {
         };
         vec![
             format!(
-                "Kp = {:.4} per rad/s, Tn = {:.4} s, fixed",
-                self.gains.proportional, self.gains.integral_time_s
+                "Kp = {:.4} per rad/s{}, Tn = {:.4} s, fixed",
+                self.gains.proportional,
+                self.softened_text(),
+                self.gains.integral_time_s
             ),
             format!("while the output is limited the integral part {integral}"),
         ]
+    }
+
+    fn softens(&self) -> bool {
+        true
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        let mut gains = self.gains;
+        gains.proportional *= share / self.share;
+        self.share = share;
+        self.set_gains(gains, reference_rad_s, speed_rad_s, period_s);
     }
 }
 

@@ -31,6 +31,22 @@ pub struct Scheduled {
     pub small_time_s: f64,
 }
 
+impl Scheduled {
+    /// On the way to another: that share of it.
+    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+        let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
+        Self {
+            gains: PiGains {
+                proportional: between(|point| point.gains.proportional),
+                integral_time_s: between(|point| point.gains.integral_time_s),
+                reference_filter_s: between(|point| point.gains.reference_filter_s),
+            },
+            most_proportional: between(|point| point.most_proportional),
+            small_time_s: between(|point| point.small_time_s),
+        }
+    }
+}
+
 impl Schedule {
     /// The grid around the model's plant; it ends where the rule refuses.
     ///
@@ -78,17 +94,7 @@ impl Schedule {
         let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
         let index = whole(place).min(last.saturating_sub(1));
         let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
-        let share = place - index as f64;
-        let between = |of: fn(&Scheduled) -> f64| of(low) + share * (of(high) - of(low));
-        Scheduled {
-            gains: PiGains {
-                proportional: between(|point| point.gains.proportional),
-                integral_time_s: between(|point| point.gains.integral_time_s),
-                reference_filter_s: between(|point| point.gains.reference_filter_s),
-            },
-            most_proportional: between(|point| point.most_proportional),
-            small_time_s: between(|point| point.small_time_s),
-        }
+        low.towards(high, place - index as f64)
     }
 
     /// Gains for an inertia that may be anything between two ratios: those of the middle, but never beyond what the

@@ -313,28 +313,35 @@ fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static st
     named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))
 }
 
-/// The last named effect that takes no more from the errors on both runs than chance does, where the baseline itself is at
-/// the floor.
+/// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
+/// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
 fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let evidence = &bench.evidence;
-    let base = rungs.first()?.score.nrms;
-    if bench.fits_at_once() || !inference.floor(evidence).is_reached(base) {
-        return None;
-    }
+    let floor = inference.floor(evidence);
+    let left = rungs
+        .iter()
+        .position(|rung| floor.is_reached(rung.score.nrms));
+    let left = left.filter(|left| !bench.fits_at_once() && left + 1 < rungs.len())?;
     let on_both = |rung: &Standing| {
         let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
         let noise = &evidence.noise;
         Some(fitted.deviance(noise) + rung.score.deviance(noise))
     };
-    let deviances = rungs.iter().map(on_both).collect::<Option<Vec<f64>>>()?;
-    let place = takes_nothing(&deviances)?;
-    inference.named.get(place).copied()
+    let deviances = rungs[left..].iter().map(on_both);
+    let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
+    let mut named = steps
+        .into_iter()
+        .rev()
+        .map(|step| inference.named[left + step]);
+    let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
+    named.find(|id| left == 0 || !is_shown(id))
 }
 
-/// The last step down a ladder that is no longer than chance makes it.
-fn takes_nothing(deviances: &[f64]) -> Option<usize> {
-    let mut steps = deviances.windows(2);
-    steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE_DEVIANCE)
+/// The steps down a ladder that are no longer than chance makes them.
+fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
+    let steps = deviances.windows(2).enumerate();
+    let short = steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE);
+    short.map(|(step, _)| step).collect()
 }
 
 /// Of an error that is not known nothing can be said.
@@ -742,14 +749,14 @@ mod tests {
         // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
         let of = |nrms: f64| 2400.0 * nrms * nrms;
         for (errors, expected) in [
-            (&[1.0007, 1.0005][..], Some(0)),
-            (&[1.02, 1.0], None),
-            (&[1.05, 1.0499, 1.02, 1.0199], Some(2)),
-            (&[1.05, 1.06, 1.02], Some(0)),
-            (&[1.0], None),
+            (&[1.0007, 1.0005][..], &[0][..]),
+            (&[1.02, 1.0], &[]),
+            (&[1.05, 1.0499, 1.02, 1.0199], &[0, 2]),
+            (&[1.05, 1.06, 1.02], &[0]),
+            (&[1.0], &[]),
         ] {
             let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
-            assert_eq!(takes_nothing(&deviances), expected, "{errors:?}");
+            assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
         }
     }
 

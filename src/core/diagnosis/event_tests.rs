@@ -1,6 +1,6 @@
 //! Tests of events, which happen once in a run: named with their moment, in the runs in which they happened and in no other.
 
-use super::kit::{candidate, nameplate, truth};
+use super::kit::{candidate, nameplate, record, truth};
 use super::*;
 use crate::diagnosis::joint::answer::RunOf;
 use crate::plant::{Model, Scenario, effect, testing};
@@ -184,6 +184,23 @@ fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
         let added = add(effect::find(name).unwrap(), &nameplate(), data).unwrap();
         assert!(added.accepted, "{}", added.reason);
     }
+}
+
+#[test]
+fn a_late_start_that_one_small_command_tells_of_is_not_named_beside_what_is_there() {
+    let machine = truth("stribeck_friction", &[0.16, 10.0]);
+    // It came to nothing long before the others: the current that it would have drawn is less than the sensor's noise.
+    let swallowed = |shift: usize, seed: u64| {
+        let mut run = record(&machine, shift, seed);
+        run.events.splice(1..1, [(0.1, 0.03), (0.112, 0.0)]);
+        run
+    };
+    let data = Evidence::new(swallowed(0, 51), Some(swallowed(1, 52)), None);
+    let found = diagnose(&nameplate(), data).unwrap();
+    assert_eq!(found.effects, ["stribeck_friction"], "{}", found.sentence);
+    // More likely than not by the innovations, it was doubted because the errors know nothing of it.
+    let late = candidate(&found, "start_delay").probability;
+    assert!((late - 0.5).abs() < 1e-9, "{late}");
 }
 
 #[test]

@@ -87,6 +87,11 @@ impl ModbusBus {
     ) -> Result<RegistersRead, LinkError> {
         let what = question.what;
         let sent = now();
+        let usual = self.longest(|(took, _)| *took);
+        if self.link.core.bound.ends_before(sent + usual) {
+            // Its reply would come when nobody waits for it, and put the line in doubt.
+            return Err(self.link.unproven());
+        }
         let answer = self.link.call(question, words(count.into()))?;
         let answer = RegistersRead {
             words: answer.value,
@@ -96,7 +101,6 @@ impl ModbusBus {
             return Ok(answer);
         }
         let took = now().saturating_duration_since(sent);
-        let usual = self.longest(|(took, _)| *took);
         self.remember(took, wire);
         if took < usual {
             wait_until(sent + usual);

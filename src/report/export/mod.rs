@@ -1,14 +1,18 @@
-//! A model, and the gains of its regulator, as source text of other languages.
+//! A model, the gains of its regulator, and a measured torque map, as source text of other languages.
 //!
 //! ```text
 //! Model --(formula of each effect, as a tree)--> terms of the equations --.
 //! PiGains, what holds a speed --------------------------------------------+--> template of the language --> one file
+//! TorqueMap ----------------------------------------------------------------> CSV, or C with its interpolation
 //! ```
 //!
 //! Every target integrates the same equations: the classical Runge-Kutta method in steps that follow the fastest motion,
 //! cut where the speed comes to zero; Modelica leaves that to its tool. What has no formula is refused by its name.
 
+mod map;
 mod notation;
+
+pub use map::{map_as_c, map_as_csv};
 
 use std::fmt::Write as _;
 

@@ -33,6 +33,7 @@ use ratatui::layout::{Position, Rect};
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
+use super::traces::StoppedAt;
 use crate::diagnosis::ErrorOf;
 use crate::workflow::{News, Order};
 use state::{Event, State};
@@ -68,6 +69,8 @@ pub struct DiagnosisSources {
     /// No name is shown before the person has given one.
     pub guess_first: bool,
     pub opens: Opens,
+    /// Where the run was stopped, if it was: the traces open there.
+    pub stopped_at: Option<StoppedAt>,
     pub news: Receiver<News>,
     pub orders: Sender<Order>,
     /// Set by signals (SIGTERM, SIGHUP): the screen closes by itself.
@@ -93,6 +96,7 @@ impl DiagnosisScreen {
             _ => (Order::Diagnose, State::new(title, sources.guess_first)),
         };
         state.opens = sources.opens;
+        state.stops_at(sources.stopped_at.clone());
         let _ = sources.orders.send(order);
         Self { state, sources }
     }

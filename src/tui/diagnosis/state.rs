@@ -18,7 +18,7 @@ use crate::tui::application::{Effect, Exit};
 use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
 use crate::tui::response::ResponsePage;
-use crate::tui::traces::{FRAMES, TracesPage};
+use crate::tui::traces::{FRAMES, StoppedAt, TracesPage};
 use crate::workflow::{News, Order};
 
 const GUESS_FIRST: &str = "guess first: p takes the selected row, Esc shows the names";
@@ -81,6 +81,8 @@ pub(super) enum Over {
 )]
 pub(super) struct State {
     pub(super) title: String,
+    /// How the run was stopped, in a few words, where it did not go to its end.
+    pub(super) stopped: Option<String>,
     /// With what it opened, until something else was asked for.
     pub(super) opens: Opens,
     /// What the worker is doing.
@@ -140,6 +142,12 @@ impl State {
             },
             ..Self::default()
         }
+    }
+
+    /// The run was stopped there: the traces open at that place.
+    pub(super) fn stops_at(&mut self, stop: Option<StoppedAt>) {
+        self.stopped = stop.as_ref().map(|stop| stop.text.clone());
+        self.traces.opens_at = stop;
     }
 
     /// The screen of a comparison alone: nothing is searched before it is asked for.

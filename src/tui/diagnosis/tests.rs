@@ -17,11 +17,12 @@ use crate::diagnosis::{
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::testing::with_a_fan;
 use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
+use crate::sample::Channel;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::tui::screens::Page;
 use crate::tui::testing::{self, fan_model, fan_traces};
-use crate::tui::traces::FRAMES;
+use crate::tui::traces::{FRAMES, StoppedAt};
 use crate::workflow::{News, Order};
 
 /// What is left once the effect is in the model.
@@ -147,6 +148,21 @@ fn falling() -> State {
 }
 
 /// Nothing but a comparison.
+/// A run that tripped, compared: the traces open where it was stopped.
+fn stopped() -> State {
+    let mut state = State::of_a_comparison("run-a, held out run-b".to_owned(), ErrorOf::Model);
+    state.stops_at(Some(StoppedAt {
+        run: "run-a".to_owned(),
+        at_s: 4.5,
+        shows: Some(Channel::Current),
+        text: "stopped: over-current at 4.50 s, zero confirmed after 18 ms".to_owned(),
+    }));
+    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
+    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
+    hear(&mut state, News::Curves(fan_curves()));
+    state
+}
+
 fn compared_alone() -> State {
     let mut state = State::of_a_comparison("run-a, held out run-b".to_owned(), ErrorOf::Model);
     hear(&mut state, News::Compared(Box::new(comparison(0.76))));
@@ -233,6 +249,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ),
         ("drawn_over", pressed(falling(), &[Press::Traces])),
         ("compared", compared_alone()),
+        ("stopped", stopped()),
         ("help", pressed(answered(), &[Press::Help])),
     ];
     let page = |(name, state): (&'static str, State)| -> Page {

@@ -64,8 +64,11 @@ impl Places {
 fn places(state: &State, area: Rect) -> Places {
     let tall = area.height >= 20;
     let verdict_room = usize::from(area.width).saturating_sub(1);
-    let most_rows = if tall { 3 } else { 1 };
-    let verdict_rows = wrapped(&verdict_line(state).to_string(), verdict_room).len();
+    let most_rows = usize::from(state.stopped.is_some()) + if tall { 3 } else { 1 };
+    let verdict_rows = verdict_lines(state)
+        .iter()
+        .map(|line| wrapped(&line.to_string(), verdict_room).len())
+        .sum::<usize>();
     let most = match area.height {
         0..=11 => 0,
         12..=19 => 2,
@@ -140,7 +143,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     let places = places(state, area);
     let body = places.body();
     top_bar(state, places.top, buffer);
-    text(vec![verdict_line(state)], inset(places.verdict), buffer);
+    text(verdict_lines(state), inset(places.verdict), buffer);
     match state.over {
         Over::Nothing => {
             failing(state, places.failing, buffer);
@@ -216,6 +219,13 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         ..area
     };
     row(&Line::from(work), right, buffer);
+}
+
+/// How the run was stopped, where it did not go to its end, and the verdict.
+fn verdict_lines(state: &State) -> Vec<Line<'static>> {
+    let stopped = state.stopped.iter();
+    let stopped = stopped.map(|text| Line::styled(text.clone(), theme::BAD));
+    stopped.chain([verdict_line(state)]).collect()
 }
 
 fn verdict_line(state: &State) -> Line<'static> {

@@ -15,11 +15,12 @@ use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
 use super::{WorkerCell, WorkerState};
 use crate::bench::{
-    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Target, Timing,
+    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
     TracePoint, Trip, TripKind,
 };
 use crate::diagnosis::Leaning;
 use crate::drive::LinkStatistics;
+use crate::identification::online::Frozen;
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
@@ -170,6 +171,16 @@ fn tripped() -> Snapshot {
         notices,
         recorder_error: Some("no space left on device".to_owned()),
         outcome: Some("tripped"),
+        stop: Some(Stop {
+            cause: "over-current".to_owned(),
+            at_s: Some(8.4),
+            ramp_ms: None,
+            sent_after_ms: Some(0.1),
+            confirmed_after_ms: Some(18.0),
+            attempts: 1,
+            watchdog_s: Some(0.5),
+            last_refusal: None,
+        }),
         ..running()
     }
 }
@@ -282,6 +293,30 @@ fn pressed(mut model: Model, key: Press) -> Model {
 fn finished(mut model: Model) -> Model {
     finish(&mut model);
     model
+}
+
+#[test]
+fn estimates_that_learn_nothing_under_a_limit_of_the_drive_are_shown_as_frozen_until_they_learn_again()
+ {
+    let shown = |since_s| {
+        let frozen = Frozen {
+            rows: 120,
+            seconds: 1.2,
+            since_s,
+        };
+        let running = Snapshot {
+            frozen,
+            ..running()
+        };
+        [(120, 40), (80, 24)].map(|(width, height)| text(&model(running.clone()), width, height))
+    };
+    let [wide, narrow] = shown(Some(7.2));
+    assert!(
+        wide.contains("frozen: the drive limits, 1.2 s, 120 rows"),
+        "{wide}"
+    );
+    assert!(narrow.contains("frozen: drive limits 1.2 s"), "{narrow}");
+    assert!(shown(None).iter().all(|text| !text.contains("frozen")));
 }
 
 #[test]

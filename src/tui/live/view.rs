@@ -12,7 +12,7 @@ use super::scope::scope;
 use crate::bench::{Level, Notice, Phase, Snapshot};
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::shortest;
+use crate::text::number::{fixed, shortest};
 use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
 use crate::tui::keys::On;
 use crate::tui::theme;
@@ -463,6 +463,22 @@ impl Banner {
                 format!(" Stop NOT confirmed: see that the shaft stands still. q = {quit}.")
             }
         };
+        let stop = snapshot.stop.as_ref().filter(|_| is_over);
+        let at = stop.and_then(|stop| stop.at_s);
+        let at = at.map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
+        let confirmed = stop.and_then(|stop| stop.confirmed_after_ms);
+        let confirmed = confirmed.map_or_else(String::new, |ms| {
+            format!("; zero confirmed after {ms:.0} ms")
+        });
+        // What was found and its limit, and when and how the output came to be off.
+        let stopped = |reason: &str| {
+            let head = if at.is_empty() {
+                String::new()
+            } else {
+                format!("stopped{at}: ")
+            };
+            format!("{head}{reason}{confirmed}.{end}")
+        };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
             ("HARDWARE", text.to_owned(), theme::ALARM)
@@ -481,30 +497,30 @@ impl Banner {
             };
             (title, format!("{text}.{end}"), style)
         } else if let Some(trip) = &snapshot.trip {
-            (
-                "SAFETY TRIP",
-                format!("{}.{end}", trip.reason),
-                theme::ALARM,
-            )
+            ("SAFETY TRIP", stopped(&trip.reason), theme::ALARM)
         } else if is_lost {
             let mut last = snapshot.notices.iter().rev();
             let error = last.find(|notice| notice.level == Level::Error);
             let reason = error.map(|notice| notice.text.as_str());
             let reason = reason.unwrap_or("the drive does not answer any more");
-            ("LINK LOST", format!("{reason}.{end}"), theme::ALARM)
+            ("LINK LOST", stopped(reason), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
                 // The page says what the whole loop came to, its top that the output is off.
                 "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
-                "done" => ("DONE", "The run went to its end.", theme::GOOD),
-                "stopped" => ("STOPPED", "The run was stopped.", theme::CAREFUL),
-                "interrupted" => ("INTERRUPTED", "The run was interrupted.", theme::CAREFUL),
-                "not_started" => ("NOT STARTED", "The run was not started.", theme::CAREFUL),
-                other => (other, "The run has ended.", theme::CAREFUL),
+                "done" => ("DONE", "The run went to its end", theme::GOOD),
+                "stopped" => ("STOPPED", "The run was stopped", theme::CAREFUL),
+                "interrupted" => ("INTERRUPTED", "The run was interrupted", theme::CAREFUL),
+                "not_started" => ("NOT STARTED", "The run was not started", theme::CAREFUL),
+                other => (other, "The run has ended", theme::CAREFUL),
+            };
+            let how = match snapshot.outcome {
+                Some("stopped" | "interrupted") => format!("{at}{confirmed}"),
+                _ => String::new(),
             };
             let is_sure = snapshot.stop_error.is_none();
             let style = if is_sure { style } else { theme::ALARM };
-            (title, format!("{text}{end}"), style)
+            (title, format!("{text}{how}.{end}"), style)
         };
         let title = format!(" {title} ");
         Some(Self { title, text, style })
@@ -564,6 +580,10 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         (false, false) if !excitation.is_empty() => " parameters (▁ to █: excited) ",
         (false, _) => " parameters ",
     });
+    let block = match frozen_text(model, area.width > WIDE_PANEL) {
+        Some(text) => block.title_bottom(Line::styled(text, theme::CAREFUL)),
+        None => block,
+    };
     let inner = block.inner(area);
     block.render(area, buffer);
     if estimates.is_empty() {
@@ -586,6 +606,18 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         }
     }
     rows(&lines, inner, buffer);
+}
+
+/// That nothing is learnt now, and for how long so far.
+fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
+    let frozen = model.viewed().frozen;
+    frozen.since_s?;
+    let (seconds, rows) = (fixed(frozen.seconds, 1), frozen.rows);
+    Some(if is_wide {
+        format!(" frozen: the drive limits, {seconds} s, {rows} rows ")
+    } else {
+        format!(" frozen: drive limits {seconds} s ")
+    })
 }
 
 /// Every parameter with its name, its key and the whole reason.

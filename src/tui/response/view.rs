@@ -219,6 +219,17 @@ fn panel(
     if let Some(point) = cursor {
         vertical(point.frequency_hz, '┊', bounds, inner, buffer);
     }
+    let traces = traces(own, beside, shows, (low, high));
+    plot(&traces, bounds, inner, buffer);
+}
+
+/// What is not carried, the interval, what is, and the model, later ones over earlier ones.
+fn traces(
+    own: &PathwayResponse,
+    beside: Option<&PathwayResponse>,
+    shows: Shows,
+    (low, high): (f64, f64),
+) -> Vec<Trace> {
     let line = |points: &[ResponsePoint],
                 value: &dyn Fn(&ResponsePoint) -> f64,
                 keeps: &dyn Fn(&ResponsePoint, f64) -> bool,
@@ -285,7 +296,7 @@ fn panel(
             theme::MODEL,
         ));
     }
-    plot(&traces, bounds, inner, buffer);
+    traces
 }
 
 fn title(

@@ -19,7 +19,8 @@ use ratatui::layout::Rect;
 
 use super::keys::Press;
 use super::plot::LABELS;
-use crate::diagnosis::{RunTraces, SignalTrace, Traces};
+use crate::diagnosis::{Quantity, RunTraces, SignalTrace, Traces};
+use crate::sample::Channel;
 
 pub(super) use view::{strip, view};
 
@@ -47,9 +48,27 @@ pub(super) enum Shows {
 /// One panel: a signal of the run by its place, and what of it.
 pub(super) type Panel = (usize, Shows);
 
+/// Where a run that did not go to its end was stopped, and how in a few words.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoppedAt {
+    /// Name of the run.
+    pub run: String,
+    /// From its start, s.
+    pub at_s: f64,
+    /// What it was stopped for, where that is something other than the speed: it is seen first.
+    pub shows: Option<Channel>,
+    pub text: String,
+}
+
+/// What is seen before and after a stop, s.
+const BEFORE_STOP_S: f64 = 2.0;
+const AFTER_STOP_S: f64 = 1.0;
+
 /// The state of the page.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TracesPage {
+    /// Where the page opens; the whole of the first run where there is none.
+    pub(super) opens_at: Option<StoppedAt>,
     traces: Option<Arc<Traces>>,
     /// Of the model before the last change.
     before: Option<Arc<Traces>>,
@@ -80,6 +99,32 @@ impl TracesPage {
             self.frames = FRAMES;
         }
         self.run = self.run.min(traces.runs.len().saturating_sub(1));
+        let Some(stop) = self.opens_at.take() else {
+            return;
+        };
+        if let Some(run) = traces.runs.iter().position(|own| own.run == stop.run) {
+            self.run = run;
+            let to_s = traces.runs[run].span_s().1.min(stop.at_s + AFTER_STOP_S);
+            let from_s = stop.at_s - BEFORE_STOP_S;
+            self.cursor_s = Some(stop.at_s.min(to_s));
+            self.see(f64::midpoint(from_s, to_s), to_s - from_s);
+            let panels = self.panels();
+            let is_first = |(place, _): &Panel| {
+                let quantity = traces.runs[run].signals[*place].quantity;
+                stop.shows
+                    .is_some_and(|channel| quantity == Quantity::Channel(channel))
+            };
+            let rest = first_panels(&panels);
+            let rest = rest.into_iter().filter(|panel| !is_first(panel));
+            let first: Vec<Panel> = panels
+                .iter()
+                .filter(|panel| is_first(panel))
+                .copied()
+                .collect();
+            if !first.is_empty() {
+                self.chosen = Some(first.into_iter().chain(rest).collect());
+            }
+        }
     }
 
     /// Looks at the model before the last change, with the one after it drawn in its place; or back.

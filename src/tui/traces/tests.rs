@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use super::{FRAMES, Shows, TracesPage, view};
+use super::{FRAMES, Shows, StoppedAt, TracesPage, view};
 use crate::diagnosis::Quantity;
 use crate::sample::Channel;
 use crate::tui::keys::Press;
@@ -30,6 +30,44 @@ fn terminal(page: &TracesPage, width: u16, height: u16) -> Terminal<TestBackend>
 
 fn text(page: &TracesPage, width: u16, height: u16) -> String {
     terminal(page, width, height).backend().to_string()
+}
+
+#[test]
+fn a_run_that_was_stopped_opens_there_and_only_once() {
+    let stop = |run: &str| StoppedAt {
+        run: run.to_owned(),
+        at_s: 2.5,
+        shows: None,
+        text: String::new(),
+    };
+    let opened = |stop: StoppedAt| {
+        let mut page = TracesPage {
+            opens_at: Some(stop),
+            ..TracesPage::default()
+        };
+        page.take(fan_traces(false));
+        page
+    };
+    let mut page = opened(stop("run-a"));
+    assert_eq!(page.run().unwrap().run, "run-a");
+    assert_eq!(page.cursor_s, Some(2.5));
+    assert_eq!(page.chosen, None);
+    let (from_s, to_s) = page.window_s();
+    assert!((from_s - 0.5).abs() < 1e-9 && (to_s - 3.5).abs() < 1e-9);
+    page.press(Press::Pan(1));
+    let moved = page.window_s();
+    page.take(fan_traces(true));
+    assert_eq!(page.window_s(), moved);
+    let page = opened(StoppedAt {
+        shows: Some(Channel::Current),
+        ..stop("run-b")
+    });
+    let seen = page.chosen.as_deref().unwrap()[0];
+    let quantity = page.run().unwrap().signals[seen.0].quantity;
+    assert_eq!(quantity, Quantity::Channel(Channel::Current));
+    // Of another run, which is not shown, nothing is known here.
+    let page = opened(stop("run-c"));
+    assert_eq!((page.run, page.cursor_s), (0, None));
 }
 
 #[test]

@@ -38,6 +38,8 @@ pub enum Act {
     BlackHole,
     /// Another run is begun on the same port.
     SecondHost,
+    /// Another program reads the same serial port. It is the command's alone, and only root may open it all the same.
+    SecondReader,
     /// The folder of its runs is deleted.
     FolderGone,
     /// No file of it may grow any more (`RLIMIT_FSIZE`), in place of a disk that is full.

@@ -43,7 +43,7 @@ pub struct Suite {
 pub struct Case {
     pub name: String,
     pub tags: Vec<String>,
-    /// Bench file, from the folder of the suite; the embedded one where there is none.
+    /// Bench file, from the folder of the suite, or `"@case/NAME"` that a step has made; the embedded one where there is none.
     pub bench: Option<String>,
     /// Embedded name or file of the software drive's motor.
     pub emulator: Option<String>,
@@ -105,6 +105,8 @@ pub enum Action {
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
     Fault(toml::Table),
+    /// A file with other keys.
+    File(ChangedFile),
     /// Limits on the result of an earlier step.
     Assert {
         /// The step; without it the last command.
@@ -112,6 +114,18 @@ pub enum Action {
         limits: Vec<(String, Limit)>,
         signals: Vec<SignalLimit>,
     },
+}
+
+/// A bench file or a drive profile with other keys, made in the folder of the case.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChangedFile {
+    /// TOML file, from the folder of the suite.
+    pub of: String,
+    /// What it is called in the folder of the case, `"@case/NAME"` for the steps that follow.
+    pub name: String,
+    /// Put over the keys of the file, table by table; `"@case/..."` leads to the folder of the case.
+    pub set: toml::Table,
 }
 
 /// What a recorded signal has to be around an instant.
@@ -212,6 +226,16 @@ impl Verb {
             Self::Connect | Self::Commission | Self::Excite | Self::Speed
         )
     }
+
+    /// Whether it talks with a drive, if only to look at it.
+    pub const fn has_link(self) -> bool {
+        self.is_live() || matches!(self, Self::Probe)
+    }
+
+    /// Whether it is about a run: one that it records, or an earlier one.
+    pub const fn has_run(self) -> bool {
+        !matches!(self, Self::Probe | Self::Plan)
+    }
 }
 
 // The file.
@@ -284,6 +308,7 @@ struct StepKeys {
     diagnose: Option<Spanned<toml::Table>>,
     add: Option<Spanned<toml::Table>>,
     fault: Option<toml::Table>,
+    file: Option<ChangedFile>,
     assert: Option<BTreeMap<Spanned<String>, Spanned<toml::Value>>>,
     #[serde(default)]
     signal: Vec<SignalLimit>,
@@ -468,6 +493,15 @@ fn read_step(
     if let Some(fault) = keys.fault {
         found.push(("fault", Action::Fault(fault)));
     }
+    if let Some(file) = keys.file {
+        if !is_file_name(&file.name) {
+            let what = format!("file: name = {:?} is not allowed", file.name);
+            let help =
+                "allowed: the name of a file, which is made in the folder of the case".to_owned();
+            return Err((at, what, help));
+        }
+        found.push(("file", Action::File(file)));
+    }
     if keys.assert.is_some() || !keys.signal.is_empty() {
         let action = read_assert(at, keys.assert, keys.signal, keys.of, before)?;
         found.push(("assert", action));
@@ -480,7 +514,11 @@ fn read_step(
             format!("the step does several things: {}", names.join(", "))
         };
         let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
-        (at, what, format!("allowed: one of {verbs}, fault, assert"))
+        (
+            at,
+            what,
+            format!("allowed: one of {verbs}, fault, file, assert"),
+        )
     })?;
     let is_command = matches!(action, Action::Command { .. });
     if has_status && !is_command {
@@ -744,6 +782,11 @@ timeout_s = 9.0
                 "speed = {}\nstatus = 4",
                 "identify = {}\nhost = { act = \"kill\" }",
                 "host stands without a command that opens a link",
+            ),
+            (
+                "speed = {}",
+                "file = { of = \"a.toml\", name = \"../b.toml\", set = {} }",
+                "file: name = \"../b.toml\" is not allowed",
             ),
             (
                 "of = \"fit\"",

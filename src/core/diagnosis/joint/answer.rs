@@ -10,8 +10,8 @@ use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
 use super::search::{self, SearchResult};
 use super::select::Set;
 use super::shown::{
-    BOUND_SIGMAS, NAMED_IN_95_SIGMAS, SAYS_NOTHING_SLABS, is_amplitude, moments, size_in,
-    spread_slabs, whenever, without,
+    BOUND_SIGMAS, NAMED_IN_95_SIGMAS, SAYS_NOTHING_SLABS, is_amplitude, moments, shortest_seen,
+    size_in, spread_slabs, whenever, without,
 };
 use super::solution::{self, Happened};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
@@ -576,6 +576,9 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         let excited = spread.is_some_and(|spread| spread < SAYS_NOTHING_SLABS);
         out.excited |= excited;
         if variant.mean > 0.0 || !excited {
+            if excited {
+                out.detectable = shortest_seen(reduced, best, k);
+            }
             continue;
         }
         let mut bound: f64 = 0.0;

@@ -45,7 +45,10 @@ const INTERVAL_NATS: f64 = 1.92;
 /// Time before and behind the moment by which an onset may have another form, s: nobody knows how fast it comes.
 const ONSET_S: f64 = 0.01;
 /// Its forms, at one standard deviation: later or earlier, and slower or faster, by the weights before, at and behind it.
-const ONSET_FORMS: [[f64; 3]; 2] = [[0.5, 0.0, -0.5], [0.5, -1.0, 0.5]];
+const ONSET_FORMS: [[f64; 3]; 2] = [[0.5, 0.0, -0.5], SLOWER];
+const SLOWER: [f64; 3] = [0.5, -1.0, 0.5];
+/// Times before and behind the moment over which it may build up, s: what comes slowly would pass for a friction beside it.
+const BUILDS_UP_S: [f64; 3] = [0.1, 0.4, 1.6];
 
 /// A sum of terms that have no states, each with its weight.
 struct Weighted(Vec<(f64, Box<dyn Terms>)>);
@@ -112,9 +115,9 @@ impl Event {
         ActiveEffect::with(self.effect, &self.values)
     }
 
-    /// What another form of its onset does.
-    fn bent(&self, weights: [f64; 3]) -> Box<dyn Terms> {
-        let parts = [-ONSET_S, 0.0, ONSET_S].into_iter().zip(weights);
+    /// What another form of its onset does, which differs so long before and behind the moment.
+    fn bent(&self, weights: [f64; 3], around_s: f64) -> Box<dyn Terms> {
+        let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
         let part = |(after_s, weight): (f64, f64)| {
             let mut there = self.clone();
             there.put_at(self.time_s() + after_s);
@@ -284,10 +287,12 @@ pub(super) fn parts(
             form.column(source, of_size(unit, moment, present));
         }
         for event in &own {
-            for weights in ONSET_FORMS {
+            let at_once = ONSET_FORMS.map(|weights| (weights, ONSET_S));
+            let slowly = BUILDS_UP_S.map(|around_s| (SLOWER, around_s));
+            for (weights, around_s) in at_once.into_iter().chain(slowly) {
                 let bent = Tangent::Event {
-                    terms: event.bent(weights),
-                    begins_s: event.time_s() - ONSET_S - LEAD_S,
+                    terms: event.bent(weights, around_s),
+                    begins_s: event.time_s() - around_s - LEAD_S,
                 };
                 form.column(Source::In(event.run, bent), Column::default());
             }

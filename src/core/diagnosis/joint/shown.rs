@@ -2,7 +2,7 @@
 
 use statrs::function::erf::erfc;
 
-use super::columns::ColumnInformation;
+use super::columns::{ColumnInformation, Variant};
 use super::select::{Reduced, Set};
 use crate::numerics::count::whole;
 use crate::plant::Effect;
@@ -17,12 +17,13 @@ const BEYOND_SIGMAS: f64 = 4.0;
 pub(super) const BOUND_SIGMAS: f64 = 1.75;
 /// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
 pub(super) const NAMED_IN_95_SIGMAS: f64 = 1.645;
-/// Share of the moments at which an event may have come from which on runs show it.
-const MOST_MOMENTS: f64 = 0.9;
+/// Share of the moments at which an event may have come, and of the lengths that a late start may have, from which on runs
+/// show it.
+const MOST: f64 = 0.9;
 
 /// Standard deviation, in slabs, that runs leave to the size of a candidate in a form beside a set. That of what happens once
 /// is the one that it has at nine of ten moments at which it may have come: there is always one at the end of a run that
-/// nothing shows, and no run has none.
+/// nothing shows, and no run has none. That of a late start likewise at nine of ten lengths.
 pub(super) fn spread_slabs(
     reduced: &Reduced,
     best: &Set,
@@ -33,26 +34,61 @@ pub(super) fn spread_slabs(
     let variant = &candidate.variants[form];
     if candidate.is_event() && !candidate.in_model {
         let moments = moments(reduced, best, excess, k);
-        let mut seen: Vec<f64> = moments
-            .iter()
-            .map(|seen| seen.information.max(0.0))
-            .collect();
-        seen.sort_by(|a, b| b.total_cmp(a));
-        let at_most = whole(MOST_MOMENTS * seen.len() as f64);
-        let information = seen.get(at_most.min(seen.len().saturating_sub(1)))?;
-        return Some((information + 1.0).sqrt().recip());
+        let seen = moments.iter().map(|seen| seen.information.max(0.0));
+        return Some((of_most(seen.collect())? + 1.0).sqrt().recip());
     }
     if variant.mean > 0.0 {
         // There wholly or not at all: seen where that makes a difference beyond the noise.
-        let columns = reduced.columns(&without(best, k));
-        let own = variant.columns[0].at - reduced.linear.nuisances.len();
-        let seen = reduced.seen(&columns, own, 1.0).information * variant.mean.powi(2);
+        let lengths = lengths_seen(reduced, best, k);
+        let most = lengths.and_then(|all| of_most(all.iter().map(|own| own.1).collect()));
+        let seen = most.unwrap_or_else(|| wholly(reduced, best, k, variant));
         return (seen > 0.0).then(|| SAYS_NOTHING_SLABS * WHOLLY_SEEN_SIGMAS / seen.sqrt());
     }
     let mut with = reduced.cleared(best, k);
     with[k] = Some(form);
     let (_, sd) = size_in(reduced, &with, k)?;
     Some(sd / variant.columns[0].unit)
+}
+
+/// Squared distance, in standard deviations, that a form makes which is there wholly or not at all.
+fn wholly(reduced: &Reduced, best: &Set, k: usize, variant: &Variant) -> f64 {
+    let columns = reduced.columns(&without(best, k));
+    let own = variant.columns[0].at - reduced.linear.nuisances.len();
+    reduced.seen(&columns, own, 1.0).information * variant.mean.powi(2)
+}
+
+/// What nine of ten have at least.
+fn of_most(mut seen: Vec<f64>) -> Option<f64> {
+    seen.sort_by(|a, b| b.total_cmp(a));
+    let enough = whole((MOST * seen.len() as f64).ceil());
+    seen.get(enough.checked_sub(1)?).copied()
+}
+
+/// Each length that a late start may have, with the squared distance that it makes; `None` for what has other shapes, or has
+/// its length in the model. The likeliest of lengths that are refuted is always the shortest, and how much of that shows is
+/// left to the voltage of one command. Those that the beginning of a run refuted have no form any more.
+fn lengths_seen(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(f64, f64)>> {
+    let candidate = &reduced.linear.candidates[k];
+    let specs = candidate.effect?.parameters();
+    let [length] = specs else { return None };
+    if candidate.in_model || !candidate.is_whole() {
+        return None;
+    }
+    let seen = |length_s: &f64| {
+        let mut forms = candidate.variants.iter();
+        let own = forms.find(|form| form.values[0].to_bits() == length_s.to_bits());
+        let seen = own.map(|form| wholly(reduced, best, k, form));
+        (*length_s, seen.unwrap_or(f64::INFINITY))
+    };
+    Some(length.shapes.iter().map(seen).collect())
+}
+
+/// The shortest late start from which on all would have been seen.
+pub(super) fn shortest_seen(reduced: &Reduced, best: &Set, k: usize) -> Option<f64> {
+    let lengths = lengths_seen(reduced, best, k)?;
+    let least = WHOLLY_SEEN_SIGMAS * WHOLLY_SEEN_SIGMAS;
+    let seen = lengths.iter().rev().take_while(|own| own.1 >= least);
+    seen.last().map(|own| own.0)
 }
 
 /// What the runs say of an event at each moment of one of them, beside a set; `excess` is that of what the set leaves.
@@ -151,6 +187,20 @@ pub(super) fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_nine_of_ten_have_is_not_the_least() {
+        for (seen, expected) in [
+            (
+                &[3.0, 1.0, 9.0, 4.0, 8.0, 7.0, 6.0, 5.0, 2.0, 10.0][..],
+                Some(2.0),
+            ),
+            (&[3.0, 1.0], Some(1.0)),
+            (&[], None),
+        ] {
+            assert_eq!(of_most(seen.to_vec()), expected, "{seen:?}");
+        }
+    }
 
     #[test]
     fn an_event_is_below_its_bound_whenever_it_happened() {

@@ -351,7 +351,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         let now = speed.get(row).copied().unwrap_or(0.0);
         let is_missing = row < time_s.len() && !now.is_finite();
         let turns = now.abs() > TURNING * largest;
-        if is_missing || open.is_some_and(|(_, sign)| turns && now.signum() == sign) {
+        if is_missing || open.is_some_and(|(_, sign)| turns && now * sign > 0.0) {
             continue;
         }
         if let Some((from, _)) = open.take() {
@@ -366,7 +366,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
     found.retain(|rows| seconds(rows) >= 0.5 * longest);
     let keeps_turning = !found.is_empty();
     if !keeps_turning {
-        found = vec![0..time_s.len()];
+        found.push(0..time_s.len());
     }
     let cut = found.into_iter().flat_map(|rows| {
         let parts = rows.len().div_ceil(LONGEST_ROWS);
@@ -496,7 +496,7 @@ impl Estimator {
                     .collect()
             })
             .collect();
-        let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| self.pooled(at)).collect();
+        let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| Self::pooled(at)).collect();
         let pathways = Pathway::ALL.into_iter().filter(|pathway| match pathway {
             Pathway::VoltageToSpeed => self.has[1],
             Pathway::VoltageToCurrent => self.has[0],
@@ -536,7 +536,7 @@ impl Estimator {
     }
 
     /// The stretches together, each output weighed by its variance.
-    fn pooled(&self, at: &[Option<Local>]) -> Option<Pooled> {
+    fn pooled(at: &[Option<Local>]) -> Option<Pooled> {
         let known: Vec<&Local> = at.iter().flatten().collect();
         if known.is_empty() {
             return None;
