@@ -741,7 +741,7 @@ fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64) -> Option<Hea
 
 /// Step of the embedded reference, and what of a ring is told from the noise of the sensor, rad/s peak to peak.
 const STEP_RAD_S: f64 = 20.0;
-const NOISE_RAD_S: f64 = 8.0 * 0.15;
+const NOISE_RAD_S: f64 = 10.0 * 0.15;
 
 #[test]
 fn no_controller_rings_unnoticed_behind_a_coupling_on_two_hundred_motors() {
