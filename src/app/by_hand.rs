@@ -1,4 +1,5 @@
-//! The diagnosis by hand: its screen on this thread, the analysis on another; the model file.
+//! The diagnosis by hand: its screen on this thread, the analysis on another; the model file. And the screen of a frequency
+//! response, which has no analysis behind it.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
@@ -13,8 +14,11 @@ use super::failure::Failure;
 use super::files::{load, model_file};
 use super::{output, pages, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
+use crate::identification::frequency_response::{Compared, Pathway};
 use crate::plant::FileHistory;
-use crate::tui::{self, DiagnosisScreen, DiagnosisSources, Exit, Opens, StoppedAt};
+use crate::tui::{
+    self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
+};
 use crate::workflow::{Discovery, News, Order};
 
 /// Where a model goes for which no name was given.
@@ -192,12 +196,7 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         work(discovery, &shown, &ordered, &told, &heard, &is_left);
     })?;
     let held = output::hold();
-    let closed = AtomicBool::new(false);
-    let exit = watched(
-        move || tui::show(DiagnosisScreen::new(sources)),
-        || closed.store(true, Ordering::Release),
-        || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
-    );
+    let exit = until_left(DiagnosisScreen::new(sources), &hang_up);
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
         let _whole = signals::writing();
@@ -210,26 +209,58 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         .written
         .iter()
         .for_each(|text| output::message(text));
-    let exit = match exit? {
-        Watched::Left(Exit::WorkerPanicked) => {
-            return Err(Failure::internal("the analysis has panicked"));
-        }
-        Watched::Left(exit) => exit,
-        // Closed, most likely: nothing is energised, and a model that was written is there.
-        Watched::Failed(reason) => {
-            let headline = format!("the screen has failed: {reason}");
-            return Err(Failure::interrupted(headline));
-        }
-        Watched::Panicked(said) => {
-            let headline = format!("the screen has panicked ({said})");
-            return Err(Failure::internal(headline));
-        }
-    };
+    let exit = exit_of(exit?)?;
     Ok(Left {
         exit,
         hang_up,
         standing,
     })
+}
+
+/// Shows a screen under which nothing is energised until it is left, or its terminal is gone.
+fn until_left(
+    screen: impl Screen + Send + 'static,
+    hang_up: &AtomicBool,
+) -> Result<Watched, Failure> {
+    let closed = AtomicBool::new(false);
+    watched(
+        move || tui::show(screen),
+        || closed.store(true, Ordering::Release),
+        || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
+    )
+}
+
+fn exit_of(watched: Watched) -> Result<Exit, Failure> {
+    match watched {
+        Watched::Left(Exit::WorkerPanicked) => Err(Failure::internal("the analysis has panicked")),
+        Watched::Left(exit) => Ok(exit),
+        // Closed, most likely: nothing is energised, and a model that was written is there.
+        Watched::Failed(reason) => {
+            let headline = format!("the screen has failed: {reason}");
+            Err(Failure::interrupted(headline))
+        }
+        Watched::Panicked(said) => {
+            let headline = format!("the screen has panicked ({said})");
+            Err(Failure::internal(headline))
+        }
+    }
+}
+
+/// Shows a frequency response until its screen is left.
+pub(crate) fn show_response(
+    title: String,
+    compared: Compared,
+    asked: Option<Pathway>,
+) -> Result<(), Failure> {
+    let hang_up = signals::flag()?;
+    let screen = ResponseScreen::new(title, compared, asked, Arc::clone(&hang_up));
+    let held = output::hold();
+    let left = until_left(screen, &hang_up);
+    drop(held);
+    if exit_of(left?)? == Exit::Interrupted {
+        return Err(Failure::interrupted("interrupted"));
+    }
+    Ok(())
 }
 
 fn lock(standing: &Mutex<Standing>) -> MutexGuard<'_, Standing> {

@@ -178,6 +178,9 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
         let changes = report.gain_changes.iter();
         let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
         card.say("gains", changes.collect::<Vec<_>>(), 0);
+        let found = report.watch.iter();
+        let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
+        card.say("watch", found.collect::<Vec<_>>(), 3);
         card.say("at end", report.gains.iter().map(String::as_str), 1);
     }
     if summary.outcome == Outcome::Done {
@@ -214,11 +217,19 @@ pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
     let changes = report.gain_changes.iter();
     let changes = changes.map(|change| format!("{:>8.2} s  {}", change.time_s, change.reason));
     rows.extend(changes.flat_map(|text| fitted(&text)));
+    let found = report.watch.iter();
+    let found = found.map(|one| format!("{:>8.2} s  {}", one.time_s, one.reason));
+    rows.extend(found.flat_map(|text| fitted(&text)));
     rows
 }
 
 fn tracking_text(pass: &Tracking) -> String {
     let with = if pass.feed_forward { "with" } else { "without" };
     let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
-    format!("error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most")
+    let reversals = pass.reversal_rms_rad_s;
+    let reversals =
+        reversals.map_or_else(String::new, |rms| format!("; {rms:.2} rms at reversals"));
+    format!(
+        "error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most{reversals}"
+    )
 }

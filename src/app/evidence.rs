@@ -559,7 +559,7 @@ fn had_no_part(confirm: &Scenario, holdout: Option<&Scenario>, notes: &mut Vec<S
 }
 
 /// What a run does not say by itself: rows without a voltage, signals without values, times without rows.
-fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
+pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let (mut cautions, name) = (Vec::new(), &run.name);
     let channel = scenario.input_channel;
     cautions.extend(lost_rows::sentence(run, scenario));

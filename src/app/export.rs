@@ -1,4 +1,5 @@
-//! A model and the gains of its regulator for other tools: as source text of a language, or as JSON with every effect.
+//! A model and the gains of its regulator for other tools: as source text of a language, or as JSON with every effect; and
+//! the map of a torque that runs show.
 
 use std::path::Path;
 
@@ -9,9 +10,13 @@ use super::files::read_model;
 use super::output;
 use super::tune::KeptGains;
 use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
-use crate::plant::ModelFile;
+use crate::diagnosis::{MappedTorque, torque_map};
+use crate::identification::noise::NoiseFloor;
+use crate::plant::{ModelFile, Scenario};
 use crate::recording::{ColumnKind, LoadedRun, RunFolder, write_run};
-use crate::report::export::{Export, ExportError, Regulator, Target, formulas};
+use crate::report::export::{
+    Export, ExportError, Regulator, Target, formulas, map_as_c, map_as_csv,
+};
 
 /// What is asked to be exported.
 pub(crate) struct ExportRequest<'a> {
@@ -40,6 +45,42 @@ pub(crate) fn export(request: &ExportRequest<'_>) -> Result<(String, String), Fa
             let name = request.name.unwrap_or(&model.motor.name);
             Export::new(model, regulator, name, &title)?.written(target)?
         }
+    };
+    Ok((text, title))
+}
+
+/// The map of a torque that runs show, as C or else as CSV, and one line that says what is in it.
+pub(crate) fn torque_map_of(
+    of: MappedTorque,
+    model: &Path,
+    runs: &[LoadedRun],
+    c_name: Option<&str>,
+) -> Result<(String, String), Failure> {
+    let file = read_model(model)?;
+    file.model.require_complete()?;
+    let mut measured = Vec::new();
+    for loaded in runs {
+        let run = Scenario::from_run(&loaded.run)?;
+        let noise =
+            NoiseFloor::from_standstill(&run).unwrap_or_else(|| NoiseFloor::from_spread(&run));
+        measured.push((run, noise));
+    }
+    let map = torque_map(of, &file.model, &measured)?
+        .map_err(|error| Failure::usage(format!("{} map: {error}", of.name()), error.help()))?;
+    let names: Vec<&str> = runs.iter().map(|loaded| loaded.run.name.as_str()).collect();
+    let title = format!(
+        "{} of {}, {} of {} bins measured in {}: Kt and J of {}, exported by drivebench {}",
+        of.name(),
+        file.model.motor.name,
+        map.known(),
+        map.bins.len(),
+        names.join(", "),
+        model.display(),
+        env!("CARGO_PKG_VERSION")
+    );
+    let text = match c_name {
+        Some(name) => map_as_c(&map, name, &title),
+        None => map_as_csv(&map),
     };
     Ok((text, title))
 }
@@ -103,6 +144,9 @@ fn as_json(
             .values()
             .map(|(key, value)| (key.to_owned(), Value::from(value)));
         value["regulator"] = Value::Object(values.into_iter().collect());
+        if let Some(notch) = &regulator.gains.notch {
+            value["regulator"]["notch"] = json!(notch);
+        }
     }
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
 }

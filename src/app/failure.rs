@@ -8,6 +8,7 @@ use crate::control::tuning::TuningError;
 use crate::drive::{LinkError, ProfileError, TargetError};
 use crate::emulator::EmulatorConfigError;
 use crate::emulator::mystery::SealError;
+use crate::identification::frequency_response::FrequencyResponseError;
 use crate::identification::kalman::LoadError;
 use crate::identification::output_error::FitError;
 use crate::identification::scheme::IdentifyError;
@@ -150,6 +151,7 @@ failures! {
     CheckError: |error| if matches!(error, CheckError::Stopped) { INTERRUPTED } else { LINK };
     LinkError: |_| LINK;
     FitError: |error| usage_if(matches!(error, FitError::Model(_)), NOT_IDENTIFIABLE);
+    FrequencyResponseError: |error| usage_if(matches!(error, FrequencyResponseError::NoVoltage { .. }), NOT_IDENTIFIABLE);
     IdentifyError: |error| usage_if(error.is_usage(), NOT_IDENTIFIABLE);
     LoadError: |error| usage_if(is_of_the_model(error), NOT_IDENTIFIABLE);
 }

@@ -16,11 +16,12 @@
 //! * `guided`: what can follow a commissioning on its screen.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
 //! * `files`, `pages`: what is left in folders; `cards`: what is left on the terminal; `report`: the page of a run and its
-//!   pictures once more; `export`: models for other tools; `tune`: gains, and those from a file; `front`: what the program
+//!   pictures once more; `export`: models for other tools; `bode`: frequency response; `tune`: gains, and those from a file; `front`: what the program
 //!   says when it is called alone.
 //! * `output`, `progress`, `failure`: the only words to stdout and stderr, none of which may panic.
 
 pub(crate) mod analyse;
+pub(crate) mod bode;
 pub(crate) mod by_hand;
 pub(crate) mod cards;
 pub(crate) mod catalogue;

@@ -164,6 +164,7 @@ impl LoopParts {
         let delay_s = delay_s + self.limits.dead_time_s;
         Design {
             model: &self.model.model,
+            fitted: &self.model.history.fitted,
             motor: &self.motor,
             limits: &self.limits,
             section: &self.section,
@@ -240,6 +241,11 @@ pub fn speed(
         .write(RunFile::Model, &request.model.to_toml());
     let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
+    let loop_report = whole.recorded.summary.speed.as_ref();
+    let adaptation = loop_report.and_then(|report| report.adaptation.clone());
+    if let Some(text) = adaptation {
+        whole.recorded.write(RunFile::Adaptation, &text);
+    }
     if let Some(report) = &whole.recorded.summary.speed {
         let page = speed_loop(report, whole.delay.as_ref());
         let plate = request.motor.motor();
@@ -345,6 +351,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
     let held = report.held_cycles.to_string();
     let changes = report.gain_changes.iter();
     let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    let found = (report.watch.iter()).map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
     let last = report
         .gains
         .iter()
@@ -359,7 +366,7 @@ fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
         ],
         tables: vec![tracking(report), steps(report)],
         reasons: report.reasons.clone(),
-        changes: changes.chain(last).collect(),
+        changes: changes.chain(found).chain(last).collect(),
     }
 }
 
@@ -369,10 +376,13 @@ fn tracking(report: &SpeedReport) -> Table {
         let (from, until) = (fixed(pass.from_s, 1), fixed(pass.until_s, 1));
         let errors = [pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s];
         let errors = errors.map(|error| Cell::text(significant(error, 3)));
+        let reversal = pass.reversal_rms_rad_s.map(|error| significant(error, 3));
+        let reversal = Cell::text(reversal.unwrap_or_else(|| "-".to_owned()));
         let followed = Cell::text(format!("{from} to {until} s"));
         [Cell::text(with), followed]
             .into_iter()
             .chain(errors)
+            .chain([reversal])
             .collect()
     });
     Table {
@@ -382,6 +392,7 @@ fn tracking(report: &SpeedReport) -> Table {
             "error rms, rad/s",
             "mean, rad/s",
             "peak, rad/s",
+            "rms of reversals, rad/s",
         ],
         rows: rows.collect(),
     }

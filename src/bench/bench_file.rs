@@ -475,6 +475,11 @@ pub(super) fn cells(segment: &mut Segment) -> Cells<'_> {
             times_s.push(&mut sine.seconds);
             None
         }
+        Segment::Chirp(chirp) => {
+            volts.extend([&mut chirp.amplitude_v, &mut chirp.offset_v]);
+            times_s.push(&mut chirp.seconds);
+            None
+        }
         Segment::Standstill(_) | Segment::CoastDown(_) => None,
     };
     if let Some(dither) = dither {

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::identification::online::{Online, OnlineConfig};
+use crate::identification::online::{Frozen, Online, OnlineConfig};
 use crate::identification::recursive::{Memory, StartValues};
 use crate::plant::MotorKey;
 use crate::recording::Row;
@@ -28,6 +28,11 @@ pub trait LiveEstimator {
     /// What the newest rows added to their prediction: current, A, and speed, rad/s; `None` where there is none.
     fn innovation(&self) -> Option<(f64, f64)> {
         None
+    }
+
+    /// For how long a limit of the drive has kept it from learning.
+    fn frozen(&self) -> Frozen {
+        Frozen::default()
     }
 
     /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
@@ -64,6 +69,7 @@ impl RowEstimator {
             scheme_2: keyed(&self.online.scheme_2()),
             innovation: self.online.innovation(),
             excitation: self.online.excitation(),
+            frozen: self.online.frozen(),
         }
     }
 }
@@ -81,6 +87,8 @@ pub struct OnlineResult {
     pub innovation: Option<(f64, f64)>,
     /// How far the data carry R, L, Ke, Kt/J, Mc/J.
     pub excitation: [f64; 5],
+    /// Rows of which nothing was learnt, because the drive limited.
+    pub frozen: Frozen,
 }
 
 fn keyed(estimates: &[ParameterEstimate]) -> Map<String, Value> {
@@ -166,6 +174,10 @@ impl LiveEstimator for RowEstimator {
 
     fn innovation(&self) -> Option<(f64, f64)> {
         self.online().innovation()
+    }
+
+    fn frozen(&self) -> Frozen {
+        self.online().frozen()
     }
 
     fn excitation(&self) -> Excitation {

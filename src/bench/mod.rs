@@ -60,7 +60,7 @@ pub use live_online::{
 };
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
 pub use next_bench::{bench_for, experiment_limits, next_bench};
-pub use pilot::{Pilot, Program};
+pub use pilot::{Pilot, PilotNews, Program};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use plausibility::Plausibility;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
@@ -70,7 +70,7 @@ pub use snapshot::{InnovationPoint, Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{
     ControllerKind, Design, ForwardUse, GainChange, GainsSection, LoopDelay, PilotSettings,
     Reference, ReferenceError, ReferencePart, ReferenceStep, Regulator, RegulatorError, SpeedPilot,
-    SpeedReport, SpeedSection, StepFigures, Tracking, check_kinship, measure_delay,
+    SpeedReport, SpeedSection, StepFigures, Tracking, Watched, check_kinship, measure_delay,
     timing as loop_timing,
 };
 pub use stop::{LastSeconds, Stop};

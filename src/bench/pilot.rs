@@ -38,6 +38,15 @@ impl Program for excitation::Program {
     }
 }
 
+/// What a pilot has to say in a cycle.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PilotNews {
+    /// The gains have moved.
+    Gains(String),
+    /// The watch of the loop has found something.
+    Watch(String),
+}
+
 /// One run's source of demands, driven by the session; time comes in.
 ///
 /// In each cycle `demand` is asked for first, then `sent` tells what really left after the guard; `sample` comes where
@@ -74,8 +83,8 @@ pub trait Pilot: Send {
         None
     }
 
-    /// What changed since the last cycle and why, as a line of the log.
-    fn news(&mut self) -> Option<String> {
+    /// The next thing that changed or was found since the last cycle and why, as a line of the log.
+    fn news(&mut self) -> Option<PilotNews> {
         None
     }
 

@@ -27,6 +27,7 @@ use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
+use crate::identification::online::Frozen;
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate};
 
@@ -76,6 +77,8 @@ pub struct RunSummary {
     pub estimates: Vec<ParameterEstimate>,
     /// How far the data carried each of them at the end.
     pub excitation: Excitation,
+    /// For how long a limit of the drive kept the estimators from learning.
+    pub frozen: Frozen,
     /// How the speed loop went, if there was one.
     #[serde(rename = "loop", skip_serializing_if = "Option::is_none")]
     pub speed: Option<SpeedReport>,
@@ -312,6 +315,7 @@ impl Runner<'_> {
             wire: Wire::of(self.link.0),
             estimates: self.estimates(),
             excitation: self.excitation(),
+            frozen: self.frozen(),
             speed: self.session.report(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
@@ -605,6 +609,11 @@ impl Runner<'_> {
         estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
     }
 
+    fn frozen(&self) -> Frozen {
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Frozen::default, |estimator| estimator.frozen())
+    }
+
     /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
     fn publish(
         &mut self,
@@ -613,6 +622,7 @@ impl Runner<'_> {
         end: Option<(&'static str, Option<String>, Option<Stop>)>,
     ) {
         let (estimates, excitation) = (self.estimates(), self.excitation());
+        let frozen = self.frozen();
         let estimator = self.estimator.as_ref();
         let innovation = estimator.and_then(|estimator| estimator.innovation());
         self.publisher.innovation(innovation);
@@ -620,6 +630,7 @@ impl Runner<'_> {
         let session = &self.session;
         self.publisher.publish(now_s, session, estimates, |shown| {
             shown.excitation = Arc::new(excitation);
+            shown.frozen = frozen;
             shown.link_statistics = self.link.0.statistics();
             shown.timing = self.punctuality.timing(rate_hz);
             shown.rows = recorder.rows as u64;

@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use super::check::WATCHDOG;
 use super::guard::{Causes, Guard};
 use super::mechanics::Brake;
-use super::pilot::{OpenLoop, Pilot, Program};
+use super::pilot::{OpenLoop, Pilot, PilotNews, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
 use super::trip::{Trip, TripKind};
@@ -353,9 +353,13 @@ impl Session {
         let command = self.send(wanted);
         if self.phase == Phase::Running {
             self.pilot.sent(&command);
-            if let Some(reason) = self.pilot.news() {
-                self.notice(Level::Info, format!("gains: {reason}"));
-                self.event("gains", json!({ "reason": reason }));
+            while let Some(news) = self.pilot.news() {
+                let (name, level, reason) = match news {
+                    PilotNews::Gains(reason) => ("gains", Level::Info, reason),
+                    PilotNews::Watch(reason) => ("watch", Level::Warning, reason),
+                };
+                self.notice(level, format!("{name}: {reason}"));
+                self.event(name, json!({ "reason": reason }));
             }
         }
         if self.phase != Phase::RampDown {

@@ -12,6 +12,7 @@ use super::stop::Stop;
 use super::timing::Timing;
 use super::trip::Trip;
 use crate::drive::{Identity, LinkStatistics};
+use crate::identification::online::Frozen;
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
 use crate::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
@@ -86,6 +87,8 @@ pub struct Snapshot {
     pub estimates: Arc<Vec<ParameterEstimate>>,
     /// How far the data carry each parameter so far.
     pub excitation: Arc<Excitation>,
+    /// For how long a limit of the drive has kept the estimators from learning.
+    pub frozen: Frozen,
     /// Whether the model of the trace is the nameplate's or the identified one.
     pub model_is_identified: bool,
     pub link_statistics: LinkStatistics,

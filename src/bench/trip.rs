@@ -70,6 +70,10 @@ pub enum TripKind {
     FieldLost,
     /// The speed grows beyond its reference although the torque is against it.
     Runaway,
+    /// A speed loop swings by itself, and its gains cannot fall.
+    LoopSwings,
+    /// A speed loop stands at a limit and does not get to its reference.
+    LoopSaturated,
 }
 
 impl TripKind {
@@ -108,6 +112,8 @@ impl TripKind {
             Self::SignalsSwapped => "signals swapped",
             Self::FieldLost => "field lost",
             Self::Runaway => "runaway",
+            Self::LoopSwings => "loop swings",
+            Self::LoopSaturated => "loop saturated",
         }
     }
 

@@ -7,6 +7,7 @@
 mod add;
 mod analyse;
 mod arguments;
+mod bode;
 mod compare;
 mod diagnose;
 mod doctor;
@@ -95,6 +96,7 @@ enum Command {
     Test(test::Arguments),
     Compare(compare::Arguments),
     View(view::Arguments),
+    Bode(bode::Arguments),
     Diagnose(diagnose::Arguments),
     Add(add::AddArguments),
     Remove(add::Arguments),
@@ -152,6 +154,7 @@ pub fn main() -> ExitCode {
         Command::Test(arguments) => test::execute(arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::View(arguments) => view::execute(&arguments),
+        Command::Bode(arguments) => bode::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),
         Command::Add(arguments) => add::execute_add(&arguments),
         Command::Remove(arguments) => add::execute_remove(&arguments),

@@ -187,8 +187,8 @@ pub(super) struct SpeedArguments {
     /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
     #[arg(long, value_name = "CONTROLLER", value_parser = controller)]
     controller: Option<ControllerKind>,
-    /// off, on, or compare: what the model's effects cost is given before the error asks for it; compare follows the
-    /// reference twice, without and with, and shows both tracking errors. Overrides the bench file
+    /// off, on, or compare: what motion and the model's effects cost is given as far ahead as it takes to act; compare
+    /// follows the reference twice, without and with, and shows both tracking errors. Overrides the bench file
     #[arg(long, value_name = "USE", value_parser = forward_use)]
     feed_forward: Option<ForwardUse>,
     /// voltage, current or speed: the quantity that is commanded; overrides the bench file

@@ -17,7 +17,7 @@ macro_rules! embedded {
 }
 
 /// Embedded configurations, the default first.
-const EMBEDDED: [(&str, &str); 11] = embedded![
+const EMBEDDED: [(&str, &str); 12] = embedded![
     "zk-22fc-hidden",
     "zk-22fc-plain",
     "zk-22fc-viscous",
@@ -27,6 +27,7 @@ const EMBEDDED: [(&str, &str); 11] = embedded![
     "zk-22fc-locked",
     "zk-22fc-open",
     "zk-22fc-changing",
+    "zk-22fc-elastic",
     "small-servo-behind-zk-22fc",
     "large-motor-behind-zk-22fc",
 ];

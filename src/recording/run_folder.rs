@@ -17,6 +17,8 @@ pub enum RunFile {
     NextBench,
     /// The samples once more, as columns.
     Parquet,
+    /// What a controller followed, and its gains, over time.
+    Adaptation,
 }
 
 impl RunFile {
@@ -28,6 +30,7 @@ impl RunFile {
             Self::Report => "report.html",
             Self::NextBench => "next-bench.toml",
             Self::Parquet => "samples.parquet",
+            Self::Adaptation => "adaptation.csv",
         }
     }
 }

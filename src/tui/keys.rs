@@ -46,6 +46,8 @@ pub enum Press {
     Write,
     /// Measured and model over time.
     Traces,
+    /// Measured and model over frequency.
+    Response,
     /// The next of the places where the model is farthest off.
     Worst,
     /// Closer, or farther away.
@@ -62,7 +64,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 31] = [
+pub(super) const CHARACTERS: [(char, Press); 32] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -86,6 +88,7 @@ pub(super) const CHARACTERS: [(char, Press); 31] = [
     ('p', Press::Guess),
     ('w', Press::Write),
     ('v', Press::Traces),
+    ('g', Press::Response),
     ('j', Press::Worst),
     ('+', Press::Zoomed(true)),
     ('-', Press::Zoomed(false)),
@@ -102,10 +105,12 @@ pub(super) enum On {
     Every,
     Live,
     Diagnosis,
+    /// The frequency response alone.
+    Response,
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 33] = [
+const HELP: [(On, &str, &str); 36] = [
     (
         On::Every,
         "Space Esc",
@@ -168,14 +173,25 @@ const HELP: [(On, &str, &str); 33] = [
         "v",
         "traces: measured and model over time, residual with its noise",
     ),
+    (
+        On::Diagnosis,
+        "g",
+        "frequency response: magnitude, phase, coherence, resonances",
+    ),
     (On::Diagnosis, "j", "traces: the next of the worst places"),
     (On::Diagnosis, "+ - , .", "traces: zoom, pan"),
-    (On::Diagnosis, "Left Right", "cursor of traces and curves"),
+    (
+        On::Diagnosis,
+        "Left Right",
+        "cursor of traces, curves and response",
+    ),
     (
         On::Diagnosis,
         "o Tab",
-        "traces: choose signals; another run",
+        "traces: choose signals; another run, or pathway of the response",
     ),
+    (On::Response, "Tab", "the next pathway"),
+    (On::Response, "Left Right", "cursor over frequency"),
     (
         On::Diagnosis,
         "n",
@@ -325,7 +341,7 @@ mod tests {
 
     #[test]
     fn a_key_has_one_meaning_and_stands_once_in_the_help_of_a_screen() {
-        for on in [On::Live, On::Diagnosis] {
+        for on in [On::Live, On::Diagnosis, On::Response] {
             let mut named: Vec<&str> = help(on).flat_map(|(keys, _)| keys.split(' ')).collect();
             named.sort_unstable();
             assert!(named.windows(2).all(|pair| pair[0] != pair[1]), "{named:?}");

@@ -12,7 +12,8 @@
 //! * `keys`: the key table, one meaning for each key on every screen.
 //! * `frame`, `plot`, `theme`: help, hints, panels, charts and colours that all screens have in common.
 //! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand;
-//!   `traces/`: the page of both on which measured and model stand over time.
+//!   `traces/`: the page of both on which measured and model stand over time; `response/`: the page, and the screen, on which
+//!   they stand over frequency.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -26,6 +27,7 @@ mod frame;
 mod keys;
 mod live;
 mod plot;
+mod response;
 #[cfg(test)]
 mod screens;
 #[cfg(test)]
@@ -37,5 +39,6 @@ pub use application::{Exit, Screen, is_gone, show, use_mouse};
 pub use diagnosis::{DiagnosisScreen, DiagnosisSources, Opens};
 pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};
+pub use response::ResponseScreen;
 pub use theme::use_light;
 pub use traces::StoppedAt;

@@ -5,7 +5,7 @@ use ratatui::Frame;
 use ratatui::buffer::Buffer;
 use ratatui::style::{Color, Modifier};
 
-use super::{diagnosis, live, testing, theme};
+use super::{diagnosis, live, response, testing, theme};
 
 /// The sizes that every page is looked at in.
 const SIZES: [(u16, u16); 4] = [(40, 10), (80, 24), (120, 40), (200, 50)];
@@ -17,7 +17,10 @@ fn pages() -> impl Iterator<Item = (String, Page)> {
     let live = live::tests::pages().into_iter();
     let live = live.map(|page| (format!("live_{}", page.0), page));
     let diagnosis = diagnosis::tests::pages().into_iter();
-    live.chain(diagnosis.map(|page| (format!("diagnosis_{}", page.0), page)))
+    let diagnosis = diagnosis.map(|page| (format!("diagnosis_{}", page.0), page));
+    let response = response::tests::pages().into_iter();
+    let response = response.map(|page| (format!("response_{}", page.0), page));
+    live.chain(diagnosis).chain(response)
 }
 
 /// The rows of a page without the blanks at their ends.

@@ -9,9 +9,10 @@
 
 use crate::diagnosis::{
     self, AddResult, AxisMap, Comparison, Diagnosis, EffectCurve, ErrorOf, Event, Evidence,
-    ExperimentLimits, Fitted, NextExperiment, RecordedChannels, Rung, Traces, compare,
+    ExperimentLimits, Fitted, HoldoutFrom, NextExperiment, RecordedChannels, Rung, Traces, compare,
     diagnose_with, effect_curve, error_curve, recommend,
 };
+use crate::identification::frequency_response::{Compared, compared, of_model};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::{self, Axis, DefinitionError, ParameterRole};
 use crate::plant::{Effect, Input, Model, Scenario, Slot};
@@ -30,6 +31,8 @@ pub enum Order {
     Undo,
     /// The curve that the error follows, by its place in the diagnosis' axis map, as an effect without a name.
     AddCurve(usize),
+    /// Measured and model over frequency.
+    Respond,
     /// Keep the model; carried out by whoever owns the files.
     Write,
 }
@@ -55,6 +58,8 @@ pub enum News {
         effect: &'static str,
         present: Vec<&'static str>,
     },
+    /// The frequency response of the run, the model's beside it where there is a complete one; or why there is none.
+    Responded(Result<Box<Compared>, String>),
     /// The model is in a file.
     Written(String),
     /// It is in none, and why.
@@ -189,6 +194,10 @@ impl Discovery {
             Order::Remove(id) => self.change(id, Change::Remove, tell),
             Order::Undo => self.undo(tell),
             Order::AddCurve(place) => self.add_curve(place, tell),
+            Order::Respond => {
+                tell(News::Responded(self.response().map(Box::new)));
+                Ok(())
+            }
             Order::Write => Ok(()),
         };
         if let Err(error) = done {
@@ -322,6 +331,22 @@ impl Discovery {
             curves.extend(curve.ok().flatten());
         }
         curves
+    }
+
+    /// Of the whole run, that of which the last part is held out as well.
+    fn response(&self) -> Result<Compared, String> {
+        let evidence = &self.evidence;
+        let run = if evidence.holdout_from == HoldoutFrom::Split {
+            &evidence.holdout
+        } else {
+            evidence.first_run()
+        };
+        let runs = [run.clone()];
+        let model = self.fitted.as_ref().map_or(&self.model, |own| &own.model);
+        let is_complete = model.require_complete().is_ok() && run.input == Input::Voltage;
+        let beside = is_complete.then(|| of_model(model, &runs)).transpose();
+        let beside = beside.map_err(|error| format!("{error}; {}", error.help()))?;
+        compared(&runs, beside.as_deref()).map_err(|error| format!("{error}; {}", error.help()))
     }
 
     fn undo(&mut self, tell: Tell<'_>) -> Result<(), FitError> {

@@ -187,6 +187,48 @@ fn two_models_are_compared_on_one_run_and_only_beyond_chance_one_is_better() {
 }
 
 #[test]
+fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_every_draw() {
+    let desk = Desk::new();
+    let coupling = "[[effect]]\nid = \"elastic_coupling\"\nfrequency_hz = 22.0\ninertia_ratio = 0.5\n\
+                    damping_ratio = 0.02\nfriction_split = 0.5\n\n[history]\n\
+                    fitted = [{ key = \"elastic_coupling.frequency_hz\", std = 0.2 }]\n";
+    let model = model(&desk, "elastic.toml", coupling);
+    let tuned = json_of("tune --model {} --json", &[&model]);
+    assert_eq!(tuned["gains"]["notch"]["frequency_hz"], 22.0);
+    assert_eq!(tuned["draws"]["count"], 200);
+    assert_eq!(tuned["draws"]["stable_share"], 1.0);
+    let number = |value: &serde_json::Value, at: &str| value.pointer(at).unwrap().as_f64().unwrap();
+    let worst = number(&tuned, "/draws/worst/gain_margin");
+    assert!((1.8..number(&tuned, "/margins/gain_margin")).contains(&worst));
+    let middle = &tuned["step"][10];
+    assert!(number(middle, "/low") < number(middle, "/speed"));
+    assert!(number(middle, "/high") > number(middle, "/speed"));
+    let slow = json_of("tune --model {} --json --no-notch", &[&model]);
+    assert!(slow["gains"].get("notch").is_none());
+    let hertz = |tuned| number(tuned, "/margins/bandwidth_rad_s") / std::f64::consts::TAU;
+    assert!(hertz(&tuned) > 1.2 * hertz(&slow));
+    let card = call("tune --model {} --full", &[&model]).expect(0).stdout;
+    let worth = format!(
+        "a notch at 22.0 Hz keeps {:.1} Hz of bandwidth; without it {:.1} Hz",
+        hertz(&tuned),
+        hertz(&slow)
+    );
+    let flat = card.split_whitespace().collect::<Vec<_>>().join(" ");
+    has(
+        &flat,
+        &[
+            &worth,
+            "worst of 200 draws of the parameters (100 % stable)",
+        ],
+    );
+    // It goes out whole or not at all.
+    let gains = desk.put("gains.json", &tuned.to_string());
+    let text = "export --model {} --to json --gains {} --limit-v 110";
+    let document = json_of(text, &[&model, &gains]);
+    assert_eq!(document["regulator"]["notch"]["frequency_hz"], 22.0);
+}
+
+#[test]
 fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
     let desk = Desk::new();
     let own = model(&desk, "own.toml", STRIBECK);
@@ -253,6 +295,79 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
     );
     let document = json_of("export --model {} --to json", &[&loose]);
     assert!(document["laws"][0]["terms"].is_null(), "{document}");
+}
+
+#[test]
+fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
+    let desk = Desk::new();
+    let own = model(&desk, "own.toml", STRIBECK);
+    let runs = Runs::plain();
+    let (fit, other): (&Path, &Path) = (runs.fit.as_ref(), runs.holdout.as_ref());
+    let text = "export --torque-map friction --run {} --run {} --model {} --to csv";
+    let table = call(text, &[fit, other, &own]).expect(0).stdout;
+    let rows: Vec<Vec<&str>> = table
+        .lines()
+        .map(|line| line.split(',').collect())
+        .collect();
+    assert_eq!(
+        rows[0].join(","),
+        "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows"
+    );
+    assert_eq!(rows.len(), 25, "{table}");
+    let mut known = 0;
+    for row in &rows[1..] {
+        let [speed, cells @ .., windows] = row.as_slice() else {
+            panic!("{row:?}")
+        };
+        let windows: u32 = windows.parse().unwrap();
+        assert_eq!(
+            cells.iter().all(|cell| cell.is_empty()),
+            windows < 4,
+            "{row:?}"
+        );
+        if windows < 4 {
+            continue;
+        }
+        known += 1;
+        let against = speed.parse::<f64>().unwrap().signum();
+        let [mean, low, high] = [0, 1, 2].map(|at| against * cells[at].parse::<f64>().unwrap());
+        // Coulomb friction of the specimen, which the nameplate knows to a tenth; of its J and Kt too.
+        assert!(mean > 0.25 && mean < 0.65, "{row:?}");
+        assert!((low - mean) * (high - mean) < 0.0, "{row:?}");
+    }
+    assert!(known >= 6, "{table}");
+    let header = desk.path("cogging.h");
+    let text = "export --torque-map cogging --run {} --model {} --to c --output {}";
+    let said = call(text, &[fit, &own, &header]).expect(0).stdout;
+    has(&said, &["cogging of ZK-22FC, ", " of 72 bins measured in"]);
+    has(
+        &fs::read_to_string(&header).unwrap(),
+        &["cogging_torque(float angle_rad,"],
+    );
+    for (text, paths, words) in [
+        (
+            "export --torque-map friction --run {} --to csv",
+            vec![fit],
+            "--model",
+        ),
+        (
+            "export --torque-map friction --run {} --model {} --to json",
+            vec![fit, &own],
+            "a torque map as csv or c",
+        ),
+        (
+            "export --model {} --to csv",
+            vec![own.as_path()],
+            "--torque-map",
+        ),
+        (
+            "export --torque-map drag --run {} --model {} --to csv",
+            vec![fit, &own],
+            "friction, cogging",
+        ),
+    ] {
+        has(&refusal(text, &paths), &[words]);
+    }
 }
 
 #[test]

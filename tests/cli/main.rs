@@ -11,6 +11,7 @@ mod kit;
 
 mod analyse;
 mod bad_input;
+mod bode;
 mod card;
 mod examples;
 mod first_move;

@@ -173,6 +173,9 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     let dip = json["figure_5"]["courses"][1]["applied"]["dip_rad_s"]
         .as_f64()
         .unwrap();
-    assert!(loads.contains(&format!("yes,applied,{dip:.2}")), "{loads}");
+    assert!(
+        loads.contains(&format!("0.05 K3,applied,{dip:.2}")),
+        "{loads}"
+    );
     call("reproduce paper-b --seed 2 --json", &[]).expect(2);
 }

@@ -7,8 +7,8 @@
 //! last samples before the shaft turns: u/i -> R           then the same with w: (u - u at rest - R (i - i at rest))/w -> Ke
 //! ```
 //!
-//! Each with the doubt of a small pulse, and a generous factor beside it: what lies outside with all of its interval is
-//! no tolerance but another unit or another motor. The friction's current is the same before and after it breaks away,
+//! Each with the doubt of a small pulse, and what a specimen, a warm winding and drops that depend on nothing may make of
+//! it: what lies outside with all of its interval is no tolerance but another unit or another motor. The friction's current is the same before and after it breaks away,
 //! so drops of brushes and bridge cancel out of Ke.
 
 use super::pulse::{Leg, Point, Size};
@@ -215,8 +215,13 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Ends) -> Option<(String, &'st
     })
 }
 
-/// A value may be so many times the nameplate's, or that part of it.
+/// Shares of the nameplate's value that are believed: a winding that is cold or 100 K warmer, with brushes and bridge in
+/// its voltage beyond the doubt; the flux of a specimen, cold or warm.
+const WINDING: (f64, f64) = (0.5, 2.0);
+const FLUX: (f64, f64) = (0.7, 1.4);
+/// An interval that reaches beyond this factor both ways tells nothing; one that begins below this share tells no size.
 const FACTOR: f64 = 3.0;
+const NO_SIZE: f64 = 0.1;
 /// Doubt of a voltage for drops that depend on nothing, and of a difference of two, as shares of the rated voltage.
 const DROP_SHARE: f64 = 0.015;
 const DIFFERENCE_SHARE: f64 = 0.003;
@@ -232,6 +237,7 @@ const NEAR: f64 = 1.8;
 struct Ratio {
     name: &'static str,
     unit: &'static str,
+    is_winding: bool,
     plate: f64,
     /// Of the nameplate's value: lowest, likeliest, highest.
     interval: (f64, f64, f64),
@@ -254,7 +260,27 @@ impl Ratio {
 
     fn is_refused(&self) -> bool {
         let (low, _, high) = self.interval;
-        low > FACTOR || high < 1.0 / FACTOR
+        let (least, most) = self.believed();
+        low > most || high < least
+    }
+
+    const fn believed(&self) -> (f64, f64) {
+        if self.is_winding { WINDING } else { FLUX }
+    }
+
+    /// Why it is refused.
+    fn refusal(&self) -> String {
+        let (low, _, high) = self.interval;
+        let (least, most) = self.believed();
+        let text = self.text();
+        let far = low > FACTOR || high < 1.0 / FACTOR;
+        let size = if low < NO_SIZE && !far {
+            "; the interval is too wide to tell its size, and "
+        } else {
+            "; "
+        };
+        let outside = format!("{least} to {most} times would be believed");
+        format!("{text}{size}{outside}; {}", self.suspicion())
     }
 
     /// Which mistake of units would explain it.
@@ -373,6 +399,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
         ratios.push(Ratio {
             name: RESISTANCE,
             unit: "ohm",
+            is_winding: true,
             plate: r,
             interval: interval(rest.voltage_v, drop_v + rest.step_v, by_v, r * noise_a),
         });
@@ -390,6 +417,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
         ratios.push(Ratio {
             name: BACK_EMF,
             unit: "V.s/rad",
+            is_winding: false,
             plate: ke,
             interval: interval(emf_v, doubt_v, by_v, ke * noise_rad_s),
         });
@@ -439,7 +467,7 @@ pub(super) fn plausibility(known: &Known<'_>, legs: &[Leg]) -> (String, Option<S
         for ratio in ratios(known, leg) {
             let text = ratio.text();
             if ratio.is_refused() && refusal.is_none() {
-                refusal = Some(format!("{text}; {}", ratio.suspicion()));
+                refusal = Some(ratio.refusal());
             }
             texts.push(format!("{way} {text}"));
         }
@@ -630,10 +658,45 @@ mod tests {
     }
 
     #[test]
+    fn an_interval_without_any_believable_value_is_refused_and_one_that_tells_no_size_is_said_to_be_so()
+     {
+        let ratio = |is_winding, interval| Ratio {
+            name: if is_winding { RESISTANCE } else { BACK_EMF },
+            unit: "",
+            is_winding,
+            plate: 1.0,
+            interval,
+        };
+        for (is_winding, interval, words) in [
+            (false, (0.0, 0.3, 0.68), "too wide to tell its size"),
+            (
+                false,
+                (0.45, 0.55, 0.65),
+                "0.7 to 1.4 times would be believed",
+            ),
+            (false, (1.5, 1.7, 2.0), "0.7 to 1.4 times"),
+            (true, (2.1, 2.5, 2.9), "0.5 to 2 times"),
+        ] {
+            let ratio = ratio(is_winding, interval);
+            assert!(ratio.is_refused(), "{words}");
+            has(ratio.refusal(), words);
+        }
+        for (is_winding, interval) in [
+            (false, (0.0, 0.4, 0.75)),
+            (false, (0.66, 0.95, 1.27)),
+            (true, (0.48, 1.25, 2.08)),
+            (true, (1.9, 2.2, 2.5)),
+        ] {
+            assert!(!ratio(is_winding, interval).is_refused());
+        }
+    }
+
+    #[test]
     fn what_drowns_in_its_doubt_is_not_told_and_not_refused() {
         let ratio = Ratio {
             name: RESISTANCE,
             unit: "ohm",
+            is_winding: true,
             plate: 1.1,
             interval: interval(0.5, 1.6, 0.1, 0.09),
         };

@@ -242,6 +242,7 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
             Segment::Ramp(_) => "Slowly through zero: friction near standstill.",
             Segment::Prbs(_) => "Many levels: dynamics over a wide band.",
             Segment::Sine(_) => "Slowly through zero again, two ways.",
+            Segment::Chirp(_) => "Every frequency once: resonances.",
             Segment::Staircase(_) => "Level by level.",
             Segment::CoastDown(_) => "Output off.",
         });

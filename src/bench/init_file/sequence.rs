@@ -222,7 +222,10 @@ fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
                 sine.seconds = sine.seconds.max(2.0 * LEVEL_PERIODS * period_s);
                 sine.frequency_hz = sine.seconds.recip();
             }
-            Segment::Standstill(_) | Segment::Staircase(_) | Segment::CoastDown(_) => {}
+            Segment::Standstill(_)
+            | Segment::Staircase(_)
+            | Segment::Chirp(_)
+            | Segment::CoastDown(_) => {}
         }
         rounded(segment)
     };

@@ -5,6 +5,8 @@
 //! model + measured delay (delay.rs) --> Design --> Regulator (controller, limiter) -----+-> SpeedPilot --> session
 //!                                          \--> refused: not physical, another motor,  /        |
 //!                                               a loop that would swing                 report: figures of each step
+//!
+//! speed, limits --> LoopWatch --> softer gains, or a trip
 //! ```
 
 mod delay;
@@ -20,5 +22,5 @@ pub use delay::{LoopDelay, measure_delay};
 pub use pilot::{PilotSettings, SpeedPilot};
 pub use reference::{Reference, ReferenceError, ReferencePart, ReferenceStep};
 pub use regulator::{Design, Regulator, RegulatorError, check_kinship, timing};
-pub use report::{GainChange, SpeedReport, StepFigures, Tracking};
+pub use report::{GainChange, SpeedReport, StepFigures, Tracking, Watched};
 pub use section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};

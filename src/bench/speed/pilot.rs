@@ -3,15 +3,15 @@
 use super::delay::DelayMeter;
 use super::reference::Reference;
 use super::regulator::Regulator;
-use super::report::{Cycle, GainChange, SpeedReport, figures, tracking};
-use crate::bench::pilot::Pilot;
+use super::report::{Cycle, GainChange, SpeedReport, Watched, adaptation_csv, figures, tracking};
+use crate::bench::pilot::{Pilot, PilotNews};
 use crate::bench::trip::{Trip, TripKind};
-use crate::control::{Measured, SpeedController};
+use crate::control::{Adapted, Finding, LoopWatch, Measured, SpeedController};
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Cycles that are kept for the figures: at 100 Hz nearly three hours.
 const RECORD_MAX: usize = 1_000_000;
-/// Changes of the gains that are kept for the result; the events hold all of them.
+/// Changes of the gains, and findings of the watch, that are kept for the result; the events hold all of them.
 const CHANGES_MAX: usize = 10_000;
 /// Sampling times that a controller is told, in periods: after a gap it must not believe in a jump.
 const SHORTEST_PERIODS: f64 = 0.2;
@@ -41,8 +41,9 @@ pub struct SpeedPilot {
     encoder_proven: bool,
     meter: DelayMeter,
     reference_rad_s: Option<f64>,
-    /// The sample that the next output answers to.
+    /// The sample that the next output answers to, and when it came.
     fresh: Option<Sample>,
+    came_s: f64,
     /// Time stamp and speed of the sample that was answered last.
     answered: Option<(f64, f64)>,
     /// Host time of the last sample with a speed.
@@ -54,6 +55,12 @@ pub struct SpeedPilot {
     elapsed_s: f64,
     held_cycles: u64,
     changes: Vec<GainChange>,
+    watch: LoopWatch,
+    found: Vec<Watched>,
+    /// What the watch found and nobody was told of.
+    untold: Option<String>,
+    /// Drive time, and what the controller followed then.
+    adaptation: Vec<(f64, Adapted)>,
     record: Vec<Cycle>,
 }
 
@@ -61,6 +68,7 @@ impl SpeedPilot {
     pub fn new(regulator: Regulator, reference: Reference, settings: PilotSettings) -> Self {
         Self {
             encoder_proven: false,
+            watch: watch_of(&regulator, 0),
             regulator,
             pass: 0,
             reference,
@@ -68,6 +76,7 @@ impl SpeedPilot {
             meter: DelayMeter::default(),
             reference_rad_s: None,
             fresh: None,
+            came_s: 0.0,
             answered: None,
             heard_s: 0.0,
             stepped: false,
@@ -76,12 +85,21 @@ impl SpeedPilot {
             elapsed_s: 0.0,
             held_cycles: 0,
             changes: Vec::new(),
+            found: Vec::new(),
+            untold: None,
+            adaptation: Vec::new(),
             record: Vec::new(),
         }
     }
 
     /// One step of the controller on a sample with a speed.
-    fn answer(&mut self, sample: &Sample, speed_rad_s: f64, elapsed_s: f64) {
+    fn answer(
+        &mut self,
+        now_s: f64,
+        sample: &Sample,
+        speed_rad_s: f64,
+        elapsed_s: f64,
+    ) -> Result<(), Trip> {
         let timing = &self.regulator.timing;
         let shortest_s = SHORTEST_PERIODS * timing.period_s;
         let longest_s = LONGEST_PERIODS * timing.period_s;
@@ -103,7 +121,16 @@ impl SpeedPilot {
             limited: sample.limited,
         };
         self.turn_to_pass(elapsed_s, &now);
+        self.look(now_s, reference, &now, period_s)?;
+        let (whole, came_s) = (&self.reference, self.came_s);
+        let ahead = |ahead_s: f64| whole.value_at(came_s + ahead_s);
+        self.regulator.passes[self.pass].1.foresee(&ahead);
         self.wanted = self.controller().step(reference, &now, period_s);
+        if let Some(adapted) = self.controller().adapted()
+            && self.adaptation.len() < RECORD_MAX
+        {
+            self.adaptation.push((sample.time_s, adapted));
+        }
         let mut limiter = self.regulator.limiter;
         let unproven = !self.encoder_proven && elapsed_s < FIRST_MOVE_S;
         if let Some(current) = limiter.current.as_mut().filter(|_| unproven) {
@@ -113,6 +140,106 @@ impl SpeedPilot {
         self.reference_rad_s = Some(reference);
         self.answered = Some((sample.time_s, speed_rad_s));
         self.stepped = true;
+        Ok(())
+    }
+
+    /// What the watch says of the last cycle, and what comes of it.
+    fn look(
+        &mut self,
+        now_s: f64,
+        reference_rad_s: f64,
+        now: &Measured,
+        period_s: f64,
+    ) -> Result<(), Trip> {
+        let limited = now.limited || self.is_cut();
+        let speed_rad_s = now.speed_rad_s;
+        let Some(finding) = self.watch.push(reference_rad_s, speed_rad_s, limited) else {
+            return Ok(());
+        };
+        let share = self.watch.share();
+        if let Finding::Soften { .. } | Finding::GiveBack { .. } = finding {
+            (self.controller()).soften(share, reference_rad_s, speed_rad_s, period_s);
+        }
+        let (found, error_rad_s, reason) = self.words(reference_rad_s, &finding);
+        if self.found.len() < CHANGES_MAX {
+            self.found.push(Watched {
+                time_s: self.elapsed_s,
+                found,
+                error_rad_s,
+                gain_share: share,
+                reason: reason.clone(),
+            });
+        }
+        match finding {
+            Finding::SwingsOn {
+                swing_rad_s,
+                most_rad_s,
+            } => {
+                let figures = (swing_rad_s, most_rad_s);
+                Err(Trip::new(TripKind::LoopSwings, now_s, figures, reason))
+            }
+            Finding::Saturated { error_rad_s, .. } => {
+                let figures = (error_rad_s, 0.0);
+                Err(Trip::new(TripKind::LoopSaturated, now_s, figures, reason))
+            }
+            _ => {
+                self.untold = Some(reason);
+                Ok(())
+            }
+        }
+    }
+
+    /// Name, size and sentence of what the watch found.
+    fn words(&self, reference_rad_s: f64, finding: &Finding) -> (&'static str, f64, String) {
+        let about = |swing_rad_s: f64| {
+            format!("the speed swings by {swing_rad_s:.1} rad/s about {reference_rad_s:.1} rad/s")
+        };
+        let (_, controller) = &self.regulator.passes[self.pass];
+        let why = if controller.softens() {
+            "softer gains do not help"
+        } else {
+            "and this controller has no gains that could fall"
+        };
+        match *finding {
+            Finding::Soften { swing_rad_s, share } => {
+                let to = 100.0 * share;
+                let reason = format!("{}: {to:.0} % of the tuned gain", about(swing_rad_s));
+                ("softened", swing_rad_s, reason)
+            }
+            Finding::GiveBack { swing_rad_s } => {
+                let reason = format!(
+                    "{} with the softest gains too: it is not the loop's own, the tuned gain is given back",
+                    about(swing_rad_s)
+                );
+                ("given_back", swing_rad_s, reason)
+            }
+            Finding::Swings { swing_rad_s } => ("swings", swing_rad_s, about(swing_rad_s)),
+            Finding::SwingsOn {
+                swing_rad_s,
+                most_rad_s,
+            } => {
+                let reason = format!(
+                    "{} and goes on, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or play belongs into it), or a faster link",
+                    about(swing_rad_s)
+                );
+                ("swings_on", swing_rad_s, reason)
+            }
+            Finding::Saturated {
+                limited_share,
+                error_rad_s,
+            } => {
+                let reason = format!(
+                    "a limit held the output in {:.0} % of the last second, and the error of {error_rad_s:.1} rad/s to {reference_rad_s:.1} rad/s does not fall; lower the reference or the load, or raise speed.current_limit_a",
+                    100.0 * limited_share
+                );
+                ("saturated", error_rad_s, reason)
+            }
+        }
+    }
+
+    /// Whether a limit on this side cut the last output.
+    fn is_cut(&self) -> bool {
+        (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0)
     }
 
     fn controller(&mut self) -> &mut dyn SpeedController {
@@ -125,10 +252,20 @@ impl SpeedPilot {
         let pass = pass.min(self.regulator.passes.len().saturating_sub(1));
         if pass != self.pass {
             self.pass = pass;
+            self.watch = watch_of(&self.regulator, pass);
             let output = self.output;
             self.controller().reset(now, output);
         }
     }
+}
+
+/// The watch of the controller of a pass.
+fn watch_of(regulator: &Regulator, pass: usize) -> LoopWatch {
+    let softens = regulator
+        .passes
+        .get(pass)
+        .is_some_and(|(_, one)| one.softens());
+    LoopWatch::new(regulator.noise_rad_s, regulator.timing.period_s, softens)
 }
 
 impl Pilot for SpeedPilot {
@@ -163,13 +300,16 @@ impl Pilot for SpeedPilot {
         self.pass = 0;
         self.controller().reset(&now, output);
         self.encoder_proven = false;
+        self.watch = watch_of(&self.regulator, self.pass);
         self.fresh = sample.cloned();
+        self.came_s = 0.0;
         self.answered = None;
         self.heard_s = now_s;
         (self.output, self.wanted) = (output, output);
         self.stepped = false;
         self.reference_rad_s = Some(speed_rad_s);
         self.record.clear();
+        self.adaptation.clear();
     }
 
     fn demand(&mut self, now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
@@ -177,7 +317,7 @@ impl Pilot for SpeedPilot {
         let fresh = self.fresh.take();
         let speed = fresh.as_ref().and_then(|sample| sample.get(Channel::Speed));
         if let (Some(sample), Some(speed)) = (&fresh, speed) {
-            self.answer(sample, speed, elapsed_s);
+            self.answer(now_s, sample, speed, elapsed_s)?;
         } else {
             // Nothing to answer to: what was asked last goes on, for as long as may be.
             self.held_cycles += 1;
@@ -214,14 +354,14 @@ impl Pilot for SpeedPilot {
         };
         self.heard_s = now_s;
         self.fresh = Some(sample.clone());
+        self.came_s = elapsed_s;
         if self.record.len() < RECORD_MAX {
             self.record.push(Cycle {
                 time_s: elapsed_s,
                 reference_rad_s: self.reference.value_at(elapsed_s),
                 speed_rad_s,
                 output: self.output,
-                limited: sample.limited
-                    || (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0),
+                limited: sample.limited || self.is_cut(),
             });
         }
     }
@@ -230,7 +370,10 @@ impl Pilot for SpeedPilot {
         self.reference_rad_s
     }
 
-    fn news(&mut self) -> Option<String> {
+    fn news(&mut self) -> Option<PilotNews> {
+        if let Some(found) = self.untold.take() {
+            return Some(PilotNews::Watch(found));
+        }
         let reason = self.controller().news()?;
         if self.changes.len() < CHANGES_MAX {
             self.changes.push(GainChange {
@@ -238,7 +381,7 @@ impl Pilot for SpeedPilot {
                 reason: reason.clone(),
             });
         }
-        Some(reason)
+        Some(PilotNews::Gains(reason))
     }
 
     fn report(&self) -> Option<SpeedReport> {
@@ -256,6 +399,8 @@ impl Pilot for SpeedPilot {
             reasons: self.regulator.reasons.clone(),
             gains: controller.explain(),
             gain_changes: self.changes.clone(),
+            watch: self.found.clone(),
+            adaptation: adaptation_csv(self.regulator.actuator, &self.adaptation),
             held_cycles: self.held_cycles,
             tracking: tracking(&self.record, &passes),
             steps: figures(&self.record, &self.reference.steps()),

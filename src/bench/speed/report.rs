@@ -4,13 +4,26 @@ use serde::Serialize;
 
 use super::delay::LoopDelay;
 use super::reference::ReferenceStep;
-use crate::control::{Actuator, LoopTiming, Response, response};
+use crate::control::{Actuator, Adapted, LoopTiming, Response, response};
 
 /// A change of the gains while the loop ran.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GainChange {
     /// Since the begin of the reference, s.
     pub time_s: f64,
+    pub reason: String,
+}
+
+/// What the watch of the loop found while it ran.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Watched {
+    /// Since the begin of the reference, s.
+    pub time_s: f64,
+    pub found: &'static str,
+    /// Mean of the half-swings, rad/s; of a loop at its limit the error that does not fall.
+    pub error_rad_s: f64,
+    /// What is left of the tuned gain.
+    pub gain_share: f64,
     pub reason: String,
 }
 
@@ -39,6 +52,8 @@ pub struct Tracking {
     pub rms_rad_s: f64,
     pub peak_rad_s: f64,
     pub mean_abs_rad_s: f64,
+    /// Root of the mean square while the reference passes zero, 0.1 s to either side; null where it never does.
+    pub reversal_rms_rad_s: Option<f64>,
 }
 
 /// One cycle of the record that figures are made of.
@@ -64,11 +79,44 @@ pub struct SpeedReport {
     /// At the end.
     pub gains: Vec<String>,
     pub gain_changes: Vec<GainChange>,
+    /// Swings and limits that the watch found; empty: none.
+    pub watch: Vec<Watched>,
+    /// The gains and what they follow, cycle by cycle, as CSV; `None`: they follow nothing.
+    #[serde(skip)]
+    pub adaptation: Option<String>,
     /// Cycles without a speed, in which the last output was held.
     pub held_cycles: u64,
     /// One for each pass over the reference that came to its end.
     pub tracking: Vec<Tracking>,
     pub steps: Vec<StepFigures>,
+}
+
+/// Gains and what they follow over the drive's time: one row for each sample that was answered; an empty cell is not
+/// known, or not settled.
+pub(super) fn adaptation_csv(actuator: Actuator, rows: &[(f64, Adapted)]) -> Option<String> {
+    let unit = match actuator {
+        Actuator::Voltage => "v_s_per_rad",
+        Actuator::Current => "a_s_per_rad",
+        Actuator::Speed => "1",
+    };
+    let head = format!("time_s,kp_{unit},tn_s,tm_s,ta_s,inertia_kg_m2,load_torque_n_m\n");
+    (!rows.is_empty()).then(|| {
+        rows.iter().fold(head, |mut text, (time_s, now)| {
+            let cells = [
+                Some(*time_s),
+                Some(now.proportional),
+                Some(now.integral_time_s),
+                now.mechanical_s,
+                now.electrical_s,
+                now.inertia_kg_m2,
+                now.load_torque_n_m,
+            ];
+            let cells = cells.map(|cell| cell.map_or_else(String::new, |value| value.to_string()));
+            text.push_str(&cells.join(","));
+            text.push('\n');
+            text
+        })
+    })
 }
 
 /// The cycles from one instant to another, s; `None` where the record does not reach the end of it, or has none.
@@ -80,6 +128,27 @@ fn cycles(record: &[Cycle], from_s: f64, until_s: f64) -> Option<&[Cycle]> {
     (until_s <= end_s + 2.0 * period_s && !cycles.is_empty()).then_some(cycles)
 }
 
+/// To either side of an instant at which the reference passes zero, s.
+const REVERSAL_S: f64 = 0.1;
+
+/// The cycles around those between which the reference changes its direction.
+fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
+    let turning = cycles.iter().filter(|cycle| cycle.reference_rad_s != 0.0);
+    let mut turning = turning.peekable();
+    let mut at_s = Vec::new();
+    while let (Some(before), Some(after)) = (turning.next(), turning.peek()) {
+        if before.reference_rad_s * after.reference_rad_s < 0.0 {
+            at_s.push(0.5 * (before.time_s + after.time_s));
+        }
+    }
+    let near = move |cycle: &&Cycle| {
+        let next = at_s.partition_point(|at| *at < cycle.time_s - REVERSAL_S);
+        at_s.get(next)
+            .is_some_and(|at| *at <= cycle.time_s + REVERSAL_S)
+    };
+    cycles.iter().filter(near)
+}
+
 /// The error of each pass that the record reaches the end of.
 pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<Tracking> {
     let track = |&(feed_forward, (from_s, until_s)): &(bool, (f64, f64))| {
@@ -87,6 +156,11 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
         let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
         let errors = || cycles.iter().map(error);
         let count = cycles.len() as f64;
+        let reversing: Vec<f64> = around_reversals(cycles).map(error).collect();
+        let mean_square = |errors: &[f64]| {
+            let squares = errors.iter().map(|error| error * error);
+            squares.sum::<f64>() / errors.len() as f64
+        };
         Some(Tracking {
             feed_forward,
             from_s,
@@ -94,6 +168,7 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
             rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
             peak_rad_s: errors().fold(0.0, f64::max),
             mean_abs_rad_s: errors().sum::<f64>() / count,
+            reversal_rms_rad_s: (!reversing.is_empty()).then(|| mean_square(&reversing).sqrt()),
         })
     };
     passes.iter().filter_map(track).collect()
@@ -123,6 +198,24 @@ pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigu
 mod tests {
     use super::*;
     use crate::bench::testing::near;
+
+    #[test]
+    fn the_adaptation_is_a_csv_in_which_what_is_not_known_is_empty() {
+        let now = Adapted {
+            proportional: 1.5,
+            integral_time_s: 0.25,
+            mechanical_s: Some(0.2),
+            electrical_s: None,
+            inertia_kg_m2: Some(0.0225),
+            load_torque_n_m: None,
+        };
+        let text = adaptation_csv(Actuator::Voltage, &[(10.25, now)]).unwrap();
+        assert_eq!(
+            text,
+            "time_s,kp_v_s_per_rad,tn_s,tm_s,ta_s,inertia_kg_m2,load_torque_n_m\n10.25,1.5,0.25,0.2,,0.0225,\n"
+        );
+        assert_eq!(adaptation_csv(Actuator::Voltage, &[]), None);
+    }
 
     #[test]
     fn each_step_has_the_figures_of_its_own_time() {
@@ -167,5 +260,27 @@ mod tests {
         near(tracked[0].mean_abs_rad_s, 1.05, 0.01);
         assert!((tracked[0].rms_rad_s - 2.35).abs() < 0.02, "{tracked:?}");
         assert!((tracked[0].peak_rad_s - 10.0).abs() < 1e-9);
+        assert_eq!(tracked[0].reversal_rms_rad_s, None);
+    }
+
+    #[test]
+    fn the_error_of_a_reversal_is_that_of_the_cycles_about_it() {
+        // From 5 to -5 rad/s, at rest in between; off by 2 for 0.1 s about zero and by 1 elsewhere.
+        let cycle = |n: i32| {
+            let time_s = f64::from(n) * 0.01;
+            let reference_rad_s = f64::from((100 - n).signum() * (100 - n).abs().min(5));
+            let near = (time_s - 1.0).abs() < 0.104;
+            Cycle {
+                time_s,
+                reference_rad_s,
+                speed_rad_s: reference_rad_s - if near { 2.0 } else { 1.0 },
+                output: 0.0,
+                limited: false,
+            }
+        };
+        let record: Vec<Cycle> = (0..200).map(cycle).collect();
+        let tracked = tracking(&record, &[(false, (0.0, 1.99))]);
+        near(tracked[0].reversal_rms_rad_s.unwrap(), 2.0, 1e-9);
+        assert!(tracked[0].rms_rad_s < 1.3);
     }
 }

@@ -6,11 +6,14 @@ use crate::bench::bench_file::BenchFile;
 use crate::bench::guard::Guard;
 use crate::bench::session::{Intent, Outcome, Phase, Session};
 use crate::bench::testing::{Lab, ScriptedDrive, exact, has, in_memory, near, unspoilt, within};
-use crate::bench::trip::TripKind;
+use crate::bench::trip::{Trip, TripKind};
 use crate::bench::{Limits, Nameplate};
 use crate::control::Actuator;
-use crate::emulator::{EmulatorConfig, FaultsConfig, MemoryLink, VirtualClock, mystery};
-use crate::plant::{Model, MotorKey};
+use crate::emulator::truth::effect::HiddenEffect;
+use crate::emulator::{
+    EmulatorConfig, FaultsConfig, Latency, MemoryLink, SoftDrive, VirtualClock, mystery,
+};
+use crate::plant::{FittedValue, Model, MotorKey};
 use crate::sample::{Channel, Demand, DriveState, Sample};
 
 const PERIOD_S: f64 = 0.01;
@@ -32,6 +35,7 @@ fn design<'a>(
     let section = bench.speed.as_ref().unwrap();
     Design {
         model,
+        fitted: &[],
         motor,
         limits,
         section,
@@ -352,6 +356,29 @@ fn every_controller_can_be_made_or_says_why_not() {
     has(refused(&bench, &model, 4.0), "paper-b: with 4.00 cycles");
 }
 
+#[test]
+fn behind_a_coupling_a_controller_is_rehearsed_with_its_second_mass() {
+    let mut bench = bench();
+    let mut model = baseline(&bench).with_effect("elastic_coupling").unwrap();
+    // The load hangs on softly: controllers that know nothing of it see a motor of a tenth of the inertia.
+    model.effects[0].values = [14.0, 0.9, 0.005, 0.0].map(Some).to_vec();
+    model.motor.set(MotorKey::LoadTorque, 0.0);
+    let mut refusals = Vec::new();
+    for kind in ControllerKind::ALL {
+        bench.speed.as_mut().unwrap().controller = kind;
+        refusals.push((kind, refusal(&bench, &model, 1.0)));
+    }
+    println!("{refusals:#?}");
+    for (kind, error) in &refusals {
+        let is_tuned = matches!(kind, ControllerKind::Pi | ControllerKind::Addc);
+        match error {
+            Some(error) if !is_tuned => has(error, "and the coupling at 14.0 Hz"),
+            other => assert!(other.is_none(), "{kind:?}: {other:?}"),
+        }
+    }
+    assert!(refusals.iter().any(|(_, error)| error.is_some()));
+}
+
 fn over(actuator: Actuator, change: impl FnOnce(&mut SpeedSection)) -> BenchFile {
     let mut bench = bench();
     let section = bench.speed.as_mut().unwrap();
@@ -433,9 +460,120 @@ fn what_the_model_knows_given_forward_lowers_the_tracking_error() {
             panic!("{:?}", report.tracking);
         };
         assert!(!without.feed_forward && with.feed_forward);
-        // What is left is the lag behind the ramp.
-        within(with.rms_rad_s, ..0.8 * without.rms_rad_s);
+        // The ramp is planned, and known in advance: what is left is noise of 0.15 rad/s and a little more.
+        within(with.rms_rad_s, ..0.3);
+        within(
+            with.reversal_rms_rad_s.unwrap(),
+            ..0.5 * without.reversal_rms_rad_s.unwrap(),
+        );
         within(with.peak_rad_s, ..0.6 * without.peak_rad_s);
+    }
+}
+
+/// Cycle of the quick line, s: 500 Hz.
+const QUICK_S: f64 = 0.002;
+/// Coupling of the true machine: frequency, share of the inertia, damping, share of the friction.
+const COUPLING: [f64; 4] = [22.0, 0.5, 0.02, 0.5];
+
+/// Why the gains are what they are, and the steps of a loop of 500 Hz around the true machine, tuned on a model whose
+/// coupling is `factors` times the true one.
+fn behind_a_coupling(
+    (actuator, controller): (Actuator, ControllerKind),
+    factors: [f64; 4],
+    fitted: &[FittedValue],
+) -> (Vec<String>, Vec<StepFigures>) {
+    let keys = [
+        "frequency_hz",
+        "inertia_ratio",
+        "damping_ratio",
+        "friction_split",
+    ];
+    let truth: Vec<(&str, f64)> = keys.into_iter().zip(COUPLING).collect();
+    let mut config = exact("zk-22fc-plain");
+    config.noise.speed_rad_s = 0.02;
+    config.hidden = vec![HiddenEffect::new("elastic_coupling", &truth).unwrap()];
+    let bench = over(actuator, |section| {
+        section.controller = controller;
+        section.reference = vec![ReferencePart::Square {
+            low_rad_s: 90.0,
+            high_rad_s: 100.0,
+            half_period_s: 1.0,
+            periods: 3,
+        }];
+    });
+    let mut model = baseline(&bench).with_effect("elastic_coupling").unwrap();
+    let values = COUPLING.iter().zip(factors);
+    model.effects[0].values = values.map(|(value, factor)| Some(value * factor)).collect();
+    let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
+    let design = Design {
+        fitted,
+        timing: timing(&model, QUICK_S, QUICK_S),
+        noise_rad_s: 0.02,
+        ..design(&bench, &model, (&motor, &limits), 1.0)
+    };
+    let section = bench.speed.as_ref().unwrap();
+    let settings = PilotSettings {
+        slew_v_per_s: section.slew_v_per_s(&motor, &limits, QUICK_S),
+        silence_s: limits.link_silence_s,
+        hold: 0.0,
+    };
+    let regulator = design.regulator().unwrap();
+    let reasons = regulator.reasons.clone();
+    let pilot = SpeedPilot::new(regulator, bench.reference(section).unwrap(), settings);
+    let session = Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)));
+    let clock = VirtualClock::new();
+    let latency = Latency {
+        request_s: 4e-4,
+        reply_s: 4e-4,
+    };
+    let link = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), latency);
+    let lab = Lab::new(session, (link, clock), unspoilt).every(QUICK_S);
+    let lab = lab.started(3600);
+    assert_eq!(lab.outcome(), Some(&Outcome::Done), "{reasons:?}");
+    let report = lab.session.report().unwrap();
+    near(report.delay.unwrap().median_cycles, 1.0, 0.01);
+    // From the second step on: the first comes from rest, at the current limit.
+    (reasons, report.steps[1..].to_vec())
+}
+
+#[test]
+fn behind_a_coupling_a_step_settles_without_ringing_about_as_quickly_as_full_knowledge_lets_it() {
+    use ControllerKind::{Addc, Pi};
+    let std = |key: &str, std: f64| FittedValue {
+        key: key.to_owned(),
+        std,
+    };
+    // What a fit of such a coupling leaves open: 1 %, 5 % and 20 %.
+    let fitted = [
+        std("elastic_coupling.frequency_hz", 0.22),
+        std("elastic_coupling.inertia_ratio", 0.025),
+        std("elastic_coupling.damping_ratio", 0.004),
+        std("inertia_kg_m2", 4.5e-5),
+    ];
+    for (actuator, controller) in [
+        (Actuator::Voltage, Pi),
+        (Actuator::Current, Pi),
+        (Actuator::Current, Addc),
+        (Actuator::Voltage, Addc),
+    ] {
+        let how = (actuator, controller);
+        let (why, known) = behind_a_coupling(how, [1.0; 4], &[]);
+        let rise = |steps: &[StepFigures]| {
+            let rises = steps.iter().map(|step| step.response.rise_s.unwrap());
+            rises.sum::<f64>() / steps.len() as f64
+        };
+        println!("{how:?} {:.4} s {why:#?}", rise(&known));
+        for sign in [-1.0, 1.0] {
+            let factors = [0.01, 0.05, 0.2, 0.0].map(|error| 1.0 + sign * error);
+            let (why, steps) = behind_a_coupling(how, factors, &fitted);
+            println!("{how:?} {sign} {:.4} s {why:#?}", rise(&steps));
+            within(rise(&steps) / rise(&known), 0.8..1.2);
+            for step in &steps {
+                within(step.response.overshoot_percent, ..15.0);
+                // From then on it stays within 5 % of the step.
+                within(step.response.settling_s.unwrap(), ..0.2);
+            }
+        }
     }
 }
 
@@ -541,4 +679,150 @@ fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() 
         assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
         assert!(fate.swing_rad_s < STILL_RAD_S, "{fate:?}");
     }
+}
+
+/// How often what was measured in the last second of the loop goes from one side of its middle to the other, and how far,
+/// peak to peak: zero where it is noise, slow, or dies away.
+fn ring_rad_s(speeds: &[f64]) -> f64 {
+    let extent = |speeds: &[f64]| {
+        let ends = speeds
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(low, high), &speed| {
+                (low.min(speed), high.max(speed))
+            });
+        (ends.1 - ends.0, 0.5 * (ends.0 + ends.1))
+    };
+    let (size, middle) = extent(speeds);
+    let (first, last) = speeds.split_at(speeds.len() / 2);
+    let mut sides: Vec<bool> = speeds
+        .iter()
+        .filter(|speed| (**speed - middle).abs() > 0.25 * size)
+        .map(|speed| *speed > middle)
+        .collect();
+    sides.dedup();
+    let rings = sides.len() > 8 && extent(last).0 > 0.6 * extent(first).0;
+    if rings { size } else { 0.0 }
+}
+
+/// What the watch said of one machine under one controller, how it ended, and what it rang by at the end.
+#[derive(Debug)]
+struct Heard {
+    #[expect(dead_code, reason = "shown where one fails")]
+    about: String,
+    outcome: Option<Outcome>,
+    watch: Vec<Watched>,
+    ring_rad_s: f64,
+}
+
+/// The embedded reference with this controller on this machine; `None`: refused before anything moved.
+fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64) -> Option<Heard> {
+    let mut bench = bench();
+    bench.speed.as_mut().unwrap().controller = kind;
+    let model = baseline(&bench);
+    if refusal(&bench, &model, 1.0).is_some() {
+        return None;
+    }
+    let lab = Lab::new(session(&bench, &model), in_memory(config, seed), unspoilt).started(1300);
+    let end: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
+    let begin_s = end.first()?.0;
+    // The last of the six levels ends at 12 s.
+    let last = begin_s + 10.98..begin_s + 11.98;
+    let speeds = end.iter().filter(|row| last.contains(&row.0));
+    let speeds: Vec<f64> = speeds.map(|row| row.1).collect();
+    let outcome = lab.outcome().cloned();
+    let is_done = outcome == Some(Outcome::Done);
+    Some(Heard {
+        about: format!("{} on {seed}: {:?}", kind.id(), config.hidden),
+        outcome,
+        watch: lab.session.report()?.watch,
+        ring_rad_s: if is_done { ring_rad_s(&speeds) } else { 0.0 },
+    })
+}
+
+/// Step of the embedded reference, and what of a ring is told from the noise of the sensor, rad/s peak to peak.
+const STEP_RAD_S: f64 = 20.0;
+const NOISE_RAD_S: f64 = 10.0 * 0.15;
+
+#[test]
+fn no_controller_rings_unnoticed_behind_a_coupling_on_two_hundred_motors() {
+    use rand::{Rng as _, SeedableRng as _};
+    let mut found = 0;
+    for seed in 1..=MOTORS {
+        let mut dice = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut values = vec![
+            ("frequency_hz", dice.random_range(8.0..60.0)),
+            ("inertia_ratio", dice.random_range(0.1..0.8)),
+            ("damping_ratio", dice.random_range(0.005..0.1)),
+            ("friction_split", dice.random_range(0.0..1.0)),
+        ];
+        let mut id = "elastic_coupling";
+        if seed.is_multiple_of(3) {
+            id = "backlash";
+            values.push(("gap_rad", dice.random_range(0.005..0.08)));
+        }
+        let mut config = exact("zk-22fc-plain");
+        config.motor.inertia_kg_m2 *= dice.random_range(0.5..4.0);
+        config.hidden = vec![HiddenEffect::new(id, &values).unwrap()];
+        let kind = ControllerKind::ALL[usize::try_from(seed % 5).unwrap()];
+        let Some(heard) = heard(&config, kind, seed) else {
+            continue;
+        };
+        let trips =
+            |trip: &Trip| matches!(trip.kind, TripKind::LoopSwings | TripKind::LoopSaturated);
+        let said = match &heard.outcome {
+            Some(Outcome::Tripped(trip)) => trips(trip) && !heard.watch.is_empty(),
+            _ => !heard.watch.is_empty(),
+        };
+        found += usize::from(said);
+        let rings = heard.ring_rad_s > 0.05 * STEP_RAD_S + NOISE_RAD_S;
+        assert!(said || !rings, "{heard:?}");
+        let ended = matches!(heard.outcome, Some(Outcome::Done)) || said;
+        assert!(ended, "{heard:?}");
+    }
+    assert!(found > 20, "{found} of {MOTORS} told of");
+}
+
+#[test]
+fn no_controller_is_suspected_on_two_hundred_motors_that_are_what_their_model_says() {
+    for seed in 1..=MOTORS {
+        let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        config.tolerance = 0.1;
+        let none = [("none", vec![])];
+        let known: [(&str, Vec<(&str, f64)>); 3] = [
+            ("viscous_friction", vec![("viscous_n_m_s_per_rad", 4e-4)]),
+            (
+                "quadratic_load",
+                vec![("quadratic_n_m_s2_per_rad2", 1.8e-6)],
+            ),
+            ("voltage_drop", vec![("drop_v", 1.2)]),
+        ];
+        let all: Vec<_> = known.into_iter().chain(none).collect();
+        let (id, values) = &all[usize::try_from(seed / 5 % 4).unwrap()];
+        config.hidden = HiddenEffect::new(id, values).into_iter().collect();
+        let kind = ControllerKind::ALL[usize::try_from(seed % 5).unwrap()];
+        let heard = heard(&config, kind, seed).unwrap();
+        assert_eq!(heard.outcome, Some(Outcome::Done), "{heard:?}");
+        assert!(heard.watch.is_empty(), "{heard:?}");
+    }
+}
+
+#[test]
+fn a_loop_that_cannot_reach_its_reference_ends_at_zero_within_a_second_and_says_why() {
+    // A load beyond what the current limit carries: the shaft slows down under the largest current.
+    let mut config = exact("zk-22fc-plain");
+    config.hidden =
+        vec![HiddenEffect::new("load_step", &[("step_n_m", 3.2), ("time_s", 4.0)]).unwrap()];
+    let bench = bench();
+    let lab = Lab::new(
+        session(&bench, &baseline(&bench)),
+        in_memory(&config, 1),
+        unspoilt,
+    );
+    let lab = lab.started(1600);
+    let (kind, reason) = lab.trip();
+    assert_eq!(kind, TripKind::LoopSaturated, "{reason}");
+    has(&reason, "does not fall");
+    let report = lab.session.report().unwrap();
+    let last = report.watch.last().unwrap();
+    assert_eq!(last.found, "saturated");
 }

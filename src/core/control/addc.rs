@@ -1,14 +1,15 @@
 //! ADDC of paper A: a PI regulator whose gains follow the inertia that is identified on line.
 //!
 //! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
+//! Where the winding's time constant is identified as well, its share of Kp follows ([`super::electrical`]).
 //! Gains change at a bounded rate, within bounds from the estimate's uncertainty, and stand still while the estimate is
-//! not settled or the output is limited. A loop that swings by itself is made softer ([`super::swing`]).
+//! not settled or the output is limited.
 
 use super::adaptation::LoadEstimator;
-use super::swing::{Swing, Verdict};
-use super::tuning::{Request, TuningError};
+use super::electrical::Electrical;
+use super::tuning::{NotchUse, Request, TuningError};
 use super::{
-    AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
+    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
 };
 use crate::plant::{Model, MotorKey};
 
@@ -35,6 +36,8 @@ pub struct AddcSettings {
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
     pub holding: Holding,
+    /// Draws of what is not known of the plant.
+    pub draws: Vec<LinearPlant>,
 }
 
 impl AddcSettings {
@@ -44,6 +47,7 @@ impl AddcSettings {
             forgetting: FORGETTING,
             noise_rad_s,
             holding,
+            draws: Vec::new(),
         }
     }
 }
@@ -54,6 +58,10 @@ pub struct Addc {
     pi: Pi,
     schedule: Schedule,
     estimator: LoadEstimator,
+    electrical: Option<Electrical>,
+    request: Request,
+    draws: Vec<LinearPlant>,
+    torque_n_m_per_a: f64,
     /// Kt/J of the model: the ratio of the schedule refers to it.
     model_acceleration_per_a: f64,
     /// Mechanical time constant of the model, s.
@@ -62,8 +70,6 @@ pub struct Addc {
     still: Option<&'static str>,
     /// The gains moved in this cycle.
     moved: bool,
-    swing: Swing,
-    swung: Option<Verdict>,
     told_proportional: f64,
     told_jumps: u32,
 }
@@ -79,7 +85,7 @@ impl Addc {
         timing: &LoopTiming,
         settings: &AddcSettings,
     ) -> Result<Self, TuningError> {
-        let schedule = Schedule::new(plant, timing, &settings.request)?;
+        let schedule = Schedule::new(plant, &settings.draws, timing, &settings.request)?;
         let value = |key| model.motor.get(key).unwrap_or(0.0);
         let inertia = value(MotorKey::Inertia);
         let acceleration_per_a = model.motor.torque_constant().unwrap_or(0.0) / inertia;
@@ -89,20 +95,44 @@ impl Addc {
             settings.forgetting,
             settings.noise_rad_s,
         );
+        let estimator = match plant.coupling() {
+            Some(coupling) => estimator.behind(coupling.frequency_hz.recip()),
+            None => estimator,
+        };
         let gains = schedule.at(1.0).gains;
         Ok(Self {
             pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
             schedule,
             estimator,
+            electrical: None,
+            request: Request {
+                notch: gains.notch.map_or(NotchUse::Off, NotchUse::Like),
+                ..settings.request
+            },
+            draws: settings.draws.clone(),
+            torque_n_m_per_a: model.motor.torque_constant().unwrap_or(f64::NAN),
             model_acceleration_per_a: acceleration_per_a,
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
             still: Some(NOT_SETTLED),
             moved: false,
-            swing: Swing::new(settings.noise_rad_s),
-            swung: None,
             told_proportional: gains.proportional,
             told_jumps: 0,
         })
+    }
+
+    /// The same with gains that follow the time constant of the winding too; over a voltage only.
+    ///
+    /// # Errors
+    /// What the tuning refuses at a bound of that time constant.
+    pub fn adapting_to_the_winding(
+        mut self,
+        model: &Model,
+        viscous_n_m_s_per_rad: f64,
+        timing: &LoopTiming,
+    ) -> Result<Self, TuningError> {
+        let (draws, request) = (&self.draws, &self.request);
+        self.electrical = Electrical::new(model, viscous_n_m_s_per_rad, draws, timing, request)?;
+        Ok(self)
     }
 
     /// The same with an estimate that forgets and does not look for jumps, as paper A's.
@@ -139,16 +169,9 @@ impl Addc {
         }
     }
 
-    /// Softer gains, or those of before, at once: a swing does not wait for the estimate.
-    fn still_the_swing(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
-        let before = self.swing.share();
-        self.swung = self.swing.push(reference_rad_s, speed_rad_s).or(self.swung);
-        let change = self.swing.share() / before;
-        if (change - 1.0).abs() > 1e-9 {
-            let mut gains = *self.pi.gains();
-            gains.proportional *= change;
-            (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
-        }
+    fn electrical_text(&self) -> String {
+        let electrical = self.electrical.as_ref();
+        electrical.map_or_else(String::new, |one| format!("; {}", one.text()))
     }
 
     fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
@@ -161,8 +184,11 @@ impl Addc {
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
         let quickest = load.acceleration_per_a + DOUBT * load.std;
-        let wanted = (self.schedule).within(ratio(quickest), ratio(load.acceleration_per_a));
-        let share = self.swing.share();
+        let (low, middle) = (ratio(quickest), ratio(load.acceleration_per_a));
+        let wanted = self.schedule.within(low, middle);
+        let electrical = self.electrical.as_ref();
+        let wanted = electrical.map_or(wanted, |one| one.at(wanted, low, middle));
+        let share = self.pi.share();
         let now = *self.pi.gains();
         let proportional = share * wanted.gains.proportional;
         let integral_time_s = wanted.gains.integral_time_s;
@@ -178,6 +204,7 @@ impl Addc {
         gains.proportional = moved(now.proportional, proportional);
         gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
         gains.reference_filter_s = wanted.gains.reference_filter_s;
+        gains.notch = wanted.gains.notch;
         (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         self.moved = true;
     }
@@ -188,15 +215,24 @@ impl SpeedController for Addc {
         Self::ID
     }
 
+    fn follow_plan(&mut self) -> bool {
+        self.pi.follow_plan()
+    }
+
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
-        self.still_the_swing(reference_rad_s, now.speed_rad_s, period_s);
+        if let Some(electrical) = &mut self.electrical {
+            electrical.push(now, period_s);
+        }
         self.adapt(reference_rad_s, now.speed_rad_s, period_s);
         self.pi.step(reference_rad_s, now, period_s)
     }
 
     fn applied(&mut self, output: f64) {
         self.pi.applied(output);
+        if let Some(electrical) = &mut self.electrical {
+            electrical.applied(output);
+        }
     }
 
     fn reset(&mut self, now: &Measured, output: f64) {
@@ -209,12 +245,11 @@ impl SpeedController for Addc {
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
             format!(
-                "Kp = {:.4} per rad/s, Tn = {:.4} s; {}",
-                gains.proportional,
-                gains.integral_time_s,
+                "{}; {}",
+                gains.text(&self.pi.softened_text()),
                 self.mechanical_text()
             ),
-            format!("gains {state}"),
+            format!("gains {state}{}", self.electrical_text()),
         ]
     }
 
@@ -224,20 +259,13 @@ impl SpeedController for Addc {
         let jumped = self.estimator.jumps() > self.told_jumps;
         // One line for a change that takes some cycles, at its end.
         let arrived = !self.moved && (change - 1.0).abs() > NEWS;
-        let swung = self.swung.take();
-        if !arrived && !jumped && swung.is_none() {
+        if !arrived && !jumped {
             return None;
         }
-        let because = match swung {
-            Some(Verdict::Soften { share, swing_rad_s }) => format!(
-                "the loop swings by {swing_rad_s:.1} rad/s: {:.0} % of the tuned gain",
-                100.0 * share
-            ),
-            Some(Verdict::GiveBack { swing_rad_s }) => format!(
-                "the swing of {swing_rad_s:.1} rad/s is not the loop's: softer gains did not help"
-            ),
-            None if jumped => "the load changed: the memory of the estimate was dropped".to_owned(),
-            None => "the estimate moved".to_owned(),
+        let because = if jumped {
+            "the load changed: the memory of the estimate was dropped"
+        } else {
+            "the estimate moved"
         };
         let line = format!(
             "Kp {:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
@@ -249,5 +277,32 @@ impl SpeedController for Addc {
         self.told_proportional = gains.proportional;
         self.told_jumps = self.estimator.jumps();
         Some(line)
+    }
+
+    fn adapted(&self) -> Option<Adapted> {
+        let gains = self.pi.gains();
+        let load = Some(self.estimator.load()).filter(|load| load.settled);
+        let inertia = load.map(|load| self.torque_n_m_per_a / load.acceleration_per_a);
+        Some(Adapted {
+            proportional: gains.proportional,
+            integral_time_s: gains.integral_time_s,
+            mechanical_s: load.map(|_| self.inertia_ratio() * self.model_mechanical_s),
+            electrical_s: self
+                .electrical
+                .as_ref()
+                .and_then(Electrical::time_constant_s),
+            inertia_kg_m2: inertia,
+            load_torque_n_m: load.zip(inertia).map(|(load, j)| load.friction_rad_s2 * j),
+        })
+    }
+
+    fn softens(&self) -> bool {
+        true
+    }
+
+    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+        (self.pi).soften(share, reference_rad_s, speed_rad_s, period_s);
+        // Told of by who asked for it.
+        self.told_proportional = self.pi.gains().proportional;
     }
 }

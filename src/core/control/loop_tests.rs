@@ -29,6 +29,7 @@ fn machine(noise: f64) -> TrialMachine {
         torque_n_m_per_a: 0.3538,
         friction_n_m: 0.455,
         viscous_n_m_s_per_rad: 0.0,
+        coupling: None,
         drive_current_limit_a: 11.4,
         period_s: PERIOD_S,
         delay_periods: 2,
@@ -216,5 +217,81 @@ fn a_limit_that_only_the_drive_sees_is_taken_for_no_load() {
         // Told nothing of the limit they go 14 and 5 rad/s too far.
         let most = speeds.fold(0.0, f64::max);
         assert!(most < 204.0, "{}: {most}", rival.id());
+    }
+}
+
+/// Integral of the absolute error over a step, and the largest overshoot: of the steps of 20 rad/s after 24 s, by when an
+/// adaptive controller has adapted. Those of a controller that swings on are as large as they come.
+fn over_steps(controller: &mut dyn SpeedController, ratio: f64) -> (f64, f64) {
+    let course = Course {
+        reference_rad_s: &square(2.0, 90.0, 110.0),
+        inertia_kg_m2: &|_| ratio * inertia(0.2),
+        load_n_m: &|_| 0.0,
+    };
+    let machine = TrialMachine {
+        delay_periods: 1,
+        ..machine(1.0)
+    };
+    let trace = trial(&machine, &course, controller, &limiter(), 4800, 1);
+    let steps = steps(&trace, 2.0).split_off(11);
+    let count = steps.len() as f64;
+    let error = steps
+        .iter()
+        .map(|step| step.absolute_error_rad)
+        .sum::<f64>()
+        / count;
+    let overshoots = steps.iter().map(|step| step.overshoot_percent);
+    (error, overshoots.fold(0.0, f64::max))
+}
+
+/// Prints the table of docs/physics.md.
+#[test]
+fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_each() {
+    let timing = testing::timing(1.0);
+    let holding = Holding::of(&model(), Actuator::Voltage, 0.0);
+    let by_hand = |ratio: f64| {
+        let request = Request {
+            rule: tuning::Rule::SymmetricalOptimum,
+            bandwidth_rad_s: None,
+            ..Request::default()
+        };
+        let plant = testing::plant(ratio * inertia(0.2));
+        let gains = tune(&plant, &timing, &request).unwrap().gains;
+        Pi::new(gains, AntiWindup::Hold, holding)
+    };
+    let scales = MracScales {
+        speed_rad_s: 110.0,
+        current_a: CURRENT_LIMIT_A,
+    };
+    let paper_b = PaperBPlant::new(PERIOD_S, 0.009, 0.2, 0.3538);
+    let names = "PI by hand | addc | pi | mrac | paper-b | load-observer";
+    eprintln!("| inertia | {names} |");
+    for ratio in [0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0] {
+        let addc = Addc::new(
+            &model(),
+            &plant(),
+            &timing,
+            &AddcSettings::new(holding, 0.15),
+        );
+        let addc = addc
+            .unwrap()
+            .adapting_to_the_winding(&model(), 0.0, &timing);
+        let gains = tune(&plant(), &timing, &Request::default()).unwrap().gains;
+        let observing = LoadObservingSettings::default();
+        let mut all: [Box<dyn SpeedController>; 6] = [
+            Box::new(by_hand(ratio)),
+            Box::new(addc.unwrap()),
+            Box::new(Pi::new(gains, AntiWindup::Hold, holding)),
+            Box::new(Mrac::new(&plant(), &timing, scales, true).unwrap()),
+            Box::new(PaperB::new(paper_b, PaperBSettings::default()).unwrap()),
+            Box::new(LoadObserving::new(&model(), &plant(), &timing, &observing).unwrap()),
+        ];
+        let found = all.each_mut().map(|one| over_steps(one.as_mut(), ratio));
+        let cells = found.map(|(error, most)| format!("{error:.2} rad, {most:.1} %"));
+        eprintln!("| {ratio} | {} |", cells.join(" | "));
+        let [hand, addc, ..] = found;
+        assert!(addc.0 <= 1.02 * hand.0, "{ratio}: {addc:?} {hand:?}");
+        // What the largest of some hundred samples of the sensor's noise makes of a step of 20 rad/s.
+        assert!(addc.1 <= hand.1 + 2.5, "{ratio}: {addc:?} {hand:?}");
     }
 }

@@ -67,6 +67,22 @@ fn any_segment() -> impl Strategy<Value = Segment> {
                 seconds
             })
         ),
+        (
+            0.0..20.0f64,
+            0.5..5.0f64,
+            1.1..20.0f64,
+            2.0..4.0f64,
+            volts()
+        )
+            .prop_map(
+                |(amplitude_v, from_hz, factor, seconds, offset_v)| Segment::Chirp(Chirp {
+                    amplitude_v,
+                    from_hz,
+                    to_hz: from_hz * factor,
+                    seconds,
+                    offset_v
+                })
+            ),
     ]
 }
 

@@ -9,6 +9,7 @@
 //! not depend on what was asked before. A new kind is one struct and one line in the catalogue below; the contract test
 //! in `contract_tests.rs` then covers it.
 
+mod chirp;
 mod dither;
 mod error;
 mod levels;
@@ -21,6 +22,7 @@ mod rich;
 mod sine;
 mod slew;
 
+pub use chirp::Chirp;
 pub use dither::Dither;
 pub use error::ExcitationError;
 pub use levels::{Ramp, Staircase, Steps};
@@ -82,7 +84,9 @@ macro_rules! catalogue {
     };
 }
 
-catalogue![Standstill, Steps, Staircase, Ramp, Prbs, Sine, CoastDown,];
+catalogue![
+    Standstill, Steps, Staircase, Ramp, Prbs, Sine, Chirp, CoastDown,
+];
 
 #[cfg(test)]
 mod contract_tests;

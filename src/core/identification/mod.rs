@@ -10,6 +10,7 @@
 //!
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: what several runs say together; drift: what has changed between two dates
 //! lost_rows: what a record with missing rows says of itself
 //! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
@@ -21,6 +22,7 @@ pub mod claims;
 pub mod drift;
 pub mod effect_start;
 pub mod escalation;
+pub mod frequency_response;
 pub mod inverse_dynamics;
 pub mod kalman;
 pub mod lost_rows;

@@ -2,6 +2,8 @@
 //!
 //! Pure arithmetic on the samples' own stamps: the same sequence gives the same bits.
 
+use serde::Serialize;
+
 use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
 use super::stamps;
 use crate::plant::{Model, MotorKey};
@@ -63,6 +65,28 @@ pub struct Online {
     applied: AppliedVoltage,
     /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
     half_width_s: f64,
+    frozen: Frozen,
+    last_s: Option<f64>,
+}
+
+/// Samples of which nothing is learnt, because a limit of the drive held its output: the motor had another voltage than
+/// was asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Frozen {
+    pub rows: u64,
+    pub seconds: f64,
+    /// Since when it has been so, s in the samples' time; `None`: it is not so now.
+    pub since_s: Option<f64>,
+}
+
+impl Frozen {
+    fn take(&mut self, time_s: f64, limited: bool, last_s: Option<f64>) {
+        if let (Some(_), Some(last_s)) = (self.since_s, last_s) {
+            self.seconds += (time_s - last_s).max(0.0);
+        }
+        self.rows += u64::from(limited);
+        self.since_s = limited.then(|| self.since_s.unwrap_or(time_s));
+    }
 }
 
 /// Share of a half-width that is left of it one sample later.
@@ -80,6 +104,8 @@ impl Online {
             late: None,
             applied: AppliedVoltage::default(),
             half_width_s: 0.0,
+            frozen: Frozen::default(),
+            last_s: None,
         }
     }
 
@@ -106,6 +132,8 @@ impl Online {
         }
         let good = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
         if let [Some(current), Some(speed)] = good {
+            self.frozen.take(time_s, sample.limited, self.last_s);
+            self.last_s = Some(time_s);
             let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
             self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
             if half_width_s > 0.0 && self.late.is_none() {
@@ -144,6 +172,11 @@ impl Online {
     /// What the last block added to its prediction: current, A, and speed, rad/s.
     pub fn innovation(&self) -> Option<(f64, f64)> {
         self.scheme_3.innovation()
+    }
+
+    /// For how long a limit of the drive has kept it from learning.
+    pub const fn frozen(&self) -> Frozen {
+        self.frozen
     }
 
     /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.

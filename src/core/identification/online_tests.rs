@@ -251,6 +251,7 @@ fn while_a_limit_of_the_drive_holds_its_output_nothing_is_learnt_or_settled() {
                 }
                 sample.limited = (limited.start - 0.02..limited.end + 0.12).contains(&time_s);
                 online.push(&sample);
+                assert_eq!(online.frozen().since_s.is_some(), sample.limited);
                 if sample.limited && time_s > limited.start {
                     let now = online.estimates();
                     let settled = now.iter().any(|e| e.verdict == Verdict::Settled);
@@ -262,6 +263,11 @@ fn while_a_limit_of_the_drive_holds_its_output_nothing_is_learnt_or_settled() {
             },
         );
         assert_eq!(before[0].verdict, Verdict::Settled);
+        // It says so, and goes on by itself.
+        let frozen = online.frozen();
+        assert_eq!(frozen.since_s, None);
+        assert!((2.1..2.2).contains(&frozen.seconds), "{frozen:?}");
+        assert!((205..225).contains(&frozen.rows), "{frozen:?}");
         let wrong = settled_and_wrong(&online, PAPER);
         assert!(wrong.len() <= 1, "{seed} {wrong:?}");
         assert_eq!(online.estimates()[0].verdict, Verdict::Settled);

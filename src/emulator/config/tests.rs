@@ -20,6 +20,7 @@ fn every_embedded_configuration_is_valid_and_hides_what_its_name_says() {
             ("zk-22fc-locked", vec![]),
             ("zk-22fc-open", vec![]),
             ("zk-22fc-changing", vec![]),
+            ("zk-22fc-elastic", vec!["elastic_coupling"]),
             ("small-servo-behind-zk-22fc", vec![]),
             ("large-motor-behind-zk-22fc", vec![]),
         ]

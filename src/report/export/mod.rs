@@ -1,14 +1,18 @@
-//! A model, and the gains of its regulator, as source text of other languages.
+//! A model, the gains of its regulator, and a measured torque map, as source text of other languages.
 //!
 //! ```text
 //! Model --(formula of each effect, as a tree)--> terms of the equations --.
 //! PiGains, what holds a speed --------------------------------------------+--> template of the language --> one file
+//! TorqueMap ----------------------------------------------------------------> CSV, or C with its interpolation
 //! ```
 //!
 //! Every target integrates the same equations: the classical Runge-Kutta method in steps that follow the fastest motion,
 //! cut where the speed comes to zero; Modelica leaves that to its tool. What has no formula is refused by its name.
 
+mod map;
 mod notation;
+
+pub use map::{map_as_c, map_as_csv};
 
 use std::fmt::Write as _;
 
@@ -38,6 +42,8 @@ pub enum ExportError {
     Model(#[from] ModelError),
     #[error("gains cannot be exported to modelica")]
     Gains,
+    #[error("gains with a notch cannot be exported")]
+    Notch,
 }
 
 impl ExportError {
@@ -47,6 +53,9 @@ impl ExportError {
                 "nothing is left out silently: `drivebench remove {id}` makes a model without it, and --to json has every effect"
             ),
             Self::Model(error) => error.help().to_owned(),
+            Self::Notch => {
+                "nothing is left out silently: --to json has the notch, its frequency, damping and depth".to_owned()
+            }
             Self::Gains => {
                 "leave --gains out and take Modelica.Blocks.Continuous.LimPID with them, or export to c, python or matlab"
                     .to_owned()
@@ -108,6 +117,9 @@ impl Export {
         title: &str,
     ) -> Result<Self, ExportError> {
         model.require_complete()?;
+        if regulator.is_some_and(|regulator| regulator.gains.notch.is_some()) {
+            return Err(ExportError::Notch);
+        }
         let longest_step_s = Plant::new(model, Input::Voltage)?.runge_kutta_step_s();
         let mut parameters = Vec::new();
         for key in MotorKey::ALL {

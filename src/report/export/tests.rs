@@ -5,6 +5,7 @@ use std::process::Command;
 
 use super::*;
 use crate::control::{AntiWindup, Measured, Pi, SpeedController};
+use crate::diagnosis::{MapBin, MappedTorque, MappedValue, TorqueMap};
 use crate::plant::effect::{self, CATALOGUE, define};
 use crate::plant::testing::held;
 use crate::plant::{
@@ -187,6 +188,7 @@ fn regulator() -> Regulator {
         gains: PiGains {
             proportional: 0.4,
             integral_time_s: 0.3,
+            notch: None,
             reference_filter_s: 0.05,
         },
         holding: Holding {
@@ -342,6 +344,110 @@ fn c_gives_what_the_simulation_gives() {
     );
     check(&models, &printed(&mut Command::new(&program)));
     check_regulator(&printed(Command::new(&program).arg("regulator")));
+}
+
+/// A map with gaps, of either kind.
+fn gapped(of: MappedTorque) -> TorqueMap {
+    let (first, count) = match of {
+        MappedTorque::Friction => (-96.0, 24),
+        MappedTorque::Cogging => (0.0, 72),
+    };
+    let width = match of {
+        MappedTorque::Friction => 8.0,
+        MappedTorque::Cogging => std::f64::consts::TAU / 72.0,
+    };
+    let bin = |index: u32| {
+        let from = first + width * f64::from(index);
+        let torque_n_m = 0.4 * (from + 0.5 * width).signum() + 0.01 * f64::from(index % 5);
+        let is_known = !(index % 7 == 3 || index == 0 || index == 15);
+        MapBin {
+            from,
+            to: from + width,
+            windows: if is_known { 9 } else { 2 },
+            torque: is_known.then_some(MappedValue {
+                torque_n_m,
+                low_n_m: torque_n_m - 0.02,
+                high_n_m: torque_n_m + 0.02,
+            }),
+        }
+    };
+    TorqueMap {
+        of,
+        bins: (0..count).map(bin).collect(),
+        windows_left_out: 0,
+    }
+}
+
+#[test]
+fn a_map_as_csv_has_empty_cells_where_nothing_was_measured() {
+    let text = map_as_csv(&gapped(MappedTorque::Friction));
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 25);
+    assert_eq!(
+        lines[0],
+        "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows"
+    );
+    assert_eq!(lines[1], "-92.0,,,,2");
+    assert!(
+        lines[2].starts_with("-84.0,-0.39,-0.41,-0.37") && lines[2].ends_with(",9"),
+        "{}",
+        lines[2]
+    );
+}
+
+#[test]
+fn a_map_in_c_gives_what_the_program_reads_from_it() {
+    if !is_there("cc", &["--version"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut main = String::from("#include <stdio.h>\n");
+    let mut body = String::new();
+    let mut expected = Vec::new();
+    for of in MappedTorque::ALL {
+        let (map, name) = (gapped(of), of.name());
+        write(
+            folder.path(),
+            &format!("{name}.h"),
+            &map_as_c(&map, name, "a test"),
+        );
+        let _ = writeln!(main, "#include \"{name}.h\"");
+        for step in -110..=110 {
+            // In float as in double on the same side of every edge.
+            let place = f64::from(step) * 0.9375;
+            expected.push(map.at(place));
+            let _ = writeln!(
+                body,
+                "    known = {name}_torque({place:?}f, &torque); printf(\"%d %.9g\\n\", known, (double)torque);"
+            );
+        }
+    }
+    let _ = write!(
+        main,
+        "int main(void)\n{{\n    float torque = 0.0f;\n    int known;\n{body}    return 0;\n}}\n"
+    );
+    write(folder.path(), "main.c", &main);
+    let (source, program) = (folder.path().join("main.c"), folder.path().join("main"));
+    let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror"];
+    printed(
+        Command::new("cc")
+            .args(strict)
+            .arg(&source)
+            .arg("-o")
+            .arg(&program)
+            .arg("-lm"),
+    );
+    let found = printed(&mut Command::new(&program));
+    assert_eq!(found.lines().count(), expected.len());
+    assert!(expected.iter().flatten().count() > 100 && expected.contains(&None));
+    for (line, expected) in found.lines().zip(expected) {
+        let (known, torque) = line.split_once(' ').unwrap();
+        assert_eq!(known == "1", expected.is_some(), "{line} {expected:?}");
+        if let Some(expected) = expected {
+            let torque: f64 = torque.parse().unwrap();
+            assert!((torque - expected).abs() < 1e-4, "{line} {expected}");
+        }
+    }
 }
 
 #[test]

@@ -332,7 +332,7 @@ fn mark(svg: &mut Svg, index: usize, (x, y): (f64, f64)) {
 }
 
 /// Powers of ten, and 2 and 5 times them where there are few.
-fn powers(scale: &Scale) -> Vec<f64> {
+pub(super) fn powers(scale: &Scale) -> Vec<f64> {
     let Domain { from, to } = scale.domain;
     let few = to - from < 4.0;
     let factors: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
@@ -342,7 +342,7 @@ fn powers(scale: &Scale) -> Vec<f64> {
 }
 
 /// A tick without an exponent where it is short.
-fn plain(value: f64) -> String {
+pub(super) fn plain(value: f64) -> String {
     if (1e-3..1e4).contains(&value) {
         format!("{value}")
     } else {

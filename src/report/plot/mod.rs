@@ -4,6 +4,7 @@
 //! chart: margins, scales (linear, logarithmic, log odds), axes with their ticks, pieces of SVG: the same for all
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //!                                '-> detail: the points for zooming in, decimated far less
+//! frequencies -> response: magnitude, phase and coherence with their intervals
 //! ratios -> curves        rungs -> bars with the noise floor as the goal    error over speed x current -> map
 //! what an equation lacks over one axis, the effect through it -> axis chart    given probabilities and what came true -> reliability
 //! ```
@@ -17,12 +18,14 @@ mod charts;
 mod decimate;
 mod detail;
 mod panels;
+mod response;
 
 pub use charts::{
     AxisChart, Claims, CurveChart, CurvePanel, MapChart, PointSet, bars, reliability,
 };
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
+pub use response::{ResponseChart, ResponseCurve, ResponsePanel, ResponsePlace};
 
 /// Light, dark and printed. Every kind of line has a dash pattern beside its colour.
 pub(super) const STYLE: &str = include_str!("plot.css");

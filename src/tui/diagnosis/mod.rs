@@ -10,7 +10,7 @@
 //! |   then status, size, interval             |
 //! | ladder: held-out error and noise floor    |
 //! | keys                                      |
-//! +-------------------------------------------+   over it: pages (card, traces, map, curve, next run)
+//! +-------------------------------------------+   over it: pages (card, traces, map, curve, response, next run)
 //! ```
 //!
 //! `guess` is the teaching flow, in which no name is shown before the person has given one.
@@ -115,7 +115,7 @@ impl Screen for DiagnosisScreen {
     fn look(&mut self) -> (bool, Option<Exit>) {
         let mut is_told = false;
         loop {
-            let waits = self.state.working.is_some() || self.state.writing;
+            let waits = self.state.working.is_some() || self.state.writing || self.state.responds;
             let event = match self.sources.news.try_recv() {
                 Ok(news) => Event::News(news),
                 Err(TryRecvError::Disconnected) if waits => Event::WorkerGone,

@@ -17,6 +17,7 @@ use crate::plant::effect::Axis;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
+use crate::tui::response::ResponsePage;
 use crate::tui::traces::{FRAMES, StoppedAt, TracesPage};
 use crate::workflow::{News, Order};
 
@@ -68,6 +69,8 @@ pub(super) enum Over {
     Curve(usize, Option<usize>),
     /// Measured and model over time.
     Traces,
+    /// Measured and model over frequency.
+    Response,
 }
 
 /// The state of the screen.
@@ -95,6 +98,9 @@ pub(super) struct State {
     /// It is still being looked for.
     pub(super) looks: bool,
     pub(super) traces: TracesPage,
+    pub(super) response: ResponsePage,
+    /// It is being estimated, or waits for the analysis to be at rest.
+    pub(super) responds: bool,
     /// The error alone, and the effects that can be drawn through it.
     pub(super) curves: Vec<Arc<EffectCurve>>,
     /// Frames until the fall of the error is drawn.
@@ -225,7 +231,8 @@ impl State {
                 self.traces.frame();
             }
             Event::WorkerGone => {
-                let without_answer = self.working.take().is_some();
+                let without_answer =
+                    self.working.take().is_some() | std::mem::take(&mut self.responds);
                 if std::mem::take(&mut self.writing) {
                     self.leaving = false;
                     self.fail("the analysis has ended: the model is NOT WRITTEN");
@@ -249,6 +256,17 @@ impl State {
                 self.traces.take(*traces);
                 if self.opens == Opens::Traces {
                     (self.opens, self.over) = (Opens::Search, Over::Traces);
+                }
+            }
+            News::Responded(found) => {
+                self.responds = false;
+                match found {
+                    Ok(compared) => {
+                        self.response.take(*compared);
+                        self.over = Over::Response;
+                        self.message = None;
+                    }
+                    Err(reason) => self.say(reason),
                 }
             }
             News::Curves(curves) => {
@@ -385,6 +403,8 @@ impl State {
             }
             Press::Move(rows) | Press::Wheel(rows) => self.go(rows),
             Press::Traces => self.see_traces(),
+            Press::Response => return self.see_response(),
+            _ if self.over == Over::Response && self.response.press(press) => {}
             _ if self.sees_traces() && self.traces.press(press) => {}
             Press::Cursor(way) => self.move_cursor(way),
             // The worst place is also a way into the page.
@@ -433,7 +453,7 @@ impl State {
     fn go(&mut self, by: i32) {
         if let Over::Card(line) | Over::Next(line) = &mut self.over {
             *line = scrolled(*line, by, self.hidden.get());
-        } else if let Over::Traces | Over::Map(_) = self.over {
+        } else if let Over::Traces | Over::Map(_) | Over::Response = self.over {
             self.say("this page does not scroll");
         } else if self.only_compares() {
             self.say(self.why_none());
@@ -646,6 +666,21 @@ impl State {
             }
             _ => Over::Traces,
         };
+    }
+
+    /// Estimated anew each time: the model may be another.
+    fn see_response(&mut self) -> Option<Effect> {
+        if self.over == Over::Response {
+            self.over = Over::Nothing;
+            return None;
+        }
+        if self.responds {
+            self.say("not yet: the frequency response comes when the analysis is at rest");
+            return None;
+        }
+        self.responds = true;
+        self.say("estimating the frequency response");
+        Some(Effect::Order(Order::Respond))
     }
 
     /// From point to point of the curve in sight.

@@ -750,6 +750,27 @@ fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
 }
 
 #[test]
+fn g_asks_for_the_frequency_response_and_shows_it_or_says_why_there_is_none() {
+    let mut state = compared_alone();
+    let effect = press(&mut state, Press::Response);
+    assert_eq!(effect, Some(Effect::Order(Order::Respond)));
+    assert_eq!(press(&mut state, Press::Response), None, "not twice");
+    let mut refused = state.clone();
+    let reason = "the run holds its voltage all the time".to_owned();
+    hear(&mut refused, News::Responded(Err(reason)));
+    assert!(told(&refused).contains("holds its voltage"));
+    assert_eq!(refused.over, Over::Nothing);
+    let found = crate::tui::response::tests::compared();
+    hear(&mut state, News::Responded(Ok(Box::new(found))));
+    assert_eq!(state.over, Over::Response);
+    shows(&state, &["current to speed", "resonance at 22.01"]);
+    press(&mut state, Press::NextScreen);
+    shows(&state, &["voltage to speed"]);
+    press(&mut state, Press::Response);
+    assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
 fn a_comparison_alone_searches_only_when_it_is_asked_to() {
     let mut state = compared_alone();
     assert!(state.only_compares() && state.working.is_none());

@@ -24,6 +24,7 @@ use crate::tui::frame::{
     help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
 };
 use crate::tui::keys::On;
+use crate::tui::response::{self, ResponsePage};
 use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
 
@@ -158,6 +159,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Over::Card(line) => card(state, line, body, buffer),
         Over::Map(index) => charts::map(state, index, body, buffer),
         Over::Traces => traces::view(&state.traces, body, buffer),
+        Over::Response => response::view(&state.response, body, buffer),
         Over::Next(line) => next(state, line, body, buffer),
         Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
@@ -326,6 +328,7 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
         _ if state.help.is_some() => ("Up Down scroll", "any other key closes the help"),
         Over::Traces if state.traces.is_choosing() => ("Up Down select|Enter show", "Esc back"),
         Over::Traces => (TracesPage::KEYS, "v Esc back"),
+        Over::Response => (ResponsePage::KEYS, "g Esc back"),
         Over::Card(_) => ("Up Down scroll|a add|r remove", "Esc back"),
         Over::Next(_) => ("Up Down scroll", "n Esc back"),
         Over::Map(0) => ("e the other equation", "Esc back"),
@@ -348,9 +351,10 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
             "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
             LEAVE,
         ),
-        Over::Nothing if state.only_compares() => {
-            ("d diagnose|v traces|j worst place|c curve|e map", LEAVE)
-        }
+        Over::Nothing if state.only_compares() => (
+            "d diagnose|v traces|j worst place|c curve|g frequency|e map",
+            LEAVE,
+        ),
         Over::Nothing if state.working.is_some() => (
             "v traces|Up Down select|Enter card|p guess first|e map",
             LEAVE,

@@ -20,6 +20,7 @@ use crate::bench::{
 };
 use crate::diagnosis::Leaning;
 use crate::drive::LinkStatistics;
+use crate::identification::online::Frozen;
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
@@ -292,6 +293,30 @@ fn pressed(mut model: Model, key: Press) -> Model {
 fn finished(mut model: Model) -> Model {
     finish(&mut model);
     model
+}
+
+#[test]
+fn estimates_that_learn_nothing_under_a_limit_of_the_drive_are_shown_as_frozen_until_they_learn_again()
+ {
+    let shown = |since_s| {
+        let frozen = Frozen {
+            rows: 120,
+            seconds: 1.2,
+            since_s,
+        };
+        let running = Snapshot {
+            frozen,
+            ..running()
+        };
+        [(120, 40), (80, 24)].map(|(width, height)| text(&model(running.clone()), width, height))
+    };
+    let [wide, narrow] = shown(Some(7.2));
+    assert!(
+        wide.contains("frozen: the drive limits, 1.2 s, 120 rows"),
+        "{wide}"
+    );
+    assert!(narrow.contains("frozen: drive limits 1.2 s"), "{narrow}");
+    assert!(shown(None).iter().all(|text| !text.contains("frozen")));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::scope::scope;
 use crate::bench::{Level, Notice, Phase, Snapshot};
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::shortest;
+use crate::text::number::{fixed, shortest};
 use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
 use crate::tui::keys::On;
 use crate::tui::theme;
@@ -580,6 +580,10 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         (false, false) if !excitation.is_empty() => " parameters (▁ to █: excited) ",
         (false, _) => " parameters ",
     });
+    let block = match frozen_text(model, area.width > WIDE_PANEL) {
+        Some(text) => block.title_bottom(Line::styled(text, theme::CAREFUL)),
+        None => block,
+    };
     let inner = block.inner(area);
     block.render(area, buffer);
     if estimates.is_empty() {
@@ -602,6 +606,18 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         }
     }
     rows(&lines, inner, buffer);
+}
+
+/// That nothing is learnt now, and for how long so far.
+fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
+    let frozen = model.viewed().frozen;
+    frozen.since_s?;
+    let (seconds, rows) = (fixed(frozen.seconds, 1), frozen.rows);
+    Some(if is_wide {
+        format!(" frozen: the drive limits, {seconds} s, {rows} rows ")
+    } else {
+        format!(" frozen: drive limits {seconds} s ")
+    })
 }
 
 /// Every parameter with its name, its key and the whole reason.

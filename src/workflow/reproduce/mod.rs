@@ -5,6 +5,7 @@
 //!                                       schemes (one record, every scheme) -> errors against period and noise
 //! loops (machines, regulators, trials) -> adaptive: Figures 5 to 7 of paper A
 //!                                      -> paper_b: Figures 4 and 5 of paper B, convergence, noise, Hall edges
+//! data_sheet: paper B's values against each other, and what its average model leaves out
 //! lines (a drive behind a line, every kind) -> LineStudy: error and coverage against stamps, late and lost replies
 //!                                  all of them -> PaperA, PaperB -> pages -> report (HTML, SVG, CSV, text)
 //! ```
@@ -13,6 +14,7 @@
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
 pub mod adaptive;
+pub mod data_sheet;
 mod figure_2;
 mod figure_3;
 pub mod lines;

@@ -11,6 +11,10 @@
 use serde::Serialize;
 
 use super::adaptive::FORGETTING;
+use super::data_sheet::{
+    BACK_EMF_V_PER_RPM, DataSheet, ELECTRICAL_S, MECHANICAL_S, POLE_PAIRS, RATED_A, RATED_N_M,
+    RESISTANCE_OHM, data_sheet, rectified_v,
+};
 use super::loops::{
     Bench, Comparison, Held, LoadChange, Named, Sizes, Trial, WithBackEmf, comparison, cycles,
     effort_v, error, lasting_rad_s, load_change, mean_and_std, rms, steps, within,
@@ -23,14 +27,6 @@ use crate::control::{
 use crate::plant::{Model, MotorKey};
 use crate::units::rad_s_from_rpm;
 
-/// Data of the paper: resistance, T1, Tm and ke; rated torque and current, pole pairs.
-const RESISTANCE_OHM: f64 = 3.25;
-const ELECTRICAL_S: f64 = 0.0034;
-const MECHANICAL_S: f64 = 0.076;
-const BACK_EMF_V_PER_RPM: f64 = 0.097;
-const RATED_N_M: f64 = 10.0;
-const RATED_A: f64 = 4.5;
-const POLE_PAIRS: f64 = 2.0;
 /// Chosen: period, friction of what the motor drives, load of Figure 5, speed at which loads are tried.
 const PERIOD_S: f64 = 0.001;
 const FRICTION_N_M: f64 = 2.0;
@@ -67,6 +63,7 @@ pub struct PaperB {
     pub title: &'static str,
     /// What the paper leaves open and what was chosen.
     pub chosen: Vec<String>,
+    pub data_sheet: DataSheet,
     pub figure_4: Figure4,
     pub figure_5: Figure5,
     pub design: Design,
@@ -94,6 +91,7 @@ pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
         paper: "paper-b",
         title: "Wang Lei, Cai Jiling, Jiang Jingping, Wang Yang: optimal state feedback control of a brushless direct-current motor drive system (2006)",
         chosen: chosen(),
+        data_sheet: data_sheet(),
         figure_4,
         figure_5,
         design,
@@ -122,7 +120,7 @@ fn bench() -> Bench {
             filter_s: 0.0,
         },
         current_limit_a: 3.0 * RATED_A,
-        voltage_limit_v: 250.0,
+        voltage_limit_v: rectified_v(),
         speed_noise_rad_s: SETTINGS.measurement_noise.sqrt(),
         current_noise_a: 0.05,
         scale_rad_s: 157.0,
@@ -171,10 +169,20 @@ fn held(
 
 /// The regulator without its compensation.
 fn without(settings: PaperBSettings) -> PaperBSettings {
+    with_share(0.0, settings)
+}
+
+/// The regulator with so much of K3.
+fn with_share(compensation: f64, settings: PaperBSettings) -> PaperBSettings {
     PaperBSettings {
-        compensation: 0.0,
+        compensation,
         ..settings
     }
+}
+
+/// Without compensation, with as much of K3 as is usable, and with the K3 that is printed.
+fn courses<T>(course: impl Fn(PaperBSettings) -> T) -> [T; 3] {
+    [0.0, SETTINGS.compensation, 1.0].map(|share| course(with_share(share, SETTINGS)))
 }
 
 fn chosen() -> Vec<String> {
@@ -198,7 +206,7 @@ fn chosen() -> Vec<String> {
             1e3 * PERIOD_S
         ),
         format!(
-            "K3 = 1/(A+B) is the paper's. With it the compensation corrects the whole of a filtered error in every cycle and swings (see the table of K3 and mu); here it acts with {compensation} of it.",
+            "K3 = 1/(A+B) is the paper's. With it the compensation corrects the whole of a filtered error in every cycle and swings (see the table of K3 and mu); here it acts with {compensation} of it, and Figures 4 and 5 show both.",
         ),
         "Corrections to the scan: u* = -gamma G (x - [r, r]); n_p follows eq. (9) on measured speeds, and the predictor is fed u*, not u* + u0 (else u0 ramps for ever under a constant load).".to_owned(),
         format!(
@@ -223,10 +231,11 @@ const POLYLINE_S: f64 = POLYLINE[POLYLINE.len() - 1].0;
 /// After a corner the flat parts are given this time, s.
 const FLAT_AFTER_S: f64 = 0.2;
 
-/// One of the two regulators.
+/// One of the regulators.
 #[derive(Clone, Debug, Serialize)]
 pub struct Followed {
-    pub compensated: bool,
+    /// Share of K3 with which the compensation acts.
+    pub share_of_k3: f64,
     pub absolute_error_rad: f64,
     pub largest_error_rad_s: f64,
     /// Root mean square on the slopes, and on the flat parts 0.2 s after their corner.
@@ -244,8 +253,8 @@ pub struct Followed {
 #[derive(Clone, Debug, Serialize)]
 pub struct Figure4 {
     pub polyline: [(f64, f64); 7],
-    /// Without compensation, then with it.
-    pub courses: [Followed; 2],
+    /// Without compensation, with the usable share of K3, with the printed K3.
+    pub courses: [Followed; 3],
 }
 
 /// The reference at a time, s.
@@ -263,15 +272,15 @@ fn figure_4(bench: &Bench) -> Figure4 {
     let course = |settings: PaperBSettings| {
         let trial = on_paper(bench, polyline).with_load(&noise);
         let trace = trial.run(&mut bench.paper_b(settings), POLYLINE_S);
-        measured(settings.compensation > 0.0, trace)
+        measured(settings.compensation, trace)
     };
     Figure4 {
         polyline: POLYLINE,
-        courses: [course(without(SETTINGS)), course(SETTINGS)],
+        courses: courses(course),
     }
 }
 
-fn measured(compensated: bool, trace: Vec<TrialPoint>) -> Followed {
+fn measured(share_of_k3: f64, trace: Vec<TrialPoint>) -> Followed {
     let slope = |point: &&TrialPoint| {
         (polyline(point.time_s + PERIOD_S) - polyline(point.time_s)).abs() > 1e-9
     };
@@ -291,7 +300,7 @@ fn measured(compensated: bool, trace: Vec<TrialPoint>) -> Followed {
         }
     };
     Followed {
-        compensated,
+        share_of_k3,
         absolute_error_rad: PERIOD_S * trace.iter().map(|point| error(point).abs()).sum::<f64>(),
         largest_error_rad_s: trace.iter().map(|p| error(p).abs()).fold(0.0, f64::max),
         slope_error_rad_s: rms(trace.iter().filter(slope).map(error)),
@@ -309,7 +318,7 @@ const END_S: f64 = 2.0;
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Loaded {
-    pub compensated: bool,
+    pub share_of_k3: f64,
     pub applied: LoadChange,
     pub removed: LoadChange,
     pub effort_v: f64,
@@ -321,8 +330,8 @@ pub struct Loaded {
 pub struct Figure5 {
     pub speed_rad_s: f64,
     pub load_n_m: f64,
-    /// Without compensation, then with it.
-    pub courses: [Loaded; 2],
+    /// Without compensation, with the usable share of K3, with the printed K3.
+    pub courses: [Loaded; 3],
 }
 
 fn figure_5(bench: &Bench) -> Figure5 {
@@ -335,7 +344,7 @@ fn figure_5(bench: &Bench) -> Figure5 {
         let trial = on_paper(bench, |_| SPEED_RAD_S).with_load(load);
         let trace = trial.run(&mut bench.paper_b(settings), END_S);
         Loaded {
-            compensated: settings.compensation > 0.0,
+            share_of_k3: settings.compensation,
             applied: load_change(&trace, ON_S, OFF_S),
             removed: load_change(&trace, OFF_S, END_S),
             effort_v: effort_v(&within(&trace, ON_S, f64::INFINITY)),
@@ -345,7 +354,7 @@ fn figure_5(bench: &Bench) -> Figure5 {
     Figure5 {
         speed_rad_s: SPEED_RAD_S,
         load_n_m: LOAD_N_M,
-        courses: [course(without(SETTINGS)), course(SETTINGS)],
+        courses: courses(course),
     }
 }
 
@@ -792,7 +801,10 @@ mod tests {
     #[test]
     fn figure_4_the_compensation_takes_the_error_that_friction_leaves() {
         let figure = figure_4(&bench());
-        let [without, with] = &figure.courses;
+        let [without, with, printed] = &figure.courses;
+        // With the printed K3 the voltage works harder, and the flat parts are no better for it.
+        assert!(printed.effort_v > 3.0 * with.effort_v);
+        assert!(printed.flat_error_rad_s > with.flat_error_rad_s);
         assert!(without.flat_mean_rad_s > 0.5);
         assert!(with.flat_mean_rad_s.abs() < 0.1 * without.flat_mean_rad_s);
         assert!(with.absolute_error_rad < 0.7 * without.absolute_error_rad);
@@ -801,7 +813,7 @@ mod tests {
     #[test]
     fn figure_5_the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
         let figure = figure_5(&bench());
-        let [without, with] = &figure.courses;
+        let [without, with, _] = &figure.courses;
         assert!(without.applied.lasting_rad_s > 1.0 && without.applied.recovery_s.is_none());
         assert!(
             with.applied.lasting_rad_s.abs() < 0.1

@@ -280,7 +280,7 @@ impl SpeedController for PaperB {
                 self.feedback_changes.len()
             ),
             format!(
-                "compensation {:.2} of K3 through a filter of {:.2}; the loop's radius is {:.4}",
+                "compensation {:.2} of K3 through a filter of {:.2}; on the model alone, without delay and limits, the radius of the loop is {:.4}",
                 self.settings.compensation, self.settings.filter_share, self.radius
             ),
         ]

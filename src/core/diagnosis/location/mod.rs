@@ -7,6 +7,7 @@
 //!                  |           the narrowest range that holds most of it; one sentence each
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |-> torque_map  friction over speed, cogging over a turn, for other programs
 //!                  |-> leaning which effect the residual follows so far, to first order, while a run goes on
 //!                  '-> the error over speed x current, with counts
 //! ```
@@ -20,6 +21,7 @@ mod axis;
 mod curve;
 mod effect_curve;
 mod leaning;
+mod torque_map;
 mod windows;
 
 use serde::Serialize;
@@ -28,6 +30,7 @@ pub use self::curve::{AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
 pub use self::leaning::{Leaning, lean};
+pub use self::torque_map::{MapBin, MapError, MappedTorque, MappedValue, TorqueMap, torque_map};
 
 pub(super) use self::axis::name_of;
 use self::axis::{figure, name_of_variable};

@@ -1,0 +1,518 @@
+//! The frequency response of recorded runs, a model's beside it: its card, its table and its picture.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::evidence::{cautions, name_voltage};
+use super::failure::Failure;
+use super::files::read_model;
+use super::output::{self, quoted};
+use super::progress;
+use crate::identification::frequency_response::{
+    CARRIED, Compared, Departure, FrequencyResponse, Mode, Pathway, PathwayResponse, ResponsePoint,
+    compared, of_model,
+};
+use crate::plant::{Model, Scenario};
+use crate::recording::{LoadedRun, RunFile, RunFolder};
+use crate::report::plot::{
+    ResponseChart, ResponseCurve, ResponsePanel, ResponsePlace, Style, standalone,
+};
+use crate::report::{Card, Tone};
+use crate::sample::Channel;
+use crate::text::number::significant;
+
+/// Lines of the magnitude on the card, and what the shortest of them stands for, dB below the smallest.
+const LINES: usize = 12;
+const SHORTEST_DB: f64 = 3.0;
+/// Bands that are told of a pathway.
+const MOST_BANDS: usize = 4;
+
+/// What is asked.
+pub(crate) struct BodeRequest<'a> {
+    pub(crate) runs: &'a [PathBuf],
+    /// Without it that of the first run's folder, where it is complete.
+    pub(crate) model: Option<&'a Path>,
+    pub(crate) load: &'a dyn Fn(&Path) -> Result<LoadedRun, Failure>,
+    /// What the commands that go on repeat of the arguments.
+    pub(crate) map_words: String,
+}
+
+/// The response of the runs, as `bode --json` prints it.
+#[derive(Serialize)]
+pub(crate) struct Bode {
+    runs: Vec<String>,
+    /// File of the model; null where there is none.
+    model_from: Option<String>,
+    #[serde(flatten)]
+    pub(crate) compared: Compared,
+    notes: Vec<String>,
+    #[serde(skip)]
+    go_on: GoOn,
+}
+
+/// What the next commands name.
+#[derive(Default)]
+struct GoOn {
+    run: String,
+    model: Option<String>,
+    map_words: String,
+}
+
+impl Bode {
+    pub(crate) fn of(request: &BodeRequest<'_>) -> Result<Self, Failure> {
+        progress::stage("reads the runs", 0);
+        let loaded = request.runs.iter().map(|path| (request.load)(path));
+        let loaded = loaded.collect::<Result<Vec<LoadedRun>, Failure>>()?;
+        let (mut notes, mut of_runs) = (Vec::new(), Vec::new());
+        let mut scenarios = Vec::new();
+        for loaded in &loaded {
+            let run = &loaded.run;
+            let scenario = Scenario::from_run(run)?;
+            name_voltage(run, &scenario);
+            notes.extend(run.notes.iter().cloned());
+            let mut found = cautions(run, &scenario);
+            if run.points(Channel::Reference).next().is_some() {
+                found.push(format!(
+                    "{}: recorded in a closed loop: what disturbs the speed moves the voltage too, and draws the response towards that of the regulator turned round",
+                    run.name
+                ));
+            }
+            output::warn(&found);
+            of_runs.extend(found);
+            scenarios.push(scenario);
+        }
+        let model = model(request.model, loaded.first())?;
+        let (model_from, model) = model.unzip();
+        progress::stage("follows the model", 0);
+        let beside = model
+            .map(|model| of_model(&model, &scenarios))
+            .transpose()?;
+        progress::stage("estimates the response", 0);
+        let mut compared = compared(&scenarios, beside.as_deref())?;
+        compared.measured.cautions.extend(of_runs);
+        Ok(Self {
+            runs: loaded.iter().map(|own| own.run.name.clone()).collect(),
+            go_on: GoOn {
+                run: request
+                    .runs
+                    .first()
+                    .map_or_else(String::new, |run| quoted(run)),
+                model: model_from.as_deref().map(quoted),
+                map_words: request.map_words.clone(),
+            },
+            model_from: model_from.map(|path| path.display().to_string()),
+            compared,
+            notes,
+        })
+    }
+
+    /// The pathway that is asked for, else the one that tells most.
+    pub(crate) fn shown(&self, asked: Option<Pathway>) -> Result<Pathway, Failure> {
+        let measured = &self.compared.measured;
+        match asked {
+            None => measured.telling().ok_or_else(|| {
+                Failure::not_identifiable("neither current nor speed was measured", "map a column")
+            }),
+            Some(asked) if measured.of(asked).is_some() => Ok(asked),
+            Some(asked) => {
+                let there = measured.pathways.iter().map(|own| own.pathway.key());
+                let there: Vec<&str> = there.collect();
+                Err(Failure::usage(
+                    format!(
+                        "--pathway {}: one of its signals was not measured (there: {})",
+                        asked.key(),
+                        there.join(", ")
+                    ),
+                    "choose another pathway, or map the column with --map",
+                ))
+            }
+        }
+    }
+
+    /// Fails where the excitation carries nothing; to be asked once the result has been told.
+    pub(crate) fn check(&self) -> Result<(), Failure> {
+        let mut pathways = self.compared.measured.pathways.iter();
+        if pathways.any(|own| !own.bands_hz().is_empty()) {
+            return Ok(());
+        }
+        Err(Failure::not_identifiable(
+            format!("no frequency has a coherence of {CARRIED} in these runs"),
+            CHIRP,
+        ))
+    }
+
+    /// `full`: every band in which the model departs.
+    pub(crate) fn card(&self, pathway: Pathway, full: bool) -> Card {
+        let measured = &self.compared.measured;
+        let Some(own) = measured.of(pathway) else {
+            return Card::new(Tone::Plain, "nothing", "was measured");
+        };
+        let bands = own.bands_hz();
+        let tone = if bands.is_empty() {
+            Tone::Attention
+        } else {
+            Tone::Good
+        };
+        let mut card = Card::new(tone, pathway.name(), &self.headline(own, &bands));
+        card.say("modes", self.other_modes(pathway), 2);
+        card.say("carried", [self.band_sentence(&bands)], 1);
+        card.say("rate", [measured.rate_sentence()], 1);
+        card.say("model", self.model_sentences(pathway, full), 3);
+        card.say("caution", measured.cautions.iter().map(String::as_str), 1);
+        let bars = self.bars(own);
+        if !bars.is_empty() {
+            let unit = format!("magnitude, dB of 1 {}, where it is carried", own.unit);
+            card.bars("", bars, &unit);
+        }
+        self.go_on(&mut card, bands.is_empty());
+        card
+    }
+
+    fn headline(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
+        let modes = self.compared.measured.modes_of(own.pathway);
+        match (modes.as_slice(), bands) {
+            (_, []) => "the excitation carries no frequency".to_owned(),
+            ([], [(from, _), .., (_, to)] | [(from, to)]) => format!(
+                "no resonance is named from {} to {} Hz",
+                significant(*from, 3),
+                significant(*to, 3)
+            ),
+            (modes, _) => {
+                let modes: Vec<String> = modes.iter().map(Mode::text).collect();
+                modes.join("; ")
+            }
+        }
+    }
+
+    /// Of the other pathways.
+    fn other_modes(&self, shown: Pathway) -> Vec<String> {
+        let measured = &self.compared.measured;
+        let others = Pathway::ALL.into_iter().filter(|own| *own != shown);
+        let told = others.filter_map(|pathway| {
+            let modes = measured.modes_of(pathway);
+            let modes: Vec<String> = modes.iter().map(Mode::text).collect();
+            (!modes.is_empty()).then(|| format!("{}: {}", pathway.name(), modes.join("; ")))
+        });
+        told.collect()
+    }
+
+    fn band_sentence(&self, bands: &[(f64, f64)]) -> String {
+        let measured = &self.compared.measured;
+        let [used, lowest] = [measured.used_s, measured.lowest_hz].map(|own| significant(own, 3));
+        let stretches = match measured.stretches {
+            1 => "one stretch".to_owned(),
+            many => format!("{many} stretches"),
+        };
+        let told = bands
+            .iter()
+            .take(MOST_BANDS)
+            .map(|(from, to)| format!("{} to {} Hz", significant(*from, 3), significant(*to, 3)));
+        let told: Vec<String> = told.collect();
+        let more = match bands.len().saturating_sub(MOST_BANDS) {
+            0 => String::new(),
+            more => format!(" and {more} bands more"),
+        };
+        let told = if told.is_empty() {
+            "nothing".to_owned()
+        } else {
+            told.join(", ")
+        };
+        format!(
+            "{told}{more} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
+        )
+    }
+
+    fn model_sentences(&self, shown: Pathway, full: bool) -> Vec<String> {
+        let Some(from) = &self.model_from else {
+            return vec!["none beside it: give one with --model".to_owned()];
+        };
+        let all = &self.compared.departures;
+        if all.is_empty() {
+            return vec![format!(
+                "{from}: within the intervals wherever the response is carried"
+            )];
+        }
+        let missing = self.compared.missing_resonances();
+        let mut told: Vec<String> = missing
+            .iter()
+            .map(|mode| {
+                let at = significant(mode.frequency_hz, 3);
+                format!("no resonance at {at} Hz: an elastic coupling would look like that")
+            })
+            .collect();
+        let mut bands: Vec<&Departure> = all.iter().collect();
+        // What is shown first, and of it what is farthest off.
+        bands.sort_by(|a, b| {
+            let is_other = |own: &Departure| own.pathway != shown;
+            let sizes = b.magnitude_db.abs().total_cmp(&a.magnitude_db.abs());
+            is_other(a).cmp(&is_other(b)).then(sizes)
+        });
+        let most = if full { bands.len() } else { 1 };
+        told.extend(bands.iter().take(most).map(|band| band.sentence()));
+        if let more @ 1.. = bands.len() - most {
+            told.push(format!("--full has {more} bands more in which it is off"));
+        }
+        told
+    }
+
+    /// A point of each interval of the logarithmic axis, that of a mode where there is one.
+    fn bars(&self, own: &PathwayResponse) -> Vec<(String, f64, String)> {
+        let carried = own.points.iter().filter(|point| point.is_carried);
+        let carried: Vec<&ResponsePoint> = carried.collect();
+        let (Some(first), Some(last)) = (carried.first(), carried.last()) else {
+            return Vec::new();
+        };
+        let span = (last.frequency_hz / first.frequency_hz).ln().max(1e-9);
+        let place = |hertz: f64| {
+            let share = (hertz / first.frequency_hz).ln() / span * LINES as f64;
+            share.floor().min(LINES as f64 - 1.0)
+        };
+        let modes = self.compared.measured.modes_of(own.pathway);
+        let shown =
+            carried.chunk_by(|a, b| (place(a.frequency_hz) - place(b.frequency_hz)).abs() < 0.5);
+        let shown = shown.map(|points| {
+            let in_reach = |mode: &&Mode| {
+                (place(mode.frequency_hz) - place(points[0].frequency_hz)).abs() < 0.5
+            };
+            let mode = modes.iter().find(in_reach);
+            let point = mode.map_or(points[points.len() / 2], |mode| {
+                let apart =
+                    |point: &ResponsePoint| (point.frequency_hz / mode.frequency_hz).ln().abs();
+                let nearest = points.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+                nearest.unwrap_or(&points[0])
+            });
+            (point, mode)
+        });
+        let shown: Vec<(&ResponsePoint, Option<&Mode>)> = shown.collect();
+        let decibel = |point: &ResponsePoint| 20.0 * point.magnitude.log10();
+        let least = shown.iter().map(|(point, _)| decibel(point));
+        let least = least.fold(f64::INFINITY, f64::min);
+        let bars = shown.into_iter().map(|(point, mode)| {
+            let mode = mode.map_or("", |mode| mode.kind.name());
+            let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
+            let value = decibel(point);
+            (
+                name.trim_end().to_owned(),
+                value - least + SHORTEST_DB,
+                format!("{value:+.1}"),
+            )
+        });
+        bars.collect()
+    }
+
+    fn go_on(&self, card: &mut Card, is_empty: bool) {
+        let GoOn {
+            run,
+            model,
+            map_words,
+        } = &self.go_on;
+        if is_empty {
+            card.say("record", [CHIRP], 1);
+            card.go_on("drivebench run BENCH.toml");
+            return;
+        }
+        match model {
+            Some(model) if !self.compared.missing_resonances().is_empty() => card.go_on(format!(
+                "drivebench add elastic_coupling --model {model} --run {run}{map_words}"
+            )),
+            Some(model) if self.compared.departures.is_empty() => {
+                card.go_on(format!("drivebench tune --model {model}"));
+            }
+            Some(model) => card.go_on(format!(
+                "drivebench diagnose {run} --model {model}{map_words}"
+            )),
+            None => card.go_on(format!("drivebench diagnose {run}{map_words}")),
+        }
+    }
+
+    /// Magnitude, phase and coherence of a pathway.
+    pub(crate) fn svg(&self, pathway: Pathway) -> Result<String, Failure> {
+        let Compared {
+            measured, model, ..
+        } = &self.compared;
+        let bands = measured.of(pathway).map(PathwayResponse::bands_hz);
+        let bands = bands.unwrap_or_default();
+        let first_hz = bands.first().map_or(f64::INFINITY, |band| band.0);
+        let last_hz = bands.last().map_or(0.0, |band| band.1);
+        let curve = |label: &str, style, of: &FrequencyResponse, place: Place| {
+            let points = of.of(pathway).map_or(&[][..], |own| own.points.as_slice());
+            let points = points.iter().map(place);
+            // Beyond what was measured the model has nothing to be compared with.
+            let is_shown = |own: &ResponsePlace| {
+                style == Style::Measured || (first_hz..=last_hz).contains(&own.frequency_hz)
+            };
+            ResponseCurve {
+                label: label.to_owned(),
+                style,
+                points: points.filter(is_shown).collect(),
+            }
+        };
+        let unit = measured.of(pathway).map_or("", |own| own.unit);
+        let panel = |title: String, place: Place, shows, has_model: bool| {
+            let label = if has_model {
+                "measured, 95 %"
+            } else {
+                "measured"
+            };
+            let mut curves = vec![curve(label, Style::Measured, measured, place)];
+            let model = model.as_ref().filter(|_| has_model);
+            curves.extend(model.map(|model| curve("model", Style::Before, model, place)));
+            ResponsePanel {
+                title,
+                curves,
+                shows,
+            }
+        };
+        let chart = ResponseChart {
+            axis: format!("{}: frequency, Hz", pathway.name()),
+            panels: vec![
+                panel(
+                    format!("magnitude, dB of 1 {unit}"),
+                    magnitude_db,
+                    None,
+                    true,
+                ),
+                panel("phase, degrees".to_owned(), phase_deg, None, true),
+                panel("coherence".to_owned(), coherence, Some((0.0, 1.0)), false),
+            ],
+            modes: measured
+                .modes_of(pathway)
+                .iter()
+                .map(|mode| {
+                    let hertz = significant(mode.frequency_hz, 3);
+                    (
+                        format!("{} {hertz} Hz", mode.kind.name()),
+                        mode.frequency_hz,
+                    )
+                })
+                .collect(),
+        };
+        let description = format!("frequency response, {}: {}", pathway.name(), self.title());
+        match chart.svg(&description) {
+            svg if svg.is_empty() => Err(Failure::not_identifiable(
+                format!(
+                    "{}: nothing is carried, there is nothing to draw",
+                    pathway.name()
+                ),
+                CHIRP,
+            )),
+            svg => Ok(standalone(&svg)),
+        }
+    }
+
+    /// The runs, and the model.
+    pub(crate) fn title(&self) -> String {
+        let runs = self.runs.join(" and ");
+        let model = self.model_from.as_ref();
+        model.map_or_else(|| runs.clone(), |model| format!("{runs}; model: {model}"))
+    }
+
+    /// A row for each point of each pathway, the model's values beside the measured ones.
+    pub(crate) fn csv(&self) -> Result<String, Failure> {
+        let Compared {
+            measured, model, ..
+        } = &self.compared;
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
+        for own in &measured.pathways {
+            let beside = model.as_ref().and_then(|model| model.of(own.pathway));
+            let beside = beside.map_or(&[][..], |beside| beside.points.as_slice());
+            for point in &own.points {
+                let place = beside.partition_point(|other| other.frequency_hz < point.frequency_hz);
+                let other = beside.get(place);
+                let other = other.filter(|other| other.frequency_hz <= point.frequency_hz);
+                writer
+                    .serialize(Row {
+                        pathway: own.pathway.key(),
+                        frequency_hz: point.frequency_hz,
+                        magnitude_unit: own.unit,
+                        magnitude: point.magnitude,
+                        magnitude_low: point.magnitude_low,
+                        magnitude_high: point.magnitude_high,
+                        phase_rad: point.phase_deg.to_radians(),
+                        phase_half_width_rad: point.phase_half_width_deg.to_radians(),
+                        coherence: point.coherence,
+                        is_carried: point.is_carried,
+                        model_magnitude: other.map(|other| other.magnitude),
+                        model_phase_rad: other.map(|other| other.phase_deg.to_radians()),
+                    })
+                    .map_err(failed)?;
+            }
+        }
+        let bytes = writer
+            .into_inner()
+            .map_err(|error| Failure::internal(format!("the table: {error}")))?;
+        String::from_utf8(bytes).map_err(|error| Failure::internal(format!("the table: {error}")))
+    }
+}
+
+/// What carries a response, as a bench file has it.
+const CHIRP: &str = "[[sequence]] chirp = { amplitude_v = 6.0, from_hz = 0.5, to_hz = 40.0, seconds = 30.0, offset_v = 20.0 } in the bench file, about an offset that keeps the shaft turning";
+
+/// Where a point stands in a picture.
+type Place = fn(&ResponsePoint) -> ResponsePlace;
+
+fn magnitude_db(point: &ResponsePoint) -> ResponsePlace {
+    let [value, low, high] = [point.magnitude, point.magnitude_low, point.magnitude_high]
+        .map(|value| 20.0 * value.log10());
+    placed(point, value, low, high)
+}
+
+fn phase_deg(point: &ResponsePoint) -> ResponsePlace {
+    let (value, half) = (point.phase_deg, point.phase_half_width_deg);
+    placed(point, value, value - half, value + half)
+}
+
+fn coherence(point: &ResponsePoint) -> ResponsePlace {
+    placed(point, point.coherence, point.coherence, point.coherence)
+}
+
+const fn placed(point: &ResponsePoint, value: f64, low: f64, high: f64) -> ResponsePlace {
+    ResponsePlace {
+        frequency_hz: point.frequency_hz,
+        value,
+        low,
+        high,
+        is_carried: point.is_carried,
+    }
+}
+
+#[derive(Serialize)]
+struct Row {
+    pathway: &'static str,
+    frequency_hz: f64,
+    magnitude_unit: &'static str,
+    magnitude: f64,
+    magnitude_low: f64,
+    magnitude_high: f64,
+    phase_rad: f64,
+    phase_half_width_rad: f64,
+    coherence: f64,
+    is_carried: bool,
+    model_magnitude: Option<f64>,
+    model_phase_rad: Option<f64>,
+}
+
+/// The model that is named, else the one in the run's folder; that one may have gaps, and is then left out.
+fn model(
+    path: Option<&Path>,
+    first: Option<&LoadedRun>,
+) -> Result<Option<(PathBuf, Model)>, Failure> {
+    if let Some(path) = path {
+        let model = read_model(path)?.model;
+        model.require_complete()?;
+        return Ok(Some((path.to_owned(), model)));
+    }
+    let folder = first.and_then(|run| run.folder.as_ref());
+    let path = folder.map(|folder| RunFolder::existing(folder).file(RunFile::Model));
+    let Some(path) = path.filter(|path| path.exists()) else {
+        return Ok(None);
+    };
+    let model = read_model(&path)?.model;
+    if let Err(error) = model.require_complete() {
+        output::message(&format!("{}: not shown: {error}", path.display()));
+        return Ok(None);
+    }
+    Ok(Some((path, model)))
+}

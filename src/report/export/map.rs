@@ -1,0 +1,91 @@
+//! A measured torque map as a table: CSV, or C with a function that reads it.
+
+use std::fmt::Write as _;
+
+use super::identifier;
+use crate::diagnosis::{MapBin, MappedTorque, MappedValue, TorqueMap};
+
+/// The map as CSV: a row for each bin at its middle, its cells empty where nothing was measured.
+pub fn map_as_csv(map: &TorqueMap) -> String {
+    let mut text = format!(
+        "{},torque_n_m,torque_low_n_m,torque_high_n_m,windows\n",
+        map.of.axis().0
+    );
+    for bin in &map.bins {
+        let _ = write!(text, "{:?},", bin.middle());
+        match bin.torque {
+            Some(it) => {
+                let _ = write!(
+                    text,
+                    "{:?},{:?},{:?}",
+                    it.torque_n_m, it.low_n_m, it.high_n_m
+                );
+            }
+            None => text.push_str(",,"),
+        }
+        let _ = writeln!(text, ",{}", bin.windows);
+    }
+    text
+}
+
+/// The map as one C99 header. `title` says what it is and where it comes from.
+pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
+    let name = identifier(name);
+    let (place, unit) = map.of.axis();
+    let turns = map.of == MappedTorque::Cogging;
+    let inside = format!("along >= 0.0f && along <= (float){{{{NAME}}}}_BINS && {place} != 0.0f");
+    let beyond_zero = "    /* Friction does not lead through zero. */\n    there = next >= 0 && next < {{NAME}}_BINS && (next < {{NAME}}_BINS / 2) == (own < {{NAME}}_BINS / 2) ? {{name}}_torque_n_m[next] : here;";
+    let (wrap, inside, beyond) = if turns {
+        (
+            format!("    {place} -= 6.28318531f * floorf({place} / 6.28318531f);"),
+            "along >= 0.0f".to_owned(),
+            "    there = {{name}}_torque_n_m[(next + {{NAME}}_BINS) % {{NAME}}_BINS];",
+        )
+    } else {
+        (String::new(), inside, beyond_zero)
+    };
+    let list = |of: fn(&MappedValue) -> f64| -> String {
+        let cell = |bin: &MapBin| match &bin.torque {
+            Some(value) => format!("{:?}f", of(value) as f32),
+            None => "NAN".to_owned(),
+        };
+        let lines = map.bins.chunks(8).map(|bins| {
+            let cells: Vec<String> = bins.iter().map(cell).collect();
+            format!("    {},", cells.join(", "))
+        });
+        lines.collect::<Vec<_>>().join("\n")
+    };
+    let first = &map.bins[0];
+    let mut text = include_str!("map.h").to_owned();
+    if wrap.is_empty() {
+        text = text.replace("{{wrap}}\n", "");
+    }
+    for (key, value) in [
+        ("wrap", wrap.as_str()),
+        ("inside", inside.as_str()),
+        ("beyond", beyond),
+        ("means", &list(|value| value.torque_n_m)),
+        ("lows", &list(|value| value.low_n_m)),
+        ("highs", &list(|value| value.high_n_m)),
+        ("count", &map.bins.len().to_string()),
+        ("first", &format!("{:?}", first.from as f32)),
+        ("width", &format!("{:?}", (first.to - first.from) as f32)),
+        ("unit", unit),
+        ("place", place),
+        ("suffix", if turns { "rad" } else { "rad_s" }),
+        (
+            "axis",
+            if turns {
+                "the angle within a turn"
+            } else {
+                "the speed, both directions"
+            },
+        ),
+        ("title", &title.replace("*/", "* /")),
+        ("name", &name),
+        ("NAME", &name.to_uppercase()),
+    ] {
+        text = text.replace(&format!("{{{{{key}}}}}"), value);
+    }
+    text
+}
