@@ -142,7 +142,8 @@ impl Bode {
         ))
     }
 
-    pub(crate) fn card(&self, pathway: Pathway) -> Card {
+    /// `full`: every band in which the model departs.
+    pub(crate) fn card(&self, pathway: Pathway, full: bool) -> Card {
         let measured = &self.compared.measured;
         let Some(own) = measured.of(pathway) else {
             return Card::new(Tone::Plain, "nothing", "was measured");
@@ -157,7 +158,7 @@ impl Bode {
         card.say("modes", self.other_modes(pathway), 2);
         card.say("carried", [self.band_sentence(&bands)], 1);
         card.say("rate", [measured.rate_sentence()], 1);
-        card.say("model", self.model_sentences(pathway), 2);
+        card.say("model", self.model_sentences(pathway, full), 3);
         card.say("caution", measured.cautions.iter().map(String::as_str), 1);
         let bars = self.bars(own);
         if !bars.is_empty() {
@@ -222,37 +223,35 @@ impl Bode {
         )
     }
 
-    fn model_sentences(&self, shown: Pathway) -> Vec<String> {
+    fn model_sentences(&self, shown: Pathway, full: bool) -> Vec<String> {
         let Some(from) = &self.model_from else {
             return vec!["none beside it: give one with --model".to_owned()];
         };
+        let all = &self.compared.departures;
+        if all.is_empty() {
+            return vec![format!(
+                "{from}: within the intervals wherever the response is carried"
+            )];
+        }
         let missing = self.compared.missing_resonances();
         let mut told: Vec<String> = missing
             .iter()
             .map(|mode| {
                 let at = significant(mode.frequency_hz, 3);
-                format!(
-                    "{from} has no resonance at {at} Hz: an elastic coupling would look like that"
-                )
+                format!("no resonance at {at} Hz: an elastic coupling would look like that")
             })
             .collect();
-        let (own, others): (Vec<&Departure>, Vec<&Departure>) = self
-            .compared
-            .departures
-            .iter()
-            .partition(|band| band.pathway == shown);
-        told.extend(own.into_iter().map(Departure::sentence));
-        let others: Vec<&str> = Pathway::ALL
-            .into_iter()
-            .filter(|pathway| others.iter().any(|band| band.pathway == *pathway))
-            .map(Pathway::name)
-            .collect();
-        if told.is_empty() && others.is_empty() {
-            let within = "within the intervals wherever the response is carried";
-            told.push(format!("{from}: {within}"));
-        }
-        if !others.is_empty() {
-            told.push(format!("it is off in {} too", others.join(" and ")));
+        let mut bands: Vec<&Departure> = all.iter().collect();
+        // What is shown first, and of it what is farthest off.
+        bands.sort_by(|a, b| {
+            let is_other = |own: &Departure| own.pathway != shown;
+            let sizes = b.magnitude_db.abs().total_cmp(&a.magnitude_db.abs());
+            is_other(a).cmp(&is_other(b)).then(sizes)
+        });
+        let most = if full { bands.len() } else { 1 };
+        told.extend(bands.iter().take(most).map(|band| band.sentence()));
+        if let more @ 1.. = bands.len() - most {
+            told.push(format!("--full has {more} bands more in which it is off"));
         }
         told
     }
@@ -332,17 +331,31 @@ impl Bode {
         let Compared {
             measured, model, ..
         } = &self.compared;
+        let bands = measured.of(pathway).map(PathwayResponse::bands_hz);
+        let bands = bands.unwrap_or_default();
+        let first_hz = bands.first().map_or(f64::INFINITY, |band| band.0);
+        let last_hz = bands.last().map_or(0.0, |band| band.1);
         let curve = |label: &str, style, of: &FrequencyResponse, place: Place| {
             let points = of.of(pathway).map_or(&[][..], |own| own.points.as_slice());
+            let points = points.iter().map(place);
+            // Beyond what was measured the model has nothing to be compared with.
+            let is_shown = |own: &ResponsePlace| {
+                style == Style::Measured || (first_hz..=last_hz).contains(&own.frequency_hz)
+            };
             ResponseCurve {
                 label: label.to_owned(),
                 style,
-                points: points.iter().map(place).collect(),
+                points: points.filter(is_shown).collect(),
             }
         };
         let unit = measured.of(pathway).map_or("", |own| own.unit);
         let panel = |title: String, place: Place, shows, has_model: bool| {
-            let mut curves = vec![curve("measured, 95 %", Style::Measured, measured, place)];
+            let label = if has_model {
+                "measured, 95 %"
+            } else {
+                "measured"
+            };
+            let mut curves = vec![curve(label, Style::Measured, measured, place)];
             let model = model.as_ref().filter(|_| has_model);
             curves.extend(model.map(|model| curve("model", Style::Before, model, place)));
             ResponsePanel {

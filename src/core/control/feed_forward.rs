@@ -590,6 +590,7 @@ mod tests {
             torque_n_m_per_a: 0.3538,
             friction_n_m: 0.455,
             viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
             drive_current_limit_a: 11.4,
             period_s: TIMING.period_s,
             delay_periods: 2,
@@ -658,6 +659,7 @@ mod tests {
             proportional: 0.4,
             integral_time_s: 0.05,
             reference_filter_s: 0.0,
+            notch: None,
         };
         let pi = Pi::new(gains, AntiWindup::Hold, Holding::default());
         let step = |time_s: f64| if time_s < 0.5 { 0.0 } else { 100.0 };

@@ -65,11 +65,12 @@ impl ResponseChart {
         let x = Scale::across(Along::Log, across);
         let (mut svg, mut top) = (Svg::default(), 0.0);
         for panel in &self.panels {
-            if self.panel(&mut svg, panel, &x, top + HEAD) {
+            // Named once, in the first panel.
+            if self.panel(&mut svg, panel, &x, top + HEAD, top <= 0.0) {
                 top += HEAD + PANEL + GAP;
             }
         }
-        if top == 0.0 {
+        if top <= 0.0 {
             return String::new();
         }
         let base = top - GAP;
@@ -81,7 +82,14 @@ impl ResponseChart {
     }
 
     /// Whether there was anything to draw.
-    fn panel(&self, svg: &mut Svg, panel: &ResponsePanel, x: &Scale, upper: f64) -> bool {
+    fn panel(
+        &self,
+        svg: &mut Svg,
+        panel: &ResponsePanel,
+        x: &Scale,
+        upper: f64,
+        names: bool,
+    ) -> bool {
         let carried = panel.curves.iter().flat_map(|curve| &curve.points);
         let carried = carried.filter(|point| point.is_known() && point.is_carried);
         let edges = carried.flat_map(|point| [point.low, point.high]);
@@ -105,16 +113,19 @@ impl ResponseChart {
         for curve in &panel.curves {
             curve.draw(svg, x, &y);
         }
-        for (name, frequency_hz) in &self.modes {
+        for (row, (name, frequency_hz)) in self.modes.iter().enumerate() {
             let at = x.px(*frequency_hz);
             svg.line("divider", (at, upper), (at, lower));
-            // Beside the line, on the side where there is room.
+            if !names {
+                continue;
+            }
+            // Beside the line, on the side where there is room, each in a row of its own.
             let left = if at + width(name) + 8.0 < x.to_px {
                 at + 4.0
             } else {
                 at - width(name) - 4.0
             };
-            svg.text("tick", left, upper + 13.0, name);
+            svg.text("tick", left, upper + 13.0 + 14.0 * row as f64, name);
         }
         svg.write(format_args!("</svg></g>"));
         true

@@ -219,6 +219,17 @@ fn panel(
     if let Some(point) = cursor {
         vertical(point.frequency_hz, '┊', bounds, inner, buffer);
     }
+    let traces = traces(own, beside, shows, (low, high));
+    plot(&traces, bounds, inner, buffer);
+}
+
+/// What is not carried, the interval, what is, and the model, later ones over earlier ones.
+fn traces(
+    own: &PathwayResponse,
+    beside: Option<&PathwayResponse>,
+    shows: Shows,
+    (low, high): (f64, f64),
+) -> Vec<Trace> {
     let line = |points: &[ResponsePoint],
                 value: &dyn Fn(&ResponsePoint) -> f64,
                 keeps: &dyn Fn(&ResponsePoint, f64) -> bool,
@@ -268,11 +279,13 @@ fn panel(
     ];
     if let Some(beside) = beside {
         // Beyond what the measurement carries there is nothing to be compared.
+        let bands = own.bands_hz();
+        let (first_hz, last_hz) = match bands.as_slice() {
+            [(first, _), .., (_, last)] | [(first, last)] => (*first, *last),
+            [] => (f64::INFINITY, 0.0),
+        };
         let measured = |point: &ResponsePoint, value: f64| {
-            let place = own
-                .points
-                .partition_point(|own| own.frequency_hz < point.frequency_hz);
-            let is_there = own.points.get(place).is_some_and(|own| own.is_carried);
+            let is_there = (first_hz..=last_hz).contains(&point.frequency_hz);
             is_there && (low..=high).contains(&value)
         };
         traces.push(line(
@@ -283,7 +296,7 @@ fn panel(
             theme::MODEL,
         ));
     }
-    plot(&traces, bounds, inner, buffer);
+    traces
 }
 
 fn title(

@@ -217,8 +217,7 @@ impl FrequencyResponse {
         let [sampling, highest, half] =
             [self.sampling_hz, self.highest_hz, 0.5 * self.sampling_hz].map(|hz| shortest(hz, 4));
         format!(
-            "sampled at {sampling} Hz: shown up to {highest} Hz; a resonance above that is not seen, and one above {half} Hz \
-             would appear below it, at another frequency"
+            "sampled at {sampling} Hz: shown up to {highest} Hz; what swings above {half} Hz would appear below it"
         )
     }
 }
@@ -352,7 +351,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         let now = speed.get(row).copied().unwrap_or(0.0);
         let is_missing = row < time_s.len() && !now.is_finite();
         let turns = now.abs() > TURNING * largest;
-        if is_missing || open.is_some_and(|(_, sign)| turns && now.signum() == sign) {
+        if is_missing || open.is_some_and(|(_, sign)| turns && now * sign > 0.0) {
             continue;
         }
         if let Some((from, _)) = open.take() {
@@ -367,7 +366,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
     found.retain(|rows| seconds(rows) >= 0.5 * longest);
     let keeps_turning = !found.is_empty();
     if !keeps_turning {
-        found = vec![0..time_s.len()];
+        found.push(0..time_s.len());
     }
     let cut = found.into_iter().flat_map(|rows| {
         let parts = rows.len().div_ceil(LONGEST_ROWS);
@@ -497,7 +496,7 @@ impl Estimator {
                     .collect()
             })
             .collect();
-        let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| self.pooled(at)).collect();
+        let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| Self::pooled(at)).collect();
         let pathways = Pathway::ALL.into_iter().filter(|pathway| match pathway {
             Pathway::VoltageToSpeed => self.has[1],
             Pathway::VoltageToCurrent => self.has[0],
@@ -537,7 +536,7 @@ impl Estimator {
     }
 
     /// The stretches together, each output weighed by its variance.
-    fn pooled(&self, at: &[Option<Local>]) -> Option<Pooled> {
+    fn pooled(at: &[Option<Local>]) -> Option<Pooled> {
         let known: Vec<&Local> = at.iter().flatten().collect();
         if known.is_empty() {
             return None;
@@ -742,7 +741,13 @@ fn is_seen(mode: &Mode, points: &[ResponsePoint]) -> bool {
     let contrast = height(top) - 0.5 * (height(below) + height(above));
     let half = |point: &ResponsePoint| (point.magnitude_high / point.magnitude).ln();
     let unsure = half(top).hypot(0.5 * half(below).hypot(half(above)));
-    below.is_carried && above.is_carried && contrast > LEAST_CONTRAST && contrast > unsure
+    let sides_carried = [below, above].map(|side| side.is_carried);
+    // A dip is where little comes out, and the far side of a peak may be below the noise.
+    let is_carried = match sides_carried {
+        [true, true] => true,
+        [one, other] => top.is_carried && (one || other),
+    };
+    is_carried && contrast > LEAST_CONTRAST && contrast > unsure
 }
 
 /// A phase moved by whole turns to within half a turn of the one before.

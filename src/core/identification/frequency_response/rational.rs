@@ -279,7 +279,7 @@ impl Task {
         let cost = self
             .rows
             .iter()
-            .map(|row| self.error(layout, &found, row).norm_sqr())
+            .map(|row| Self::error(layout, &found, row).norm_sqr())
             .sum();
         found
             .iter()
@@ -288,7 +288,7 @@ impl Task {
     }
 
     /// What the model is off by at a line, in deviations of a part.
-    fn error(&self, layout: Layout, parameters: &[f64], row: &Row) -> Complex<f64> {
+    fn error(layout: Layout, parameters: &[f64], row: &Row) -> Complex<f64> {
         let late = (-row.s * parameters[parameters.len() - 1]).exp();
         let numerator = value(&parameters[layout.numerator(row.output)], row.s) * late * row.input;
         let transient = value(
@@ -320,7 +320,7 @@ impl Problem for Model<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let parameters = self.parameters(x);
         for (row, out) in self.task.rows.iter().zip(out.chunks_exact_mut(2)) {
-            let error = self.task.error(self.layout, &parameters, row);
+            let error = Task::error(self.layout, &parameters, row);
             (out[0], out[1]) = (error.re, error.im);
         }
         out.iter().all(|value| value.is_finite())

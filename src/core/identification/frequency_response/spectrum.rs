@@ -45,8 +45,9 @@ impl Phasor {
             self.since = 0;
             self.value = Complex::cis(-self.frequency_rad_s * time_s);
         } else {
-            // A comparison that is false for the first step as well.
-            if !((step_s - self.step_s).abs() < SAME_STEP_S) {
+            // Nor is there one before the first.
+            let differs = (step_s - self.step_s).abs() >= SAME_STEP_S;
+            if differs || self.step_s.is_nan() {
                 self.step_s = step_s;
                 self.turn = Complex::cis(-self.frequency_rad_s * step_s);
             }
