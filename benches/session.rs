@@ -91,6 +91,7 @@ fn session(bench: &BenchFile) -> Session {
     let actuator = drivebench::control::Actuator::Voltage;
     let regulator = Design {
         model: &model,
+        fitted: &[],
         motor: &motor,
         limits: &limits,
         section,

@@ -144,6 +144,9 @@ fn as_json(
             .values()
             .map(|(key, value)| (key.to_owned(), Value::from(value)));
         value["regulator"] = Value::Object(values.into_iter().collect());
+        if let Some(notch) = &regulator.gains.notch {
+            value["regulator"]["notch"] = json!(notch);
+        }
     }
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
 }

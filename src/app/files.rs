@@ -20,7 +20,6 @@ use crate::recording::{
     RunFolder, open_run, run_from_memory, write_run,
 };
 use crate::report::{EarlyEnd, Tone};
-use crate::sample::ParameterEstimate;
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
@@ -64,16 +63,6 @@ fn meant(path: &Path) -> String {
     }
 }
 
-/// The standard deviations that a model file keeps beside its values.
-pub(crate) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
-    let known = parameters.iter().filter_map(|p| {
-        let std = p.std.filter(|std| *std > 0.0)?;
-        let key = p.key.clone();
-        Some(FittedValue { key, std })
-    });
-    known.collect()
-}
-
 /// The model of a fit as a file: what it was fitted on, and its rungs after those of the model before it.
 pub(crate) fn model_file(
     fit: &Fitted,
@@ -84,7 +73,7 @@ pub(crate) fn model_file(
 ) -> ModelFile {
     let mut history = FileHistory {
         fitted_on: fitted_on.into_iter().collect(),
-        fitted: fitted(&fit.parameters),
+        fitted: FittedValue::all(&fit.parameters),
         ..before.clone()
     };
     for rung in ladder.iter().map(|rung| rung_text(rung, floor)) {

@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 
 use super::evidence::{before_identify, signals};
 use super::failure::Failure;
-use super::files::{fitted, read_text};
+use super::files::read_text;
 use super::output;
 use crate::bench::{
     Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
@@ -24,7 +24,7 @@ use crate::identification::online::OnlineConfig;
 use crate::identification::repeat::Repeated;
 use crate::identification::scheme::{self, Data, Identified};
 use crate::identification::{claims, lost_rows, sanity, temperature, voltage_departure};
-use crate::plant::{Model, ModelFile, Motor, MotorKey, Scenario};
+use crate::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
 use crate::report::conventions;
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
@@ -70,7 +70,7 @@ impl Answer {
         file.model = Identified::new("", &file.model, parameters.clone()).model;
         let names = self.runs.iter().map(|run| run.loaded.run.name.clone());
         file.history.fitted_on = names.collect();
-        file.history.fitted = fitted(&parameters);
+        file.history.fitted = FittedValue::all(&parameters);
         output::file(path, &file.to_toml())
     }
 }

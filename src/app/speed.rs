@@ -164,6 +164,7 @@ impl LoopParts {
         let delay_s = delay_s + self.limits.dead_time_s;
         Design {
             model: &self.model.model,
+            fitted: &self.model.history.fitted,
             motor: &self.motor,
             limits: &self.limits,
             section: &self.section,

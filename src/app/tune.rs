@@ -9,33 +9,22 @@ use serde::{Deserialize, Serialize};
 use super::failure::Failure;
 use super::files::read_text;
 use super::output::quoted;
-use crate::control::tuning::{Request, Tuning, tune};
+use crate::control::tuning::{Request, Tuning, tune_over};
 use crate::control::{
-    Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, Schedule, StepPoint,
-    viscous_n_m_s_per_rad,
+    Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
+    StepPoint, drawn,
 };
-use crate::plant::{Model, ModelFile, MotorKey};
+use crate::plant::{Model, ModelFile};
 use crate::report::{Card, Tone};
 
-/// Standard deviations of the inertia at whose ends the loop is looked at.
-const DOUBT: f64 = 2.0;
 /// Lines of the predicted step response.
 const LINES: usize = 16;
-
-/// The same gains on a motor whose inertia is at an end of its interval.
-#[derive(Serialize)]
-struct Corner {
-    inertia_kg_m2: f64,
-    margins: Margins,
-}
 
 #[derive(Serialize)]
 pub(crate) struct TuneResult {
     #[serde(flatten)]
     tuning: Tuning,
     step: Vec<StepPoint>,
-    /// At the ends of the inertia's interval, where the model file gives its standard deviation.
-    corners: Vec<Corner>,
     /// Inertia over the model's between which gains can follow it on line.
     adaptation_range: (f64, f64),
 }
@@ -46,12 +35,13 @@ impl TuneResult {
         timing: &LoopTiming,
         request: &Request,
     ) -> Result<Self, Failure> {
-        let plant = plant(&file.model)?;
-        let tuning = tune(&plant, timing, request)?;
+        let own = plant(&file.model)?;
+        let draws = drawn(&file.model, &file.history.fitted, plant);
+        let mut tuning = tune_over(&own, &draws, timing, request)?;
+        tuning.put_band(&draws);
         Ok(Self {
             step: tuning.step.clone(),
-            corners: corners(file, &plant, &tuning),
-            adaptation_range: Schedule::new(&plant, timing, request)?.range(),
+            adaptation_range: Schedule::new(&own, &draws, timing, request)?.range(),
             tuning,
         })
     }
@@ -62,9 +52,8 @@ impl TuneResult {
 }
 
 /// The plant that a regulator of the voltage sees.
-fn plant(model: &Model) -> Result<LinearPlant, Failure> {
-    let viscous = viscous_n_m_s_per_rad(model, Actuator::Voltage)?;
-    Ok(LinearPlant::voltage(model, viscous)?)
+fn plant(model: &Model) -> Result<LinearPlant, PlantError> {
+    LinearPlant::of(model, Actuator::Voltage, 0.0)
 }
 
 /// What `tune --json` prints, as far as a regulator needs it.
@@ -114,23 +103,6 @@ impl KeptGains {
     }
 }
 
-fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner> {
-    let key = MotorKey::Inertia.key();
-    let std = file.history.fitted.iter().find(|fitted| fitted.key == key);
-    let (Some(std), Some(inertia)) = (std, file.model.motor.get(MotorKey::Inertia)) else {
-        return Vec::new();
-    };
-    let ends = [-DOUBT, DOUBT].map(|doubt| inertia + doubt * std.std);
-    let corners = ends.into_iter().filter(|value| *value > 0.0).map(|value| {
-        let plant = plant.with_inertia_ratio(value / inertia);
-        Corner {
-            inertia_kg_m2: value,
-            margins: LoopShape::new(&plant, &tuning.timing, &tuning.gains).margins(),
-        }
-    });
-    corners.collect()
-}
-
 fn card(result: &TuneResult, model: &Path) -> Card {
     let Tuning {
         rule,
@@ -142,6 +114,9 @@ fn card(result: &TuneResult, model: &Path) -> Card {
     } = &result.tuning;
     let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
     let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
+    if let Some(notch) = &gains.notch {
+        let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
+    }
     if gains.reference_filter_s > 0.0 {
         let _ = write!(
             sentence,
@@ -151,12 +126,13 @@ fn card(result: &TuneResult, model: &Path) -> Card {
     }
     let mut card = Card::new(Tone::Good, rule.name(), &sentence);
     card.say("why", reasons.iter().map(String::as_str), 1);
-    let corners = result.corners.iter().map(|corner| {
-        let margins = margins_text(&corner.margins);
-        format!("at {:.5} kg.m2: {margins}", corner.inertia_kg_m2)
+    let drawn = result.tuning.draws.as_ref().map(|draws| {
+        let (count, stable) = (draws.count, 100.0 * draws.stable_share);
+        let worst = margins_text(&draws.worst);
+        format!("worst of {count} draws of the parameters ({stable:.0} % stable): {worst}")
     });
-    let margins = [margins_text(margins)].into_iter().chain(corners);
-    card.say("margins", margins.collect::<Vec<_>>(), 3);
+    let margins = [margins_text(margins)].into_iter().chain(drawn);
+    card.say("margins", margins.collect::<Vec<_>>(), 2);
     let (low, high) = result.adaptation_range;
     let range = format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
     card.say("range", [range], 1);
@@ -175,7 +151,17 @@ fn card(result: &TuneResult, model: &Path) -> Card {
     let points = (0..LINES).map(|n| &result.step[n * (last - 1) / (LINES - 1)]);
     let bars = points.map(|point| {
         let (time_s, speed) = (point.time_s, point.speed);
-        (format!("{time_s:>8.3} s"), speed, format!("{speed:.3}"))
+        let band = point
+            .low
+            .zip(point.high)
+            .map_or_else(String::new, |(low, high)| {
+                format!("  {low:.3} to {high:.3}")
+            });
+        (
+            format!("{time_s:>8.3} s"),
+            speed,
+            format!("{speed:.3}{band}"),
+        )
     });
     card.bars("", bars.collect(), "speed over its reference");
     let model = quoted(model);

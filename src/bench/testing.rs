@@ -549,6 +549,11 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
         }
     }
 
+    /// In cycles of another length.
+    pub(super) fn every(self, period_s: f64) -> Self {
+        Self { period_s, ..self }
+    }
+
     pub(super) fn feed(&mut self, input: Input) {
         let mut actions = Vec::new();
         self.session.step(self.now_s, input, &mut actions);

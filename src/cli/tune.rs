@@ -7,7 +7,7 @@ use super::output;
 use crate::app::files::read_model;
 use crate::app::tune::TuneResult;
 use crate::control::LoopTiming;
-use crate::control::tuning::{Request, Rule};
+use crate::control::tuning::{NotchUse, Request, Rule};
 
 /// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
 #[derive(clap::Args)]
@@ -34,6 +34,9 @@ pub(super) struct Arguments {
     /// Bandwidth of the closed loop; without it the rule's own
     #[arg(long, value_name = "HZ")]
     bandwidth_hz: Option<f64>,
+    /// No notch at the frequency of a coupling: for a regulator that has none; the loop is slowed down instead
+    #[arg(long)]
+    no_notch: bool,
     /// Print all there is to say; without it what fits 100 columns and 30 lines
     #[arg(long)]
     full: bool,
@@ -68,6 +71,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let request = Request {
         rule: arguments.rule.into(),
         bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
+        notch: NotchUse::unless(arguments.no_notch),
     };
     let result = TuneResult::of(&file, &timing, &request)?;
     let (json, full) = (arguments.json, arguments.full);

@@ -22,7 +22,7 @@ use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, Stag
 use crate::identification::nameplate::{self, Comparison};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
-use crate::plant::{Model, ModelError, Motor, Scenario, ScenarioError};
+use crate::plant::{FittedValue, Model, ModelError, Motor, Scenario, ScenarioError};
 use crate::report::Card;
 use crate::sample::{ParameterEstimate, Run};
 use crate::text::shell::quoted;
@@ -334,8 +334,10 @@ impl Commission {
         let motor = plate.ok_or("the model lacks a value")?;
         let period_s = self.bench.period_s();
         let limits = self.bench.limits();
+        let fitted = FittedValue::all(&diagnosis.model.parameters);
         let design = Design {
             model,
+            fitted: &fitted,
             motor: &motor,
             limits: &limits,
             section,

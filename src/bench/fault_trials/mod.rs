@@ -219,6 +219,7 @@ fn speed_session(bench: &BenchFile, guard: Guard) -> Session {
     let reference = bench.reference(section).unwrap();
     let design = Design {
         model: &model,
+        fitted: &[],
         motor: &motor,
         limits: &limits,
         section,

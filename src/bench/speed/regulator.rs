@@ -5,14 +5,14 @@ use thiserror::Error;
 use super::section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::timing::whole;
-use crate::control::tuning::{Request, TuningError, tune};
+use crate::control::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
 use crate::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
     Holding, Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming,
     Mrac, MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
-    SpeedController, TrialMachine, trial, viscous_n_m_s_per_rad,
+    SpeedController, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
 };
-use crate::plant::{Model, MotorKey};
+use crate::plant::{FittedValue, Model, MotorKey};
 
 /// Gain margin that gains given by hand have to leave.
 const LEAST_GAIN_MARGIN: f64 = 1.6;
@@ -25,6 +25,8 @@ const REHEARSAL_CYCLES: usize = 600;
 const REHEARSAL_STEP: f64 = 0.2;
 /// Swing that is left at its end, as a share of the step, with which a loop counts as stable.
 const STILL_SWINGS: f64 = 0.25;
+/// The same behind a coupling, which rings for long once it is struck.
+const STILL_RINGS: f64 = 0.05;
 /// Lag of a drive's current loop where the bench file does not say, s: what drives of some kilowatts reach.
 const CURRENT_LAG_S: f64 = 0.002;
 
@@ -45,6 +47,8 @@ pub struct Regulator {
 /// What a regulator is made from.
 pub struct Design<'a> {
     pub model: &'a Model,
+    /// Standard deviations of what was fitted of it.
+    pub fitted: &'a [FittedValue],
     pub motor: &'a Nameplate,
     pub limits: &'a Limits,
     pub section: &'a SpeedSection,
@@ -82,9 +86,14 @@ pub enum RegulatorError {
         high: f64,
     },
     #[error(
-        "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay)"
+        "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay{})", behind(*coupling_hz)
     )]
-    Gain { value: f64, most: f64, cycles: f64 },
+    Gain {
+        value: f64,
+        most: f64,
+        cycles: f64,
+        coupling_hz: Option<f64>,
+    },
     #[error(
         "speed.gains.integral_time_s = {value} s is not allowed: the sampled loop has a radius of {radius:.3} (expected more, for a radius below 1)"
     )]
@@ -111,11 +120,12 @@ pub enum RegulatorError {
     #[error("speed.feed_forward: nothing can be given forward {why}")]
     NothingForward { why: &'static str },
     #[error(
-        "{controller}: with {cycles:.2} cycles of delay the loop goes on swinging by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})"
+        "{controller}: with {cycles:.2} cycles of delay{} the loop goes on swinging by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
     )]
     Swings {
         controller: &'static str,
         cycles: f64,
+        coupling_hz: Option<f64>,
         swing: f64,
         step: f64,
         most: f64,
@@ -142,11 +152,24 @@ impl RegulatorError {
                 "the manual's speed loop response time, or a step of the set-point seen on the drive's own scope"
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
+            Self::Swings {
+                coupling_hz: Some(_),
+                ..
+            } => {
+                "ask for less (speed.bandwidth_rad_s), take addc or pi, which are tuned for the coupling, or stiffen it"
+            }
             Self::Swings { .. } => {
                 "take addc or pi, which are tuned for the delay, or a faster link"
             }
         }
     }
+}
+
+/// Where the load hangs on a coupling, says so.
+fn behind(coupling_hz: Option<f64>) -> String {
+    coupling_hz.map_or_else(String::new, |hertz| {
+        format!(" and the coupling at {hertz:.1} Hz")
+    })
 }
 
 /// Refuses a model of another motor: gains tuned on one are not for another.
@@ -195,6 +218,12 @@ pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
     }
 }
 
+/// What a design is tuned on: the plant, and draws of what is not known of it.
+struct Plants {
+    own: LinearPlant,
+    draws: Vec<LinearPlant>,
+}
+
 impl Design<'_> {
     /// # Errors
     /// A model that is not physical or of another motor, a loop that the link cannot carry, gains outside their bounds.
@@ -202,24 +231,27 @@ impl Design<'_> {
         check_kinship(self.model, self.motor)?;
         self.check_kind()?;
         let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
-        let (plant, mut reasons) = self.plant(viscous)?;
+        let (plants, mut reasons) = self.plants()?;
         let holding = Holding::of(self.model, self.actuator, viscous);
         let limiter = self.limiter();
         let mut passes = Vec::new();
         for is_compensated in self.section.feed_forward.passes().iter().copied() {
-            let (mut controller, why) = self.controller(&plant, holding)?;
+            let (mut controller, why) = self.controller(&plants, holding)?;
             if passes.is_empty() {
                 reasons.extend(why);
             }
-            if let ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac =
-                self.section.controller
-            {
-                // No rule with margins stands behind these.
-                self.rehearse(controller.as_mut(), &limiter, viscous)?;
-                controller = self.controller(&plant, holding)?.0;
+            let has_no_margins = matches!(
+                self.section.controller,
+                ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac
+            );
+            // Beside margins, which are those of a linear loop: what limits and play do behind a coupling.
+            let is_coupled = plants.own.coupling().is_some();
+            if has_no_margins || (is_coupled && self.actuator == Actuator::Voltage) {
+                self.rehearse(&plants.own, controller.as_mut(), &limiter, viscous)?;
+                controller = self.controller(&plants, holding)?.0;
             }
             if is_compensated {
-                controller = self.compensated(&plant)?;
+                controller = self.compensated(&plants)?;
             }
             passes.push((is_compensated, controller));
         }
@@ -237,26 +269,30 @@ impl Design<'_> {
         })
     }
 
-    /// The plant, and what is taken for granted of it.
-    fn plant(&self, viscous: f64) -> Result<(LinearPlant, Vec<String>), RegulatorError> {
+    /// The plant with its draws, and what is taken for granted of it.
+    fn plants(&self) -> Result<(Plants, Vec<String>), RegulatorError> {
         let lag_s = self.section.drive_lag_s;
-        Ok(match self.actuator {
-            Actuator::Voltage => (LinearPlant::voltage(self.model, viscous)?, Vec::new()),
+        let (taken_s, reason) = match self.actuator {
+            Actuator::Voltage => (0.0, None),
             Actuator::Current => {
                 let taken_s = lag_s.unwrap_or(CURRENT_LAG_S);
-                let plant = LinearPlant::current(self.model, viscous, taken_s)?;
                 let reason = format!(
                     "the drive's current loop is taken for a lag of {:.1} ms ({})",
                     1e3 * taken_s,
                     lag_s.map_or("speed.drive_lag_s is not given", |_| "speed.drive_lag_s")
                 );
-                (plant, vec![reason])
+                (taken_s, Some(reason))
             }
-            Actuator::Speed => {
-                let plant = LinearPlant::speed(lag_s.ok_or(RegulatorError::NoLag)?)?;
-                (plant, Vec::new())
-            }
-        })
+            Actuator::Speed => (lag_s.ok_or(RegulatorError::NoLag)?, None),
+        };
+        let of = |model: &Model| LinearPlant::of(model, self.actuator, taken_s);
+        let own = of(self.model)?;
+        let draws = match self.actuator {
+            // The drive's own loop is all that is seen, and none of it was fitted.
+            Actuator::Speed => Vec::new(),
+            Actuator::Voltage | Actuator::Current => drawn(self.model, self.fitted, of),
+        };
+        Ok((Plants { own, draws }, reason.into_iter().collect()))
     }
 
     fn check_kind(&self) -> Result<(), RegulatorError> {
@@ -281,7 +317,7 @@ impl Design<'_> {
     }
 
     /// The controller with the model's effects beside it. What is given forward is not for it to hold.
-    fn compensated(&self, plant: &LinearPlant) -> Result<Box<dyn SpeedController>, RegulatorError> {
+    fn compensated(&self, plants: &Plants) -> Result<Box<dyn SpeedController>, RegulatorError> {
         let limit_a = self.current_limit_a();
         let forward = FeedForward::new(self.model, self.actuator, &self.timing, limit_a);
         let why = match self.actuator {
@@ -293,38 +329,53 @@ impl Design<'_> {
             against: 0.0,
             ..Holding::of(self.model, self.actuator, 0.0)
         };
-        let inner = self.controller(plant, rest)?.0;
+        let inner = self.controller(plants, rest)?.0;
         Ok(Box::new(Compensated::new(inner, forward)))
     }
 
     fn controller(
         &self,
-        plant: &LinearPlant,
+        plants: &Plants,
         holding: Holding,
     ) -> Result<(Box<dyn SpeedController>, Vec<String>), RegulatorError> {
         let request = Request {
             rule: self.section.rule(self.actuator),
             bandwidth_rad_s: self.section.bandwidth_rad_s,
+            notch: NotchUse::unless(self.section.no_notch),
         };
         let refused = |error| RegulatorError::Tuning {
             rule: request.rule.id(),
             error,
         };
+        let tuned = || -> Result<Tuning, RegulatorError> {
+            let tuning = tune_over(&plants.own, &plants.draws, &self.timing, &request);
+            let mut tuning = tuning.map_err(refused)?;
+            if let Some(draws) = &tuning.draws {
+                let (count, worst) = (draws.count, &draws.worst);
+                tuning.reasons.push(format!(
+                    "the worst of {count} draws of the parameters keeps {:.0} degrees of phase and a gain margin of {:.2}",
+                    worst.phase_margin_deg, worst.gain_margin
+                ));
+            }
+            Ok(tuning)
+        };
+        let plant = &plants.own;
         let value = |key| self.model.motor.get(key).unwrap_or(f64::NAN);
         Ok(match self.section.controller {
             ControllerKind::Pi => {
                 let (gains, reasons) = if let Some(given) = &self.section.gains {
                     (self.checked(plant, given)?, Vec::new())
                 } else {
-                    let tuning = tune(plant, &self.timing, &request).map_err(refused)?;
+                    let tuning = tuned()?;
                     (tuning.gains, tuning.reasons)
                 };
                 (Box::new(Pi::new(gains, AntiWindup::Hold, holding)), reasons)
             }
             ControllerKind::Addc => {
-                let tuning = tune(plant, &self.timing, &request).map_err(refused)?;
+                let tuning = tuned()?;
                 let settings = AddcSettings {
                     request,
+                    draws: plants.draws.clone(),
                     ..AddcSettings::new(holding, self.noise_rad_s)
                 };
                 let mut addc =
@@ -385,6 +436,7 @@ impl Design<'_> {
             proportional: given.proportional_v_s_per_rad,
             integral_time_s: given.integral_time_s,
             reference_filter_s: 0.0,
+            notch: None,
         };
         let margins = LoopShape::new(plant, &self.timing, &gains).margins();
         if margins.gain_margin < LEAST_GAIN_MARGIN {
@@ -392,6 +444,7 @@ impl Design<'_> {
                 value: gains.proportional,
                 most: gains.proportional * margins.gain_margin / LEAST_GAIN_MARGIN,
                 cycles: self.timing.delay_cycles(),
+                coupling_hz: plant.coupling().map(|coupling| coupling.frequency_hz),
             });
         }
         if margins.radius >= 1.0 {
@@ -428,6 +481,7 @@ impl Design<'_> {
     /// motor.
     fn rehearse(
         &self,
+        plant: &LinearPlant,
         controller: &mut dyn SpeedController,
         limiter: &Limiter,
         viscous: f64,
@@ -442,6 +496,7 @@ impl Design<'_> {
             torque_n_m_per_a: self.model.motor.torque_constant().unwrap_or(ke),
             friction_n_m: value(MotorKey::LoadTorque, 0.0),
             viscous_n_m_s_per_rad: viscous,
+            coupling: plant.coupling().copied(),
             drive_current_limit_a: self.limits.current_a,
             period_s: self.timing.period_s,
             delay_periods: whole((self.timing.delay_cycles() - 0.05).ceil().clamp(0.0, 64.0)),
@@ -458,11 +513,16 @@ impl Design<'_> {
         };
         let trace = trial(&machine, &course, controller, limiter, REHEARSAL_CYCLES, 1);
         let end = &trace[REHEARSAL_CYCLES * 9 / 10..];
-        let (low, top) = end.iter().fold((f64::MAX, f64::MIN), |(low, top), point| {
-            (low.min(point.speed_rad_s), top.max(point.speed_rad_s))
-        });
-        let swing = top - low;
-        let most = STILL_SWINGS * step;
+        let speeds = end.iter().map(|point| point.speed_rad_s);
+        // A loop with margins may be slow; of the others nothing is known but this.
+        let swing = match self.section.controller {
+            ControllerKind::Pi | ControllerKind::Addc => swing(speeds),
+            ControllerKind::Mrac | ControllerKind::PaperB | ControllerKind::LoadObserver => {
+                extent(speeds)
+            }
+        };
+        let share = plant.coupling().map_or(STILL_SWINGS, |_| STILL_RINGS);
+        let most = share * step;
         // Also false for what is no number any more.
         if swing <= most {
             return Ok(());
@@ -470,9 +530,33 @@ impl Design<'_> {
         Err(RegulatorError::Swings {
             controller: self.section.controller.id(),
             cycles: self.timing.delay_cycles(),
+            coupling_hz: plant.coupling().map(|coupling| coupling.frequency_hz),
             swing,
             step,
             most,
         })
     }
+}
+
+/// From the least to the largest. No number, or below zero, where one of them is none.
+fn extent(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, top) = values.fold((f64::MAX, f64::MIN), |(low, top), value| {
+        (low.min(value), top.max(value))
+    });
+    top - low
+}
+
+/// By how much a quantity goes back and forth: the largest way up or the largest way down, whichever is less, so that what
+/// only drifts does not swing. No number where one of them is none.
+fn swing(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut low, mut top) = (f64::MAX, f64::MIN);
+    let (mut up, mut down) = (0.0_f64, 0.0_f64);
+    for value in values {
+        if !value.is_finite() {
+            return f64::NAN;
+        }
+        (low, top) = (low.min(value), top.max(value));
+        (up, down) = (up.max(value - low), down.max(top - value));
+    }
+    up.min(down)
 }

@@ -121,6 +121,9 @@ pub struct SpeedSection {
     pub drive_lag_s: Option<f64>,
     #[serde(default)]
     pub feed_forward: ForwardUse,
+    /// The frequency of a coupling is not taken out: the loop is slowed down instead.
+    #[serde(default)]
+    pub no_notch: bool,
     /// Only for `pi` over a voltage: instead of a rule.
     pub gains: Option<GainsSection>,
     pub reference: Vec<ReferencePart>,

@@ -3,6 +3,10 @@
 //! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T`, the current as a trapezoid. Rows in which the shaft does not move one
 //! way are left out, nothing is forgotten while nothing moves, and when the prediction misses row after row the memory is
 //! dropped: the load was changed.
+//!
+//! Behind a coupling the motor's speed is not that of the whole inertia: there both sides of the equation are means over
+//! periods of the swing, in which it cancels. A torque that comes suddenly twists the shaft, which the watch would take for
+//! another load: it is off there, and a changed load is forgotten row by row.
 
 use crate::numerics::change_watch::ChangeWatch;
 use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
@@ -15,6 +19,9 @@ const FEWEST_ROWS: u64 = 8;
 const SETTLED: f64 = 0.05;
 /// Share of the moves of the last rows that their misses add up to at a jump.
 const SURPRISE_SHARE: f64 = 0.25;
+/// Periods of a coupling's swing that a row is the mean of: the more, the less the twist of the shaft counts beside what the
+/// whole has moved.
+const SWINGS: f64 = 2.0;
 /// Prior variance of the parameters over their size, in noise variances.
 const PRIOR: f64 = 1e8;
 
@@ -31,12 +38,64 @@ pub struct Load {
     pub settled: bool,
 }
 
+/// What has been gathered for a row since the mean that the last one ended with: charge and time go on from there.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gathered {
+    charge: f64,
+    time_s: f64,
+    /// Integrals of charge, time and speed, and their length.
+    sums: [f64; 3],
+    length_s: f64,
+    /// Mean speed that the row begins with.
+    from_rad_s: Option<f64>,
+}
+
+/// From one mean to the next: charge, time, and by how much the speed has moved.
+struct Row {
+    charge: f64,
+    time_s: f64,
+    moved: f64,
+}
+
+impl Gathered {
+    fn take(&mut self, speed_rad_s: f64, period_s: f64, span_s: f64) -> Option<Row> {
+        let now = [self.charge, self.time_s, speed_rad_s];
+        for (sum, now) in self.sums.iter_mut().zip(now) {
+            *sum += period_s * now;
+        }
+        let is_first = self.length_s == 0.0;
+        self.length_s += period_s;
+        // Half a period: cycles do not divide a span exactly.
+        if self.length_s + 0.5 * period_s < span_s {
+            return None;
+        }
+        // One sample is its own mean, to the bit.
+        let [charge, time_s, speed] = if is_first {
+            now
+        } else {
+            self.sums.map(|sum| sum / self.length_s)
+        };
+        let from = self.from_rad_s.replace(speed);
+        self.charge -= charge;
+        self.time_s -= time_s;
+        (self.sums, self.length_s) = ([0.0; 3], 0.0);
+        from.map(|from| Row {
+            charge,
+            time_s,
+            moved: speed - from,
+        })
+    }
+}
+
 /// The estimator.
 #[derive(Clone, Debug)]
 pub struct LoadEstimator {
     estimator: RecursiveLeastSquares<2>,
     scale: [f64; 2],
     forgetting: f64,
+    /// Over which rows are means; 0: a row from each sample to the next.
+    span_s: f64,
+    gathered: Gathered,
     last: Option<(f64, f64)>,
     continues: bool,
     watch: ChangeWatch,
@@ -59,6 +118,8 @@ impl LoadEstimator {
             estimator: RecursiveLeastSquares::new(start, scale, PRIOR, forgetting),
             scale,
             forgetting,
+            span_s: 0.0,
+            gathered: Gathered::default(),
             last: None,
             continues: false,
             watch: ChangeWatch::new(SURPRISE_SHARE, 2.0 * noise_rad_s * noise_rad_s),
@@ -74,6 +135,13 @@ impl LoadEstimator {
         self
     }
 
+    /// Behind a coupling whose swing has this period: rows are means over some of them, and nothing is taken for a jump.
+    #[must_use]
+    pub const fn behind(mut self, swing_s: f64) -> Self {
+        self.span_s = SWINGS * swing_s;
+        self.by_forgetting_alone()
+    }
+
     /// How often the memory was dropped because the load had changed.
     pub const fn jumps(&self) -> u32 {
         self.jumps
@@ -85,7 +153,7 @@ impl LoadEstimator {
         let now = now.map(|current| (current, speed_rad_s));
         let (Some((current, speed)), Some((last_current, last_speed))) = (now, self.last) else {
             self.last = now;
-            self.interrupt();
+            self.begin(speed_rad_s, period_s);
             return false;
         };
         self.last = now;
@@ -93,12 +161,16 @@ impl LoadEstimator {
             && speed.abs() > LEAST_SPEED_RAD_S
             && last_speed * speed > 0.0;
         if !moving {
-            self.interrupt();
+            self.begin(speed, period_s);
             return false;
         }
-        let charge = 0.5 * (current + last_current) * period_s;
-        let regressor = [charge, -speed.signum() * period_s];
-        let moved = speed - last_speed;
+        self.gathered.charge += 0.5 * (current + last_current) * period_s;
+        self.gathered.time_s += period_s;
+        let Some(row) = self.gathered.take(speed, period_s, self.span_s) else {
+            return false;
+        };
+        let regressor = [row.charge, -speed.signum() * row.time_s];
+        let moved = row.moved;
         let noise = RowNoise {
             carry: 1.0,
             continues: self.continues,
@@ -110,6 +182,14 @@ impl LoadEstimator {
         self.estimator
             .update_row(&regressor, moved, noise)
             .is_some()
+    }
+
+    /// Nothing is known of what was before this sample.
+    fn begin(&mut self, speed_rad_s: f64, period_s: f64) {
+        self.gathered = Gathered::default();
+        let row = self.gathered.take(speed_rad_s, period_s, self.span_s);
+        debug_assert!(row.is_none(), "a row needs two means");
+        self.interrupt();
     }
 
     const fn interrupt(&mut self) {
@@ -203,6 +283,27 @@ mod tests {
             let soon = found.iter().find(|(t, _)| *t >= 4.8).unwrap().1;
             assert_close(soon.acceleration_per_a * ratio / 15.0, 1.0, 0.2);
         }
+    }
+
+    #[test]
+    fn behind_a_coupling_means_over_its_swing_show_the_whole_inertia() {
+        use crate::control::LinearPlant;
+        use crate::control::testing::elastic;
+        // Kt/J of motor and load together is half of the motor's alone.
+        let whole = 0.3538 / 0.0045;
+        let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
+        let (phi, gamma) = plant.held_over(0.002);
+        let mut estimator = LoadEstimator::new(1.5 * whole, 0.0, 0.96, 0.02).behind(1.0 / 22.0);
+        let mut x = nalgebra::Vector4::new(0.0, 100.0, 100.0, 0.0);
+        for n in 0..1500 {
+            estimator.push(Some(x[0]), x[1], 0.002);
+            // Steps of the current, of the length of some swings.
+            let amps = if (n / 150) % 2 == 0 { 1.5 } else { -1.5 };
+            x = phi * x + gamma * amps;
+        }
+        let found = estimator.load();
+        assert!(found.settled);
+        assert_close(found.acceleration_per_a / whole, 1.0, 0.1);
     }
 
     #[test]

@@ -7,7 +7,7 @@
 
 use super::adaptation::LoadEstimator;
 use super::electrical::Electrical;
-use super::tuning::{Request, TuningError};
+use super::tuning::{NotchUse, Request, TuningError};
 use super::{
     Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
 };
@@ -36,6 +36,8 @@ pub struct AddcSettings {
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
     pub holding: Holding,
+    /// Draws of what is not known of the plant.
+    pub draws: Vec<LinearPlant>,
 }
 
 impl AddcSettings {
@@ -45,6 +47,7 @@ impl AddcSettings {
             forgetting: FORGETTING,
             noise_rad_s,
             holding,
+            draws: Vec::new(),
         }
     }
 }
@@ -57,6 +60,7 @@ pub struct Addc {
     estimator: LoadEstimator,
     electrical: Option<Electrical>,
     request: Request,
+    draws: Vec<LinearPlant>,
     torque_n_m_per_a: f64,
     /// Kt/J of the model: the ratio of the schedule refers to it.
     model_acceleration_per_a: f64,
@@ -81,7 +85,7 @@ impl Addc {
         timing: &LoopTiming,
         settings: &AddcSettings,
     ) -> Result<Self, TuningError> {
-        let schedule = Schedule::new(plant, timing, &settings.request)?;
+        let schedule = Schedule::new(plant, &settings.draws, timing, &settings.request)?;
         let value = |key| model.motor.get(key).unwrap_or(0.0);
         let inertia = value(MotorKey::Inertia);
         let acceleration_per_a = model.motor.torque_constant().unwrap_or(0.0) / inertia;
@@ -91,13 +95,21 @@ impl Addc {
             settings.forgetting,
             settings.noise_rad_s,
         );
+        let estimator = match plant.coupling() {
+            Some(coupling) => estimator.behind(coupling.frequency_hz.recip()),
+            None => estimator,
+        };
         let gains = schedule.at(1.0).gains;
         Ok(Self {
             pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
             schedule,
             estimator,
             electrical: None,
-            request: settings.request,
+            request: Request {
+                notch: gains.notch.map_or(NotchUse::Off, NotchUse::Like),
+                ..settings.request
+            },
+            draws: settings.draws.clone(),
             torque_n_m_per_a: model.motor.torque_constant().unwrap_or(f64::NAN),
             model_acceleration_per_a: acceleration_per_a,
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
@@ -118,7 +130,8 @@ impl Addc {
         viscous_n_m_s_per_rad: f64,
         timing: &LoopTiming,
     ) -> Result<Self, TuningError> {
-        self.electrical = Electrical::new(model, viscous_n_m_s_per_rad, timing, &self.request)?;
+        let (draws, request) = (&self.draws, &self.request);
+        self.electrical = Electrical::new(model, viscous_n_m_s_per_rad, draws, timing, request)?;
         Ok(self)
     }
 
@@ -191,6 +204,7 @@ impl Addc {
         gains.proportional = moved(now.proportional, proportional);
         gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
         gains.reference_filter_s = wanted.gains.reference_filter_s;
+        gains.notch = wanted.gains.notch;
         (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         self.moved = true;
     }
@@ -231,10 +245,8 @@ impl SpeedController for Addc {
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
             format!(
-                "Kp = {:.4} per rad/s{}, Tn = {:.4} s; {}",
-                gains.proportional,
-                self.pi.softened_text(),
-                gains.integral_time_s,
+                "{}; {}",
+                gains.text(&self.pi.softened_text()),
                 self.mechanical_text()
             ),
             format!("gains {state}{}", self.electrical_text()),

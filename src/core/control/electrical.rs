@@ -41,6 +41,7 @@ impl Electrical {
     pub(super) fn new(
         model: &Model,
         viscous_n_m_s_per_rad: f64,
+        draws: &[LinearPlant],
         timing: &LoopTiming,
         request: &Request,
     ) -> Result<Option<Self>, TuningError> {
@@ -57,6 +58,10 @@ impl Electrical {
         let (Ok(short), Ok(long)) = (plant(1.0 / REACH), plant(REACH)) else {
             return Ok(None);
         };
+        let schedule = |plant: &LinearPlant, factor: f64| {
+            let scaled = draws.iter().map(|draw| draw.with_inductance_ratio(factor));
+            Schedule::new(plant, &scaled.collect::<Vec<_>>(), timing, request)
+        };
         Ok(Some(Self {
             scheme: Scheme3::new(
                 Memory::default(),
@@ -68,8 +73,8 @@ impl Electrical {
             time_s: 0.0,
             until_look: LOOK_CYCLES,
             found: None,
-            shortest: Schedule::new(&short, timing, request)?,
-            longest: Schedule::new(&long, timing, request)?,
+            shortest: schedule(&short, 1.0 / REACH)?,
+            longest: schedule(&long, REACH)?,
         }))
     }
 
@@ -156,8 +161,8 @@ mod tests {
     #[test]
     fn the_gains_at_a_ta_that_was_found_are_those_of_tuning_for_it() {
         let (model, timing, request) = (model(inertia(0.2)), timing(1.0), Request::default());
-        let base = Schedule::new(&plant(inertia(0.2)), &timing, &request).unwrap();
-        let mut electrical = Electrical::new(&model, 0.0, &timing, &request)
+        let base = Schedule::new(&plant(inertia(0.2)), &[], &timing, &request).unwrap();
+        let mut electrical = Electrical::new(&model, 0.0, &[], &timing, &request)
             .unwrap()
             .unwrap();
         let at = |electrical: &Electrical, ratio| {
@@ -195,6 +200,7 @@ mod tests {
             torque_n_m_per_a: 0.3538,
             friction_n_m: 0.455,
             viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
             drive_current_limit_a: 1e3,
             period_s: 0.01,
             delay_periods: 1,

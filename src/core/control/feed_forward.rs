@@ -294,6 +294,12 @@ impl Compensated {
         at(index) + periods.fract() * (at(index + 1) - at(index))
     }
 
+    /// From the end of the plan back to what a sample shows, s.
+    fn shown_before_s(&self) -> f64 {
+        let forward = &self.forward;
+        forward.ahead_s() + 0.5 * forward.period_s + forward.shown_late_s
+    }
+
     fn extend_plan(&mut self, reference_rad_s: f64) {
         let target = self.foreseen_rad_s.take().unwrap_or(reference_rad_s);
         let next = if self.is_planned {
@@ -351,10 +357,7 @@ impl SpeedController for Compensated {
         self.extend_plan(reference_rad_s);
         self.give(now);
         let reference = if self.is_planned {
-            // From the end of the plan back to what the sample shows.
-            let forward = &self.forward;
-            let end_s = forward.ahead_s() + 0.5 * forward.period_s;
-            self.planned(end_s + forward.shown_late_s)
+            self.planned(self.shown_before_s())
         } else {
             reference_rad_s
         };
@@ -400,7 +403,13 @@ impl SpeedController for Compensated {
     }
 
     fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
-        (self.inner).soften(share, reference_rad_s, speed_rad_s, period_s);
+        let reference = if self.is_planned {
+            // The plan goes on by a period before the step that this is for.
+            self.planned((self.shown_before_s() - self.forward.period_s).max(0.0))
+        } else {
+            reference_rad_s
+        };
+        (self.inner).soften(share, reference, speed_rad_s, period_s);
     }
 }
 
@@ -581,6 +590,7 @@ mod tests {
             torque_n_m_per_a: 0.3538,
             friction_n_m: 0.455,
             viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
             drive_current_limit_a: 11.4,
             period_s: TIMING.period_s,
             delay_periods: 2,
@@ -649,6 +659,7 @@ mod tests {
             proportional: 0.4,
             integral_time_s: 0.05,
             reference_filter_s: 0.0,
+            notch: None,
         };
         let pi = Pi::new(gains, AntiWindup::Hold, Holding::default());
         let step = |time_s: f64| if time_s < 0.5 { 0.0 } else { 100.0 };

@@ -1,20 +1,33 @@
-//! The speed's answer to the actuator near a working point: two states, the second is the speed.
+//! The speed's answer to the actuator near a working point: on a rigid shaft two states, behind a coupling four.
+//!
+//! ```text
+//! u -> current or lag -> motor's speed <--[ coupling: twist ]--> load's speed
+//! ```
+//!
+//! Rules tune on the rigid plant, which has all of the inertia on the motor's shaft; what a loop does is worked out on the
+//! whole of it.
 
-use nalgebra::{Matrix2, Matrix3, Vector2};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use thiserror::Error;
 
 use super::Actuator;
-use crate::plant::{Model, MotorKey};
+use crate::plant::{Coupling, Model, MotorKey};
+
+/// Most states of a plant.
+pub(super) const STATES: usize = 4;
+/// Least share of the inertia that stays behind a coupling, whatever the load loses: that of the catalogue.
+const LEAST_SHARE: f64 = 0.02;
 
 /// `dx/dt = A x + b u`, speed = `x[1]`.
 ///
 /// Voltage drive: `x` is current and speed. Current drive: the drive's current loop is a lag.
-/// Speed drive: the drive's own speed loop is two lags.
+/// Speed drive: the drive's own speed loop is two lags. Behind a coupling the load's speed follows, and the twist.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearPlant {
     pub actuator: Actuator,
     a: Matrix2<f64>,
     b: Vector2<f64>,
+    coupling: Option<Coupling>,
 }
 
 /// Two real time constants: `gain / ((1 + large s)(1 + small s))`, or an integrator where nothing brakes the shaft.
@@ -39,6 +52,14 @@ pub enum PlantError {
     NotPhysical { key: &'static str, value: f64 },
     #[error("{VISCOUS} = {0} is not physical: it drives the shaft (allowed: 0 or more)")]
     Drives(f64),
+    #[error("{effect}.{key} = {value} is not physical (allowed: {low} to {high})")]
+    Outside {
+        effect: &'static str,
+        key: &'static str,
+        value: f64,
+        low: f64,
+        high: f64,
+    },
 }
 
 impl PlantError {
@@ -47,7 +68,7 @@ impl PlantError {
             Self::Missing { .. } => {
                 "identify the motor first (drivebench identify) or give the value in the model file"
             }
-            Self::NotPhysical { .. } => {
+            Self::NotPhysical { .. } | Self::Outside { .. } => {
                 "identify the motor again: a loop tuned on this model would not be stable"
             }
             Self::Drives(_) => "identify the motor again, or take the effect out of the model",
@@ -85,6 +106,20 @@ pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, P
 }
 
 impl LinearPlant {
+    /// The plant of a model with the slope of its own friction; `lag_s` is that of the drive behind a current or a speed
+    /// command.
+    ///
+    /// # Errors
+    /// A value that is missing or not physical.
+    pub fn of(model: &Model, actuator: Actuator, lag_s: f64) -> Result<Self, PlantError> {
+        let viscous = viscous_n_m_s_per_rad(model, actuator)?;
+        match actuator {
+            Actuator::Voltage => Self::voltage(model, viscous),
+            Actuator::Current => Self::current(model, viscous, lag_s),
+            Actuator::Speed => Self::speed(lag_s),
+        }
+    }
+
     /// The plant of a model behind a voltage command; `viscous_n_m_s_per_rad` is the slope of its friction.
     ///
     /// # Errors
@@ -98,6 +133,7 @@ impl LinearPlant {
             actuator: Actuator::Voltage,
             a: Matrix2::new(-r / l, -ke / l, kt / j, -viscous_n_m_s_per_rad.max(0.0) / j),
             b: Vector2::new(1.0 / l, 0.0),
+            coupling: coupling(model, Actuator::Voltage)?,
         })
     }
 
@@ -118,10 +154,12 @@ impl LinearPlant {
             actuator: Actuator::Current,
             a: Matrix2::new(-1.0 / lag_s, 0.0, kt / j, braking),
             b: Vector2::new(1.0 / lag_s, 0.0),
+            coupling: coupling(model, Actuator::Current)?,
         })
     }
 
-    /// The plant behind a speed command: the drive's speed loop as two equal lags, s together.
+    /// The plant behind a speed command: the drive's speed loop as two equal lags, s together. What hangs on the shaft is
+    /// for that loop to hold.
     ///
     /// # Errors
     /// A lag that is not finite or not positive.
@@ -131,10 +169,11 @@ impl LinearPlant {
             actuator: Actuator::Speed,
             a: Matrix2::new(-1.0 / half_s, 0.0, 1.0 / half_s, -1.0 / half_s),
             b: Vector2::new(1.0 / half_s, 0.0),
+            coupling: None,
         })
     }
 
-    /// The same with the inertia `ratio` times as large.
+    /// The same with the inertia `ratio` times as large: behind a coupling it is the load that changes.
     #[must_use]
     pub fn with_inertia_ratio(&self, ratio: f64) -> Self {
         let mut plant = *self;
@@ -142,11 +181,80 @@ impl LinearPlant {
             plant.a[(1, 0)] /= ratio;
             plant.a[(1, 1)] /= ratio;
         }
+        if let Some(coupling) = &mut plant.coupling {
+            let before = coupling.inertia_ratio;
+            let share = (1.0 - (1.0 - before) / ratio).max(LEAST_SHARE);
+            // Stiffness (2 pi f)^2 J r (1 - r) and damping 2 zeta 2 pi f J r (1 - r) are those of the coupling.
+            let reduced = ratio * share * (1.0 - share) / (before * (1.0 - before));
+            coupling.inertia_ratio = share;
+            coupling.frequency_hz /= reduced.sqrt();
+            coupling.damping_ratio /= reduced.sqrt();
+        }
         plant
     }
 
+    /// The same with the inductance `ratio` times as large; another actuator than the voltage hides it.
+    #[must_use]
+    pub(super) fn with_inductance_ratio(&self, ratio: f64) -> Self {
+        let mut plant = *self;
+        if self.actuator == Actuator::Voltage {
+            plant.a[(0, 0)] /= ratio;
+            plant.a[(0, 1)] /= ratio;
+            plant.b[0] /= ratio;
+        }
+        plant
+    }
+
+    pub const fn coupling(&self) -> Option<&Coupling> {
+        self.coupling.as_ref()
+    }
+
+    /// The motor alone, within the play of its coupling; `None` where nothing lets go.
+    #[must_use]
+    pub fn let_go(&self) -> Option<Self> {
+        let coupling = self.coupling.filter(|coupling| coupling.gap_rad > 0.0)?;
+        Some((self.rigid()).with_inertia_ratio(1.0 - coupling.inertia_ratio))
+    }
+
+    /// The same on a rigid shaft.
+    #[must_use]
+    pub const fn rigid(&self) -> Self {
+        Self {
+            coupling: None,
+            ..*self
+        }
+    }
+
+    /// `A` and `b` of the rigid shaft.
     pub const fn matrices(&self) -> (&Matrix2<f64>, &Vector2<f64>) {
         (&self.a, &self.b)
+    }
+
+    /// How many of the [`STATES`] it has; the others are zero.
+    pub(super) const fn states(&self) -> usize {
+        if self.coupling.is_some() { STATES } else { 2 }
+    }
+
+    /// `A` and `b` of all states. The twist is counted in rad/s, times the natural frequency: one unit for all that turns.
+    fn whole(&self) -> (SMatrix<f64, STATES, STATES>, SVector<f64, STATES>) {
+        let mut a = SMatrix::<f64, STATES, STATES>::zeros();
+        let mut b = SVector::<f64, STATES>::zeros();
+        a.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.a);
+        b.fixed_rows_mut::<2>(0).copy_from(&self.b);
+        if let Some(coupling) = &self.coupling {
+            // f, r, zeta as in `Coupling`: k/(J1 w0) = w0 r, d/J1 = 2 zeta w0 r, and with 1 - r for the load.
+            let w0 = std::f64::consts::TAU * coupling.frequency_hz;
+            let (r, damping) = (coupling.inertia_ratio, 2.0 * w0 * coupling.damping_ratio);
+            for column in 0..2 {
+                a[(1, column)] /= 1.0 - r;
+            }
+            a[(1, 1)] -= damping * r;
+            (a[(1, 2)], a[(1, 3)]) = (damping * r, -w0 * r);
+            let load = [damping, -damping, w0].map(|rate| (1.0 - r) * rate);
+            (a[(2, 1)], a[(2, 2)], a[(2, 3)]) = (load[0], load[1], load[2]);
+            (a[(3, 1)], a[(3, 2)]) = (w0, -w0);
+        }
+        (a, b)
     }
 
     /// Speed per unit at standstill of all change; `None`: an integrator.
@@ -183,17 +291,48 @@ impl LinearPlant {
     }
 
     /// `(Phi, Gamma)` over `time_s` with the input held: `x(t) = Phi x(0) + Gamma u`.
-    pub fn held_over(&self, time_s: f64) -> (Matrix2<f64>, Vector2<f64>) {
+    pub fn held_over(&self, time_s: f64) -> (SMatrix<f64, STATES, STATES>, SVector<f64, STATES>) {
+        let (a, b) = self.whole();
         // exp([[A, b], [0, 0]] t) holds both (Van Loan 1978).
-        let mut joint = Matrix3::zeros();
-        (joint.fixed_view_mut::<2, 2>(0, 0)).copy_from(&(self.a * time_s));
-        (joint.fixed_view_mut::<2, 1>(0, 2)).copy_from(&(self.b * time_s));
+        let mut joint = SMatrix::<f64, { STATES + 1 }, { STATES + 1 }>::zeros();
+        joint
+            .fixed_view_mut::<STATES, STATES>(0, 0)
+            .copy_from(&(a * time_s));
+        joint
+            .fixed_view_mut::<STATES, 1>(0, STATES)
+            .copy_from(&(b * time_s));
         let grown = joint.exp();
         (
-            grown.fixed_view::<2, 2>(0, 0).into_owned(),
-            grown.fixed_view::<2, 1>(0, 2).into_owned(),
+            grown.fixed_view::<STATES, STATES>(0, 0).into_owned(),
+            grown.fixed_view::<STATES, 1>(0, STATES).into_owned(),
         )
     }
+}
+
+/// The second inertia of a model, all of its values known.
+fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, PlantError> {
+    for active in &model.effects {
+        let guessed = active.effect.terms(&active.values_or_guess()).coupling();
+        let Some(coupling) = guessed else { continue };
+        for (spec, value) in active.effect.parameters().iter().zip(&active.values) {
+            let missing = PlantError::Missing {
+                key: spec.key,
+                actuator: actuator.name(),
+            };
+            let value = value.ok_or(missing)?;
+            if !(spec.min..=spec.max).contains(&value) {
+                return Err(PlantError::Outside {
+                    effect: active.id(),
+                    key: spec.key,
+                    value,
+                    low: spec.min,
+                    high: spec.max,
+                });
+            }
+        }
+        return Ok(Some(coupling));
+    }
+    Ok(None)
 }
 
 fn torque_constant(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
@@ -224,8 +363,9 @@ fn checked(key: &'static str, value: f64) -> Result<f64, PlantError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::testing::assert_close;
-    use crate::plant::Motor;
+    use crate::control::testing::{self, assert_close};
+    use crate::plant::{Input, Motor, Plant, Scenario, State};
+    use crate::sample::Channel;
 
     #[test]
     fn time_constants_of_a_slow_machine_are_those_of_the_textbook() {
@@ -280,13 +420,76 @@ mod tests {
         let plant = LinearPlant::voltage(&Model::baseline(Motor::zk_22fc()), 1e-3).unwrap();
         let (phi, gamma) = plant.held_over(0.01);
         let (small, push) = plant.held_over(0.01 / 512.0);
-        let mut x = Vector2::new(2.0, -3.0);
+        let mut x = SVector::from([2.0, -3.0, 0.0, 0.0]);
         let whole = phi * x + gamma * 24.0;
         for _ in 0..512 {
             x = small * x + push * 24.0;
         }
         assert_close(x[0], whole[0], 1e-10);
         assert_close(x[1], whole[1], 1e-10);
+        assert!(x[2] == 0.0 && x[3] == 0.0);
+    }
+
+    #[test]
+    fn the_whole_plant_moves_as_the_models_own_simulation() {
+        // Other mathematics: the equations of a free run, with their events of friction, of which there is none here.
+        let mut model = testing::elastic(0.5, 0.02);
+        model.motor.set(MotorKey::LoadTorque, 0.0);
+        let plant = LinearPlant::voltage(&model, 0.0).unwrap();
+        let times: Vec<f64> = (0..300).map(|n| 0.002 * f64::from(n)).collect();
+        let channel = Channel::VoltageCmd;
+        let steps = vec![(0.0, 10.0)];
+        let scenario = Scenario::planned("steps", Input::Voltage, channel, steps, times);
+        let mut free = Plant::new(&model, Input::Voltage).unwrap();
+        let free = free.simulate(&scenario, State::default());
+        let (phi, gamma) = plant.held_over(0.002);
+        let mut x = SVector::from([0.0; STATES]);
+        for (speed, current) in free.speed_rad_s.iter().zip(&free.current_a) {
+            assert_close(x[1], *speed, 1e-6);
+            assert_close(x[0], *current, 1e-6);
+            x = phi * x + gamma * 10.0;
+        }
+        assert!(x[1] > 20.0);
+    }
+
+    #[test]
+    fn a_load_that_grows_leaves_the_motor_and_the_coupling_as_they_are() {
+        let plant = LinearPlant::voltage(&testing::elastic(0.5, 0.02), 0.0).unwrap();
+        let grown = plant.with_inertia_ratio(3.0);
+        let [(before, _), (after, _)] = [plant, grown].map(|plant| plant.whole());
+        // Torque of motor and damping on the motor's own inertia.
+        for column in 0..3 {
+            assert_close(before[(1, column)], after[(1, column)], 1e-9);
+        }
+        // Five times the load: the stiffness over the load's inertia, in angles, is a fifth.
+        let per_angle = |a: &SMatrix<f64, 4, 4>, row: usize| a[(row, 3)] * a[(3, 1)];
+        assert_close(per_angle(&before, 1), per_angle(&after, 1), 1e-9);
+        assert_close(per_angle(&before, 2), 5.0 * per_angle(&after, 2), 1e-9);
+        // Both together turn as one with three times the inertia.
+        assert_close(grown.gain().unwrap(), plant.gain().unwrap(), 1e-12);
+        assert_close(grown.matrices().0[(1, 0)] * 3.0, plant.a[(1, 0)], 1e-12);
+    }
+
+    #[test]
+    fn a_coupling_needs_its_values_and_play_lets_the_motor_go() {
+        let mut model = testing::elastic(0.5, 0.02);
+        model.effects[0].values[2] = None;
+        let error = LinearPlant::voltage(&model, 0.0).unwrap_err();
+        assert!(error.to_string().starts_with("damping_ratio is missing"));
+        model.effects[0].values[2] = Some(-0.1);
+        let error = LinearPlant::voltage(&model, 0.0).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "elastic_coupling.damping_ratio = -0.1 is not physical (allowed: 0 to 1)"
+        );
+        let elastic = LinearPlant::voltage(&testing::elastic(0.4, 0.02), 0.0).unwrap();
+        assert_eq!(elastic.let_go(), None);
+        let mut loose = testing::model(0.0045).with_effect("backlash").unwrap();
+        loose.effects[0].values = [0.02, 40.0, 0.4, 0.05, 0.5].map(Some).to_vec();
+        let alone = LinearPlant::voltage(&loose, 0.0).unwrap().let_go().unwrap();
+        let motor = testing::plant(0.6 * 0.0045);
+        assert_close(alone.a[(1, 0)], motor.a[(1, 0)], 1e-12);
+        assert_eq!(alone.states(), 2);
     }
 
     #[test]

@@ -29,6 +29,7 @@ fn machine(noise: f64) -> TrialMachine {
         torque_n_m_per_a: 0.3538,
         friction_n_m: 0.455,
         viscous_n_m_s_per_rad: 0.0,
+        coupling: None,
         drive_current_limit_a: 11.4,
         period_s: PERIOD_S,
         delay_periods: 2,
@@ -252,6 +253,7 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         let request = Request {
             rule: tuning::Rule::SymmetricalOptimum,
             bandwidth_rad_s: None,
+            ..Request::default()
         };
         let plant = testing::plant(ratio * inertia(0.2));
         let gains = tune(&plant, &timing, &request).unwrap().gains;

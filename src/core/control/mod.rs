@@ -1,7 +1,7 @@
 //! Speed control, host-side: tuning, controllers, limiter, feed-forward. Pure; time comes in with each cycle.
 //!
 //! ```text
-//! model + timing --> tuning (rule) --> gains, reasons, margins, predicted step
+//! model + timing --> tuning (rule) --> gains, reasons, margins over the spread of the parameters, predicted step
 //!                                        |
 //! reference, Measured --> SpeedController --> wanted output --> limiter --> output --(applied)--> SpeedController
 //!                             ^   PI, ADDC, MRAC, LQ            ^
@@ -24,11 +24,13 @@ mod limiter;
 mod linear_plant;
 mod loop_shape;
 mod mrac;
+mod notch;
 mod optimal;
 mod pi;
 mod response;
 mod schedule;
 mod sensor;
+mod spread;
 #[cfg(test)]
 pub(crate) mod testing;
 mod timing;
@@ -45,6 +47,7 @@ pub use limiter::{CurrentLimit, Limiter};
 pub use linear_plant::{Dominant, LinearPlant, PlantError, viscous_n_m_s_per_rad};
 pub use loop_shape::{LoopShape, Margins, PiGains, StepPoint};
 pub use mrac::{Mrac, MracScales};
+pub use notch::Notch;
 pub use optimal::{
     LoadObserving, LoadObservingSettings, PaperB, PaperBError, PaperBPlant, PaperBSettings,
 };
@@ -52,6 +55,7 @@ pub use pi::{AntiWindup, Pi};
 pub use response::{Response, response};
 pub use schedule::{Schedule, Scheduled};
 pub use sensor::{Direct, HallSensor, SpeedSensor};
+pub use spread::drawn;
 pub use timing::LoopTiming;
 pub use trial::{Course, TrialMachine, TrialPoint, trial, trial_seen_by};
 pub use watch::{Finding, LoopWatch};

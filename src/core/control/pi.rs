@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::limiter::limited;
 use super::loop_shape::lag_share;
+use super::notch::NotchMemory;
 use super::{Holding, Measured, PiGains, SpeedController};
 
 /// What the integral part does while the output is limited.
@@ -19,7 +20,7 @@ pub enum AntiWindup {
     Hold,
 }
 
-/// `u = Kp e + I`, `I` grows by `Kp T/Tn e` per cycle.
+/// `u = Kp e + I`, `I` grows by `Kp T/Tn e` per cycle; `e` behind the notch, where the gains have one.
 #[derive(Clone, Debug)]
 pub struct Pi {
     gains: PiGains,
@@ -30,6 +31,7 @@ pub struct Pi {
     integral: f64,
     /// The reference after its filter; `None` before the first step.
     reference_rad_s: Option<f64>,
+    notch: NotchMemory,
     wanted: f64,
     /// Sign of the limit that held the last output: +1 where more was wanted than was given.
     limited: f64,
@@ -50,6 +52,7 @@ impl Pi {
             holding,
             integral: 0.0,
             reference_rad_s: None,
+            notch: NotchMemory::at_rest(),
             wanted: 0.0,
             limited: 0.0,
             load: 0.0,
@@ -82,7 +85,7 @@ impl Pi {
     }
 
     /// New gains without a step of the output in the cycle that comes, which has this reference and this speed: the error
-    /// that counts is the one behind the reference's filter.
+    /// that counts is the one behind the reference's filter and the notch.
     pub fn set_gains(
         &mut self,
         gains: PiGains,
@@ -90,9 +93,14 @@ impl Pi {
         speed_rad_s: f64,
         period_s: f64,
     ) {
-        let before = std::mem::replace(&mut self.gains, gains).proportional;
-        let error = self.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
-        self.integral += (before - gains.proportional) * error;
+        let error = |pi: &Self| {
+            let error = pi.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
+            let notch = pi.gains.notch.as_ref();
+            pi.gains.proportional * pi.notch.answer(notch, error, period_s)
+        };
+        let before = error(self);
+        self.gains = gains;
+        self.integral += before - error(self);
     }
 
     /// The reference behind its filter in this cycle.
@@ -123,6 +131,7 @@ impl SpeedController for Pi {
         let filtered = self.filtered(reference_rad_s, speed_rad_s, period_s);
         self.reference_rad_s = Some(filtered);
         let error = filtered - speed_rad_s;
+        let error = (self.notch).pass(self.gains.notch.as_ref(), error, period_s);
         if now.limited && !self.is_limited() {
             // A limit of the drive that this side does not see: what it gives less lies on the side of the error.
             self.limited = error.signum();
@@ -155,6 +164,7 @@ impl SpeedController for Pi {
         self.limited = 0.0;
         self.wanted = output;
         self.reference_rad_s = Some(now.speed_rad_s);
+        self.notch = NotchMemory::at_rest();
     }
 
     fn explain(&self) -> Vec<String> {
@@ -164,12 +174,7 @@ impl SpeedController for Pi {
             AntiWindup::Hold => "follows what holds the present speed",
         };
         vec![
-            format!(
-                "Kp = {:.4} per rad/s{}, Tn = {:.4} s, fixed",
-                self.gains.proportional,
-                self.softened_text(),
-                self.gains.integral_time_s
-            ),
+            format!("{}, fixed", self.gains.text(&self.softened_text())),
             format!("while the output is limited the integral part {integral}"),
         ]
     }
@@ -189,6 +194,7 @@ impl SpeedController for Pi {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::Notch;
     use crate::control::testing::assert_close;
 
     fn gains() -> PiGains {
@@ -196,6 +202,7 @@ mod tests {
             proportional: 2.0,
             integral_time_s: 0.5,
             reference_filter_s: 0.0,
+            notch: None,
         }
     }
 
@@ -225,13 +232,52 @@ mod tests {
         assert_close(pi.step(100.0, &Measured::at(100.0), 0.01), 36.5, 1e-12);
     }
 
+    const NOTCH: Notch = Notch {
+        frequency_hz: 22.0,
+        damping_ratio: 0.3,
+        depth: 0.1,
+    };
+
     #[test]
-    fn new_gains_do_not_move_the_output_whatever_the_filter_holds_back() {
-        for reference_filter_s in [0.0, 0.2] {
+    fn with_a_notch_it_starts_and_resets_without_a_step_and_regulates_what_the_notch_leaves() {
+        let gains = PiGains {
+            notch: Some(NOTCH),
+            ..gains()
+        };
+        let mut pi = Pi::new(gains, AntiWindup::Hold, holding());
+        let mut notch = NotchMemory::at_rest();
+        let mut integral = 36.5;
+        // Something of before, which is forgotten.
+        pi.step(300.0, &Measured::at(0.0), 0.01);
+        pi.reset(&Measured::at(100.0), 36.5);
+        assert_close(pi.step(100.0, &Measured::at(100.0), 0.01), 36.5, 1e-12);
+        notch.pass(Some(&NOTCH), 0.0, 0.01);
+        for (reference, speed) in [(110.0, 100.0), (110.0, 103.0), (90.0, 106.0)] {
+            let output = pi.step(reference, &Measured::at(speed), 0.01);
+            pi.applied(output);
+            let error = notch.pass(Some(&NOTCH), reference - speed, 0.01);
+            integral += 2.0 * 0.01 / 0.5 * error;
+            assert_close(output, 2.0 * error + integral, 1e-12);
+        }
+    }
+
+    #[test]
+    fn new_gains_do_not_move_the_output_whatever_filter_and_notch_hold_back() {
+        let other = Notch {
+            frequency_hz: 30.0,
+            ..NOTCH
+        };
+        for (reference_filter_s, notches) in [
+            (0.0, [None, None]),
+            (0.2, [None, None]),
+            (0.2, [Some(NOTCH), Some(other)]),
+            (0.0, [Some(NOTCH), None]),
+        ] {
             let gains = |proportional| PiGains {
                 proportional,
                 integral_time_s: 1e9,
                 reference_filter_s,
+                notch: notches[usize::from(proportional > 4.0)],
             };
             let mut pi = Pi::new(gains(2.0), AntiWindup::Hold, holding());
             pi.reset(&Measured::at(2.0), 0.7);
@@ -245,8 +291,9 @@ mod tests {
     }
 
     /// An integrating load, limited hard: what is beyond the reference at the end of a long acceleration.
-    fn overshoot(anti_windup: AntiWindup) -> f64 {
-        let mut pi = Pi::new(gains(), anti_windup, holding());
+    fn overshoot(anti_windup: AntiWindup, notch: Option<Notch>) -> f64 {
+        let gains = PiGains { notch, ..gains() };
+        let mut pi = Pi::new(gains, anti_windup, holding());
         let (mut speed, mut most) = (0.0_f64, 0.0_f64);
         for _ in 0..4000 {
             let wanted = pi.step(100.0, &Measured::at(speed), 0.01);
@@ -287,9 +334,11 @@ mod tests {
 
     #[test]
     fn the_integral_winds_up_only_where_it_is_let() {
-        let [off, clamp, hold] =
-            [AntiWindup::Off, AntiWindup::Clamp, AntiWindup::Hold].map(overshoot);
-        assert!(off > 20.0, "{off}");
-        assert!(clamp < 5.0 && hold < 5.0, "{clamp} {hold}");
+        for notch in [None, Some(NOTCH)] {
+            let [off, clamp, hold] = [AntiWindup::Off, AntiWindup::Clamp, AntiWindup::Hold]
+                .map(|anti_windup| overshoot(anti_windup, notch));
+            assert!(off > 20.0, "{off}");
+            assert!(clamp < 5.0 && hold < 5.0, "{notch:?}: {clamp} {hold}");
+        }
     }
 }

@@ -3,8 +3,8 @@
 //! On line nothing is tuned: an estimate finds its place between two grid points. Each point holds the gains of the rule
 //! and the largest proportional gain at which the sampled loop keeps half of its gain margin.
 
-use super::tuning::{Request, TuningError, tune};
-use super::{LinearPlant, LoopShape, LoopTiming, PiGains};
+use super::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
+use super::{LinearPlant, LoopTiming, Notch, PiGains};
 use crate::numerics::count::whole;
 
 /// Points of the grid, and how far it reaches either way from the model's inertia.
@@ -35,11 +35,18 @@ impl Scheduled {
     /// On the way to another: that share of it.
     pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
         let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
+        // Where a load is so light that its frequency is out of reach, that of the other serves.
+        let [own, others] = [self, other].map(|point| point.gains.notch);
+        let notch = own.or(others).zip(others.or(own)).map(|(low, high)| Notch {
+            frequency_hz: low.frequency_hz + share * (high.frequency_hz - low.frequency_hz),
+            ..low
+        });
         Self {
             gains: PiGains {
                 proportional: between(|point| point.gains.proportional),
                 integral_time_s: between(|point| point.gains.integral_time_s),
                 reference_filter_s: between(|point| point.gains.reference_filter_s),
+                notch,
             },
             most_proportional: between(|point| point.most_proportional),
             small_time_s: between(|point| point.small_time_s),
@@ -48,22 +55,32 @@ impl Scheduled {
 }
 
 impl Schedule {
-    /// The grid around the model's plant; it ends where the rule refuses.
+    /// The grid around the model's plant; it ends where the rule refuses. Beside the model's own inertia only those of the
+    /// draws are looked at that leave the loop least there, and a notch is where it was found to help there.
     ///
     /// # Errors
-    /// What [`tune`] refuses at the model's own inertia.
+    /// What [`tune_over`] refuses at the model's own inertia.
     pub fn new(
         plant: &LinearPlant,
+        draws: &[LinearPlant],
         timing: &LoopTiming,
         request: &Request,
     ) -> Result<Self, TuningError> {
         let step = 2.0 * REACH.ln() / (POINTS - 1) as f64;
+        let middle = POINTS / 2;
+        let own = tune_over(plant, draws, timing, request)?;
+        let request = Request {
+            notch: own.gains.notch.map_or(NotchUse::Off, NotchUse::Like),
+            ..*request
+        };
+        let hardest = own.draws.as_ref().map(|draws| draws.hardest.as_slice());
         let at = |index: usize| {
             let ratio = (index as f64 * step - REACH.ln()).exp();
-            point(&plant.with_inertia_ratio(ratio), timing, request)
+            let scaled = |plant: &LinearPlant| plant.with_inertia_ratio(ratio);
+            let draws: Vec<LinearPlant> = hardest.unwrap_or_default().iter().map(scaled).collect();
+            tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
         };
-        let middle = POINTS / 2;
-        let mut points = vec![at(middle)?];
+        let mut points = vec![point(&own)];
         let mut first = middle;
         while first > 0
             && let Ok(point) = at(first - 1)
@@ -109,28 +126,24 @@ impl Schedule {
     }
 }
 
-fn point(
-    plant: &LinearPlant,
-    timing: &LoopTiming,
-    request: &Request,
-) -> Result<Scheduled, TuningError> {
-    let tuning = tune(plant, timing, request)?;
-    let shape = LoopShape::new(plant, timing, &tuning.gains);
-    let margin = shape.margins().gain_margin;
-    Ok(Scheduled {
+fn point(tuning: &Tuning) -> Scheduled {
+    let margin = tuning.least_gain_margin();
+    Scheduled {
         gains: tuning.gains,
         most_proportional: tuning.gains.proportional * (margin / LEAST_GAIN_MARGIN).max(1.0),
         small_time_s: tuning.small_time_s,
-    })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::testing::{assert_close, slow_machine, timing};
+    use crate::control::LoopShape;
+    use crate::control::testing::{assert_close, elastic, slow_machine, timing};
+    use crate::control::tuning::{Rule, tune};
 
     fn schedule() -> Schedule {
-        Schedule::new(&slow_machine(), &timing(2.0), &Request::default()).unwrap()
+        Schedule::new(&slow_machine(), &[], &timing(2.0), &Request::default()).unwrap()
     }
 
     #[test]
@@ -156,6 +169,34 @@ mod tests {
                 let shape = LoopShape::new(&plant, &timing(2.0), &gains);
                 assert!(shape.radius() < 1.0, "{low} {ratio} {true_ratio}");
             }
+        }
+    }
+
+    #[test]
+    fn behind_a_coupling_every_point_has_the_notch_of_its_own_frequency_and_holds() {
+        let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
+        let quick = LoopTiming {
+            period_s: 0.002,
+            delay_s: 0.004,
+            filter_s: 0.0,
+        };
+        let request = Request {
+            rule: Rule::SymmetricalOptimum,
+            ..Request::default()
+        };
+        let schedule = Schedule::new(&plant, &[], &quick, &request).unwrap();
+        let (low, high) = schedule.range();
+        assert!(low < 0.7 && high > 3.0, "{low} {high}");
+        for ratio in [0.7, 0.8, 1.0, 1.3, 2.9] {
+            let gains = schedule.at(ratio).gains;
+            let there = plant.with_inertia_ratio(ratio);
+            let hertz = there.coupling().unwrap().frequency_hz;
+            assert_close(gains.notch.unwrap().frequency_hz / hertz, 1.0, 0.02);
+            let margins = LoopShape::new(&there, &quick, &gains).margins();
+            assert!(
+                margins.radius < 1.0 && margins.gain_margin > 1.6,
+                "{ratio} {margins:?}"
+            );
         }
     }
 

@@ -23,6 +23,13 @@ pub(super) fn model(inertia_kg_m2: f64) -> Model {
     Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, inertia_kg_m2))
 }
 
+/// The paper's motor with this share of its inertia behind a coupling of 22 Hz.
+pub(super) fn elastic(inertia_ratio: f64, damping_ratio: f64) -> Model {
+    let mut model = model(0.0045).with_effect("elastic_coupling").unwrap();
+    model.effects[0].values = [22.0, inertia_ratio, damping_ratio, 0.5].map(Some).to_vec();
+    model
+}
+
 pub(super) fn plant(inertia_kg_m2: f64) -> LinearPlant {
     LinearPlant::voltage(&model(inertia_kg_m2), 0.0).unwrap()
 }

@@ -10,10 +10,14 @@
 use super::limiter::limited as limited_by;
 use super::sensor::{Direct, SpeedSensor};
 use super::{Limiter, Measured, SpeedController};
+use crate::numerics::count::whole;
 use crate::numerics::propagator::LinearPart;
+use crate::plant::Coupling;
 
 /// Parts of a period in which the motor is integrated.
 const PARTS: usize = 20;
+/// Turn of a coupling's swing in a part, rad, at most: it is integrated step by step.
+const MOST_TURN: f64 = 0.03;
 
 /// The machine and its line.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +29,8 @@ pub struct TrialMachine {
     /// Against the motion, N.m.
     pub friction_n_m: f64,
     pub viscous_n_m_s_per_rad: f64,
+    /// What the load hangs on; a course's inertia is that of both, its load acts behind.
+    pub coupling: Option<Coupling>,
     /// The drive lowers its voltage to hold this current, A.
     pub drive_current_limit_a: f64,
     pub period_s: f64,
@@ -103,6 +109,7 @@ pub fn trial_seen_by(
 ) -> Vec<TrialPoint> {
     let mut noise = Noise(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     let mut x = [0.0, 0.0];
+    let mut behind = Behind::default();
     let mut angle_rad = 0.0;
     let mut pipe = std::collections::VecDeque::from(vec![0.0; machine.delay_periods]);
     let mut limited = false;
@@ -133,9 +140,10 @@ pub fn trial_seen_by(
         pipe.push_back(output);
         let applied_v = pipe.pop_front().unwrap_or(output);
         let load_n_m = (course.load_n_m)(time_s);
-        let part_s = machine.period_s / PARTS as f64;
+        let part_s = machine.part_s();
         let mut part = 0;
-        limited = machine.advance(&mut x, applied_v, inertia, load_n_m, |from, to| {
+        let outside = (applied_v, inertia, load_n_m);
+        limited = machine.advance(&mut x, &mut behind, outside, |from, to| {
             part += 1;
             angle_rad += 0.5 * part_s * (from + to);
             sensor.turned(time_s + f64::from(part) * part_s, angle_rad);
@@ -146,47 +154,120 @@ pub fn trial_seen_by(
     trace
 }
 
+/// The load behind a coupling: its speed, and the angle by which the motor is ahead.
+#[derive(Clone, Copy, Debug, Default)]
+struct Behind {
+    speed_rad_s: f64,
+    twist_rad: f64,
+}
+
+/// Speed after a part of a period under dry friction: a shaft that it would turn round stops, and one at rest stays where
+/// the torque does not break it loose. `next` says where it comes to for a resisting torque.
+fn rubbed(
+    speed_rad_s: f64,
+    drive_n_m: f64,
+    friction_n_m: f64,
+    next: impl Fn(f64) -> f64,
+) -> (f64, f64) {
+    // Without friction nothing holds a shaft that passes zero.
+    let rubs = friction_n_m > 0.0;
+    let sticks = rubs && speed_rad_s == 0.0 && drive_n_m.abs() <= friction_n_m;
+    let towards = if speed_rad_s == 0.0 {
+        drive_n_m
+    } else {
+        speed_rad_s
+    };
+    let direction = towards.signum();
+    let resisting_n_m = friction_n_m * direction;
+    let moved = next(resisting_n_m);
+    let stops = rubs && moved * direction < 0.0;
+    (resisting_n_m, if sticks || stops { 0.0 } else { moved })
+}
+
 impl TrialMachine {
-    /// One period under a held voltage; returns whether the drive's current limit held it. `moved` hears the speed before
-    /// and after each part of the period.
+    fn parts(&self) -> usize {
+        let natural = self.coupling.map_or(0.0, |coupling| coupling.frequency_hz);
+        let turn = std::f64::consts::TAU * natural * self.period_s;
+        PARTS.max(whole((turn / MOST_TURN).min(1e5).ceil()))
+    }
+
+    fn part_s(&self) -> f64 {
+        self.period_s / self.parts() as f64
+    }
+
+    /// One period under a held voltage, an inertia and a load; returns whether the drive's current limit held it. `moved`
+    /// hears the speed before and after each part of the period.
     fn advance(
         &self,
         x: &mut [f64; 2],
-        voltage_v: f64,
-        inertia: f64,
-        load_n_m: f64,
+        behind: &mut Behind,
+        (voltage_v, inertia, load_n_m): (f64, f64, f64),
         mut moved: impl FnMut(f64, f64),
     ) -> bool {
         let (r, l) = (self.resistance_ohm, self.inductance_h);
         let (ke, kt) = (self.back_emf_v_s_per_rad, self.torque_n_m_per_a);
+        let (share, split) = self.coupling.map_or((0.0, 0.0), |coupling| {
+            (coupling.inertia_ratio, coupling.friction_split)
+        });
+        let motor_inertia = (1.0 - share) * inertia;
+        let motor_friction_n_m = (1.0 - split) * self.friction_n_m;
         let part = LinearPart::new(&[
             [-r / l, -ke / l],
-            [kt / inertia, -self.viscous_n_m_s_per_rad / inertia],
+            [
+                kt / motor_inertia,
+                -self.viscous_n_m_s_per_rad / motor_inertia,
+            ],
         ]);
-        let propagator = part.over(self.period_s / PARTS as f64);
+        let part_s = self.part_s();
+        let propagator = part.over(part_s);
         let limit_a = self.drive_current_limit_a;
         let mut limited = false;
-        for _ in 0..PARTS {
+        for _ in 0..self.parts() {
             let [current, speed] = *x;
             // What would carry the current beyond the limit within the part is not given.
-            let hold_v = |amps: f64| {
-                r * amps + ke * speed + l * (amps - current) * PARTS as f64 / self.period_s
-            };
+            let hold_v = |amps: f64| r * amps + ke * speed + l * (amps - current) / part_s;
             let given_v = voltage_v.clamp(hold_v(-limit_a), hold_v(limit_a));
             limited |= (given_v - voltage_v).abs() > 1e-9;
-            let drive_n_m = kt * current - load_n_m;
-            // Without friction nothing holds a shaft that passes zero.
-            let rubs = self.friction_n_m > 0.0;
-            let sticks = rubs && speed == 0.0 && drive_n_m.abs() <= self.friction_n_m;
-            let direction = (if speed == 0.0 { drive_n_m } else { speed }).signum();
-            let resisting_n_m = load_n_m + self.friction_n_m * direction;
-            let next = propagator.apply(*x, [given_v / l, -resisting_n_m / inertia]);
-            let stops = rubs && next[1] * direction < 0.0;
-            *x = [next[0], if sticks || stops { 0.0 } else { next[1] }];
-            moved(speed, x[1]);
+            let taken_n_m = match &self.coupling {
+                Some(coupling) => {
+                    let shaft_n_m = shaft_torque(coupling, inertia, speed, behind);
+                    let load_inertia = share * inertia;
+                    let drive_n_m = shaft_n_m - load_n_m;
+                    let next = |friction_n_m: f64| {
+                        behind.speed_rad_s + part_s * (drive_n_m - friction_n_m) / load_inertia
+                    };
+                    let friction_n_m = split * self.friction_n_m;
+                    behind.speed_rad_s =
+                        rubbed(behind.speed_rad_s, drive_n_m, friction_n_m, next).1;
+                    shaft_n_m
+                }
+                None => load_n_m,
+            };
+            let go = |friction_n_m: f64| {
+                let resisting_n_m = taken_n_m + friction_n_m;
+                propagator.apply(*x, [given_v / l, -resisting_n_m / motor_inertia])
+            };
+            let drive_n_m = kt * current - taken_n_m;
+            let next = |friction_n_m: f64| go(friction_n_m)[1];
+            let (friction_n_m, after) = rubbed(speed, drive_n_m, motor_friction_n_m, next);
+            *x = [go(friction_n_m)[0], after];
+            // With the speeds of afterwards: a swing neither gains nor loses by the steps.
+            behind.twist_rad += part_s * (after - behind.speed_rad_s);
+            moved(speed, after);
         }
         limited
     }
+}
+
+/// Torque from the motor to the load, N.m. f, r, zeta as in [`Coupling`]: `k = (2 pi f)^2 J r (1 - r)`, `d = 2 zeta 2 pi f J r
+/// (1 - r)`.
+fn shaft_torque(coupling: &Coupling, inertia: f64, speed_rad_s: f64, behind: &Behind) -> f64 {
+    let w0 = std::f64::consts::TAU * coupling.frequency_hz;
+    let reduced = inertia * coupling.inertia_ratio * (1.0 - coupling.inertia_ratio);
+    let half_rad = 0.5 * coupling.gap_rad;
+    let beyond_rad = behind.twist_rad - behind.twist_rad.clamp(-half_rad, half_rad);
+    let spring = w0 * w0 * beyond_rad;
+    reduced * (spring + 2.0 * coupling.damping_ratio * w0 * (speed_rad_s - behind.speed_rad_s))
 }
 
 #[cfg(test)]
@@ -222,6 +303,7 @@ mod tests {
             torque_n_m_per_a: ke,
             friction_n_m: 0.0,
             viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
             drive_current_limit_a: 1e6,
             period_s: 0.001,
             delay_periods: 0,
@@ -245,5 +327,49 @@ mod tests {
             x = g * x + h * 12.0;
         }
         assert!(trace[399].speed_rad_s > 60.0 && !trace[399].limited);
+    }
+
+    #[test]
+    fn behind_a_coupling_it_moves_as_the_linear_plant_does() {
+        use crate::control::LinearPlant;
+        use crate::control::testing::elastic;
+        let model = elastic(0.4, 0.02);
+        let plant = LinearPlant::voltage(&model, 0.0).unwrap();
+        let machine = TrialMachine {
+            resistance_ohm: 1.1,
+            inductance_h: 0.0099,
+            back_emf_v_s_per_rad: 0.3538,
+            torque_n_m_per_a: 0.3538,
+            friction_n_m: 0.0,
+            viscous_n_m_s_per_rad: 0.0,
+            coupling: plant.coupling().copied(),
+            drive_current_limit_a: 1e6,
+            period_s: 0.002,
+            delay_periods: 0,
+            speed_noise_rad_s: 0.0,
+            current_noise_a: 0.0,
+        };
+        let course = Course {
+            reference_rad_s: &|_| 0.0,
+            inertia_kg_m2: &|_| 0.0045,
+            load_n_m: &|_| 0.0,
+        };
+        let limiter = Limiter {
+            output: 1e3,
+            current: None,
+        };
+        let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 300, 1);
+        let (phi, gamma) = plant.held_over(0.002);
+        let mut x = nalgebra::Vector4::<f64>::zeros();
+        for point in &trace {
+            assert!((point.speed_rad_s - x[1]).abs() < 0.05, "{point:?} {x:?}");
+            x = phi * x + gamma * 12.0;
+        }
+        // It rings on the way: the motor alone turns back.
+        assert!(
+            trace
+                .windows(2)
+                .any(|pair| pair[1].speed_rad_s < pair[0].speed_rad_s - 0.05)
+        );
     }
 }

@@ -21,7 +21,7 @@ const ALIKE: f64 = 3.0;
 const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
 /// One that is told of, in the noise and in the last step of the reference.
-const TOLD_NOISES: f64 = 5.0;
+const TOLD_NOISES: f64 = 7.0;
 const TOLD_STEP_SHARE: f64 = 0.02;
 /// Times that half a second of it goes from one side to the other, beyond half of its size on either.
 const TURNS: u32 = 4;
@@ -150,16 +150,15 @@ impl LoopWatch {
         }
         let alike = swings.filter(|(_, least_rad_s)| *least_rad_s > self.floor_rad_s());
         if let Some((swing_rad_s, _)) = alike {
-            return self.found(swing_rad_s);
+            return self.found(swing_rad_s, swing_rad_s > GOES_ON * self.last_rad_s);
         }
         self.saturated().or_else(|| self.irregular())
     }
 
     /// A swing against which something is to be done.
-    fn found(&mut self, swing_rad_s: f64) -> Option<Finding> {
+    fn found(&mut self, swing_rad_s: f64, goes_on: bool) -> Option<Finding> {
         self.halves.forget();
         self.second.clear();
-        let goes_on = swing_rad_s > GOES_ON * self.last_rad_s;
         (self.last_rad_s, self.since) = (swing_rad_s, 0);
         self.act(swing_rad_s, goes_on)
     }
@@ -238,7 +237,7 @@ impl LoopWatch {
             return None;
         }
         if swing_rad_s > self.floor_rad_s() {
-            self.found(swing_rad_s)
+            self.found(swing_rad_s, true)
         } else {
             self.tell(swing_rad_s)
         }
@@ -266,11 +265,10 @@ impl LoopWatch {
         let crosses = all()
             .zip(all().skip(1))
             .any(|(one, next)| one.0 * next.0 < 0.0);
-        self.second.clear();
         if crosses {
-            self.halves.forget();
-            return self.act(last, true);
+            return self.found(last, true);
         }
+        self.second.clear();
         Some(Finding::Saturated {
             limited_share,
             error_rad_s: last,

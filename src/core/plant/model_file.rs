@@ -9,6 +9,7 @@ use super::effect::{self, DefinitionError, Layout};
 use super::model::{ActiveEffect, Model, Slot};
 use super::motor::{Motor, MotorKey};
 use crate::config_text::{ConfigError, help_for_unknown, nearest};
+use crate::sample::ParameterEstimate;
 
 /// Key of an effect under which the motor's parameters stand that are fixed for its sake.
 const HOLDS: &str = "holds";
@@ -19,6 +20,18 @@ const HOLDS: &str = "holds";
 pub struct FittedValue {
     pub key: String,
     pub std: f64,
+}
+
+impl FittedValue {
+    /// Those that are known of the parameters of a fit.
+    pub fn all(parameters: &[ParameterEstimate]) -> Vec<Self> {
+        let known = parameters.iter().filter_map(|p| {
+            let std = p.std.filter(|std| *std > 0.0)?;
+            let key = p.key.clone();
+            Some(Self { key, std })
+        });
+        known.collect()
+    }
 }
 
 /// What a fit leaves behind: the runs it used and the ladder that led here.

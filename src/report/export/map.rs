@@ -46,7 +46,7 @@ pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
     };
     let list = |of: fn(&MappedValue) -> f64| -> String {
         let cell = |bin: &MapBin| match &bin.torque {
-            Some(value) => format!("{:?}f", of(value) as f32),
+            Some(value) => format!("{}f", float(of(value))),
             None => "NAN".to_owned(),
         };
         let lines = map.bins.chunks(8).map(|bins| {
@@ -68,8 +68,8 @@ pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
         ("lows", &list(|value| value.low_n_m)),
         ("highs", &list(|value| value.high_n_m)),
         ("count", &map.bins.len().to_string()),
-        ("first", &format!("{:?}", first.from as f32)),
-        ("width", &format!("{:?}", (first.to - first.from) as f32)),
+        ("first", &float(first.from)),
+        ("width", &float(first.to - first.from)),
         ("unit", unit),
         ("place", place),
         ("suffix", if turns { "rad" } else { "rad_s" }),
@@ -88,4 +88,10 @@ pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
         text = text.replace(&format!("{{{{{key}}}}}"), value);
     }
     text
+}
+
+/// A number as C reads it into a float.
+#[expect(clippy::cast_possible_truncation, reason = "the table is of floats")]
+fn float(value: f64) -> String {
+    format!("{:?}", value as f32)
 }

@@ -42,6 +42,8 @@ pub enum ExportError {
     Model(#[from] ModelError),
     #[error("gains cannot be exported to modelica")]
     Gains,
+    #[error("gains with a notch cannot be exported")]
+    Notch,
 }
 
 impl ExportError {
@@ -51,6 +53,9 @@ impl ExportError {
                 "nothing is left out silently: `drivebench remove {id}` makes a model without it, and --to json has every effect"
             ),
             Self::Model(error) => error.help().to_owned(),
+            Self::Notch => {
+                "nothing is left out silently: --to json has the notch, its frequency, damping and depth".to_owned()
+            }
             Self::Gains => {
                 "leave --gains out and take Modelica.Blocks.Continuous.LimPID with them, or export to c, python or matlab"
                     .to_owned()
@@ -112,6 +117,9 @@ impl Export {
         title: &str,
     ) -> Result<Self, ExportError> {
         model.require_complete()?;
+        if regulator.is_some_and(|regulator| regulator.gains.notch.is_some()) {
+            return Err(ExportError::Notch);
+        }
         let longest_step_s = Plant::new(model, Input::Voltage)?.runge_kutta_step_s();
         let mut parameters = Vec::new();
         for key in MotorKey::ALL {

@@ -188,6 +188,7 @@ fn regulator() -> Regulator {
         gains: PiGains {
             proportional: 0.4,
             integral_time_s: 0.3,
+            notch: None,
             reference_filter_s: 0.05,
         },
         holding: Holding {

@@ -104,6 +104,7 @@ impl Bench {
             torque_n_m_per_a: self.model.motor.torque_constant().expect(FIXED),
             friction_n_m: self.model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
             drive_current_limit_a: 1.14 * self.current_limit_a,
             period_s: self.timing.period_s,
             delay_periods: whole(self.timing.delay_cycles().round()),

@@ -83,7 +83,7 @@ impl LoadObserving {
             })
         };
         let inertia = value(MotorKey::Inertia)?;
-        let (phi_2, gamma_2) = plant.held_over(timing.period_s);
+        let (phi_2, gamma_2) = plant.rigid().held_over(timing.period_s);
         // The load's push over a period: the integral of the speed's answer, by the same held step on the torque.
         let (phi, gamma) = with_load(plant, timing.period_s, inertia);
         let c = Vector3::new(0.0, 1.0, 0.0);
@@ -94,7 +94,7 @@ impl LoadObserving {
         let filter = riccati::filter(&phi, &process, &c, noise, TOLERANCE)
             .ok_or(PaperBError::Iteration("filter's gain"))?;
         let mut with_integral = Matrix3::identity();
-        with_integral.fixed_view_mut::<2, 2>(0, 0).copy_from(&phi_2);
+        (with_integral.fixed_view_mut::<2, 2>(0, 0)).copy_from(&phi_2.fixed_view::<2, 2>(0, 0));
         with_integral[(2, 1)] = timing.period_s;
         let input = Vector3::new(gamma_2[0], gamma_2[1], 0.0);
         let error_cost = settings.error_rad_s.powi(-2);

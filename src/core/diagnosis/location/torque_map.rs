@@ -221,13 +221,13 @@ pub fn torque_map(
         };
         let angle = match of {
             MappedTorque::Friction => Vec::new(),
-            MappedTorque::Cogging => match search.angle_at_samples() {
-                Some(angle) => angle,
-                None => {
+            MappedTorque::Cogging => {
+                let Some(angle) = search.angle_at_samples() else {
                     missing = Some("angle");
                     continue;
-                }
-            },
+                };
+                angle
+            }
         };
         for window in windows.of(Balance::Torque) {
             let place = match of {

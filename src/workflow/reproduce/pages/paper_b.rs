@@ -159,7 +159,7 @@ fn figure_4(figure: &Figure4, design: &Design) -> Section {
             &columns(series, traces),
         )
         .say(format!(
-            "The printed K3 = 1/(A+B) takes the filtered error of one cycle for the whole of a disturbance that has acted for one cycle, and corrects all of it again in each cycle until it has gone. With mu = 0.2 that is a loop with a damping ratio of {} (see the table of K3 and mu): it is stable, and it swings. The voltage works {} times as hard ({} against {} V from cycle to cycle), and the flat parts have {} rad/s of error instead of {}. With noise on the speed that is no use; on a quiet sensor the larger K3 would answer sooner.",
+            "The printed K3 = 1/(A+B) takes the filtered error of one cycle for the whole of a disturbance that has acted for one cycle, and corrects all of it again in each cycle until it has gone. With mu = 0.2 that is a loop with a damping ratio of {} (see the table of K3 and mu): it is stable, and it swings. The voltage works {} times as hard ({} against {} V from cycle to cycle), and the flat parts have {} rad/s of error instead of {}. Figure 5 has what a load does with each.",
             fixed(design.radii.damping[0][3], 2),
             fixed(printed.effort_v / with.effort_v, 0),
             significant(printed.effort_v, 3),
