@@ -25,12 +25,12 @@ mod tests {
     fn a_burst_pays_where_the_loop_is_slower_than_the_current() {
         let mut bench = BenchFile::embedded_default();
         let motor = bench.nameplate().unwrap();
-        // L/R is 9 ms, the period 10 ms; the first part stands still.
-        assert_eq!(burst_part(&bench, &motor), Some(2));
+        // L/R is 9 ms, the period 10 ms; the first part stands still, and so does the shaft in the second.
+        assert_eq!(burst_part(&bench, &motor), Some(3));
         bench.link.rate_hz = 200.0;
         assert_eq!(burst_part(&bench, &motor), None);
         bench.link.rate_hz = 10.0;
-        bench.sequence.truncate(1);
+        bench.sequence.truncate(2);
         assert_eq!(burst_part(&bench, &motor), None);
     }
 }

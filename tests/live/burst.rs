@@ -2,11 +2,11 @@
 
 use crate::kit::prelude::*;
 
-/// The default bench with a burst at its second part, over `protocol`.
-fn bench(protocol: &str) -> String {
+/// The default bench with a burst at this part, over `protocol`.
+fn bench(protocol: &str, part: u8) -> String {
     let link = format!("protocol = {protocol:?}");
     BENCH
-        .replace("# burst_at = 2", "burst_at = 2")
+        .replace("# burst_at = 3", &format!("burst_at = {part}"))
         .replace("protocol = \"modbus-rtu\"", &link)
         .replace("zk-22fc-hidden", "zk-22fc-plain")
 }
@@ -37,7 +37,7 @@ fn armed_at_s(run: &Path) -> f64 {
 #[test]
 fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() {
     let desk = Desk::new();
-    let bench = desk.put("bench.toml", &bench("modbus-rtu"));
+    let bench = desk.put("bench.toml", &bench("modbus-rtu", 3));
     let done = desk.simulate("run --headless", "{} --seed 3", &[&bench]);
     let done = done.expect(0);
     has(&done.stderr, &["burst capture: 4095 samples at 10000 Hz"]);
@@ -70,7 +70,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
 #[test]
 fn a_burst_is_fetched_over_every_wire() {
     at_once(["modbus-rtu", "stream", "modbus-tcp"], |protocol| {
-        let text = bench(protocol);
+        let text = bench(protocol, 2);
         let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
         // Slow and patient: what is asked here is not how punctual this machine is.
         let head = head
@@ -92,7 +92,7 @@ fn a_burst_is_fetched_over_every_wire() {
 #[test]
 fn a_part_that_is_not_there_is_refused() {
     let desk = Desk::new();
-    let text = bench("modbus-rtu").replace("burst_at = 2", "burst_at = 99");
+    let text = bench("modbus-rtu", 99);
     let path = desk.put("bench.toml", &text);
     call("plan {}", &[&path]).fails(2, &["runs.burst_at = 99"]);
 }

@@ -8,7 +8,7 @@ use crate::bench::limits::Nameplate;
 use crate::bench::plan::{Plan, plan};
 use crate::bench::speed::{ControllerKind, ReferencePart, SpeedSection};
 use crate::drive::register_map::Quantity;
-use crate::excitation::{self, Dither, Prbs, Segment, Standstill, Steps};
+use crate::excitation::{self, Dither, Prbs, Ramp, Segment, Standstill, Steps};
 
 /// Share of the voltage limit that the sequence uses.
 const OF_VOLTAGE: f64 = 0.85;
@@ -20,6 +20,9 @@ const LEAST_OF_CURRENT: f64 = 0.2;
 const LEVEL_PERIODS: f64 = 10.0;
 const RANDOM_PERIODS: f64 = 3.0;
 const RANDOM_LEVELS: f64 = 15.0;
+/// The first level: its share of the voltage, which breaks few shafts away, and how long it lasts, s.
+const OF_FIRST_LEVEL: f64 = 0.01;
+const FIRST_LEVEL_S: f64 = 0.5;
 /// Slow enough for every link, s.
 const LEVEL_S: f64 = 2.0;
 /// Levels of the reference, of what can be reached.
@@ -154,12 +157,27 @@ fn voltages(
     Ok(())
 }
 
-/// The rich sequence; one that never asks for less than 0 V where the drive takes no such voltage.
+/// The rich sequence, or one that never asks for less than 0 V where the drive takes no such voltage. Behind the standstill
+/// comes a small level, so that a drive which starts late does so in it: behind a fast step it would run into its own current
+/// limit, and what that cut off would pass for an effect of the motor.
 fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
-    let all = excitation::rich(voltage_v, slew_v_per_s, 1);
-    if !one_way {
-        return all;
-    }
+    let mut sequence = if one_way {
+        from_zero_up(voltage_v, slew_v_per_s)
+    } else {
+        excitation::rich(voltage_v, slew_v_per_s, 1)
+    };
+    let level_v = OF_FIRST_LEVEL * voltage_v;
+    let first_level = Segment::Ramp(Ramp {
+        from_v: level_v,
+        to_v: level_v,
+        seconds: FIRST_LEVEL_S,
+        dither: None,
+    });
+    sequence.insert(1, first_level);
+    sequence
+}
+
+fn from_zero_up(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
     let levels_v = [0.9, 0.3, 0.6, 0.15, 0.45].map(|share| share * voltage_v);
     let hold_s = (voltage_v / slew_v_per_s + 0.15).max(0.5);
     vec![

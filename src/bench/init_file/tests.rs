@@ -1,5 +1,6 @@
 use super::*;
 use crate::bench::testing::{has, near, within};
+use crate::excitation::Output;
 
 fn plate() -> MotorSection {
     BenchFile::embedded_default().motor
@@ -93,6 +94,21 @@ fn the_sequence_is_planned_and_stays_below_the_drive_s_own_limit() {
             "drivebench speed b.toml --hardware --headless"
         ]
     );
+}
+
+#[test]
+fn a_drive_that_starts_late_does_so_before_the_first_step() {
+    let made = made("own", &plate(), told()).unwrap().bench;
+    let embedded = BenchFile::embedded_default();
+    for (bench, times_s) in [(made, [0.55, 0.75, 0.95]), (embedded, [0.3, 0.4, 0.49])] {
+        let program = bench.program(1).unwrap();
+        for time_s in times_s {
+            let Output::Voltage(volts) = program.value_at(time_s) else {
+                panic!("{}: off at {time_s} s", bench.name);
+            };
+            within(volts, 0.9..1.1);
+        }
+    }
 }
 
 #[test]

@@ -513,7 +513,14 @@ impl Design<'_> {
         };
         let trace = trial(&machine, &course, controller, limiter, REHEARSAL_CYCLES, 1);
         let end = &trace[REHEARSAL_CYCLES * 9 / 10..];
-        let swing = swing(end.iter().map(|point| point.speed_rad_s));
+        let speeds = end.iter().map(|point| point.speed_rad_s);
+        // A loop with margins may be slow; of the others nothing is known but this.
+        let swing = match self.section.controller {
+            ControllerKind::Pi | ControllerKind::Addc => swing(speeds),
+            ControllerKind::Mrac | ControllerKind::PaperB | ControllerKind::LoadObserver => {
+                extent(speeds)
+            }
+        };
         let share = plant.coupling().map_or(STILL_SWINGS, |_| STILL_RINGS);
         let most = share * step;
         // Also false for what is no number any more.
@@ -529,6 +536,14 @@ impl Design<'_> {
             most,
         })
     }
+}
+
+/// From the least to the largest. No number, or below zero, where one of them is none.
+fn extent(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, top) = values.fold((f64::MAX, f64::MIN), |(low, top), value| {
+        (low.min(value), top.max(value))
+    });
+    top - low
 }
 
 /// By how much a quantity goes back and forth: the largest way up or the largest way down, whichever is less, so that what

@@ -249,12 +249,17 @@ fn traces(
         }
     };
     // What is not carried is drawn where there is room for it, and moves no axis.
-    let inside = |_: &ResponsePoint, value: f64| (low..=high).contains(&value);
+    let inside =
+        |point: &ResponsePoint, value: f64| !point.is_carried && (low..=high).contains(&value);
     let is_carried = |point: &ResponsePoint, _: f64| point.is_carried;
     let value = |point: &ResponsePoint| shows.value(point);
     let edge = |end: usize| move |point: &ResponsePoint| shows.interval(point)[end];
     let mut traces = vec![
-        line(&own.points, &value, &inside, Stroke::Dotted, theme::DIM),
+        Trace {
+            // Dots by themselves: between two of them nothing is known.
+            longest_s: -1.0,
+            ..line(&own.points, &value, &inside, Stroke::Solid, theme::DIM)
+        },
         line(
             &own.points,
             &edge(0),
