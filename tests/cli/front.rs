@@ -193,7 +193,10 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
                     damping_ratio = 0.02\nfriction_split = 0.5\n\n[history]\n\
                     fitted = [{ key = \"elastic_coupling.frequency_hz\", std = 0.2 }]\n";
     let model = model(&desk, "elastic.toml", coupling);
-    let tuned = json_of("tune --model {} --json", &[&model]);
+    let tuned = json_of(
+        "tune --model {} --rate-hz 200 --delay-cycles 2 --json",
+        &[&model],
+    );
     assert_eq!(tuned["gains"]["notch"]["frequency_hz"], 22.0);
     assert_eq!(tuned["draws"]["count"], 200);
     assert_eq!(tuned["draws"]["stable_share"], 1.0);
@@ -203,11 +206,19 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
     let middle = &tuned["step"][10];
     assert!(number(middle, "/low") < number(middle, "/speed"));
     assert!(number(middle, "/high") > number(middle, "/speed"));
-    let slow = json_of("tune --model {} --json --no-notch", &[&model]);
+    let slow = json_of(
+        "tune --model {} --rate-hz 200 --delay-cycles 2 --json --no-notch",
+        &[&model],
+    );
     assert!(slow["gains"].get("notch").is_none());
     let hertz = |tuned| number(tuned, "/margins/bandwidth_rad_s") / std::f64::consts::TAU;
-    assert!(hertz(&tuned) > 1.2 * hertz(&slow));
-    let card = call("tune --model {} --full", &[&model]).expect(0).stdout;
+    assert!(hertz(&tuned) > 1.05 * hertz(&slow));
+    let card = call(
+        "tune --model {} --rate-hz 200 --delay-cycles 2 --full",
+        &[&model],
+    )
+    .expect(0)
+    .stdout;
     let worth = format!(
         "a notch at 22.0 Hz keeps {:.1} Hz of bandwidth; without it {:.1} Hz",
         hertz(&tuned),

@@ -188,8 +188,8 @@ fn data_that_excite_nothing_are_status_5_with_a_reason() {
         .map(|[time, ..]| [time, "12.0", "1.5", "30.0"].map(str::to_owned))
         .collect();
     desk.identify(&csv(HEADER, &steady), "").expect(5).error();
-    // The half second of standstill that each run begins with.
-    let done = desk.identify(&csv(HEADER, &rows[..45]), "").expect(5);
+    // The quarter of a second at zero volts that each run begins with.
+    let done = desk.identify(&csv(HEADER, &rows[..23]), "").expect(5);
     let found = done.json();
     done.error();
     for (key, parameter) in found["parameters"].as_object().unwrap() {
@@ -203,7 +203,7 @@ fn data_that_excite_nothing_are_status_5_with_a_reason() {
 fn what_cannot_be_observed_and_is_required_is_status_5() {
     let (desk, rows) = (Desk::new(), rows());
     // A shaft at rest does not show its inertia.
-    let text = csv(HEADER, &rows[..45]);
+    let text = csv(HEADER, &rows[..23]);
     let done = desk.identify(&text, "--require inertia_kg_m2").expect(5);
     assert!(done.json()["parameters"]["inertia_kg_m2"]["value"].is_null());
     has(&done.error(), &["inertia_kg_m2"]);

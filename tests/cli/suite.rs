@@ -354,7 +354,7 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
     has(
         &done.stdout,
         &[
-            "(nothing)       (none shown) 2",
+            "(nothing)       (none) 2",
             "quadratic_load  quadratic_load 1",
         ],
     );

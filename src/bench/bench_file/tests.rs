@@ -104,7 +104,7 @@ fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
         has(&error, key);
         has(&error, "expected");
     }
-    let error = changed("seconds = 0.5", "seconds = -0.5").unwrap_err();
+    let error = changed("seconds = 0.25", "seconds = -0.25").unwrap_err();
     has(error, "sequence part 1 (standstill)");
 }
 
