@@ -366,7 +366,7 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
     );
     assert_eq!(
         fs::read_to_string(folder.join("confusion.csv")).unwrap(),
-        "hidden,quadratic_load,(none shown)\n(nothing),0,2\nquadratic_load,1,0\n"
+        "hidden,quadratic_load,(none)\n(nothing),0,2\nquadratic_load,1,0\n"
     );
     has(
         &fs::read_to_string(&metrics).unwrap(),
