@@ -22,7 +22,7 @@ const LOWEST: f64 = 1e-5;
 /// Nearest frequency beside that of a swing, relative, and how the others follow away from it.
 const BESIDE: f64 = 5e-4;
 const AWAY: f64 = 1.35;
-const AWAYS: i32 = 18;
+const AWAY_STEPS: i32 = 18;
 /// Halvings of a bracket around a crossing.
 const HALVINGS: usize = 40;
 
@@ -299,7 +299,7 @@ impl LoopShape {
         }
         for swing in &self.swings_rad_s {
             found.push(*swing);
-            for beside in (0..AWAYS).map(|n| BESIDE * AWAY.powi(n)) {
+            for beside in (0..AWAY_STEPS).map(|n| BESIDE * AWAY.powi(n)) {
                 found.extend([swing * (1.0 - beside), swing * (1.0 + beside)]);
             }
         }
