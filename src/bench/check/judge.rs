@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Each with the doubt of a small pulse, and what a specimen, a warm winding and drops that depend on nothing may make of
-//! it: what lies outside with all of its interval is no tolerance but another unit or another motor. The friction's current is the same before and after it breaks away,
-//! so drops of brushes and bridge cancel out of Ke.
+//! it: what lies outside with all of its interval is no tolerance but another unit or another motor. The friction's current
+//! is the same before and after it breaks away, so drops of brushes and bridge cancel out of Ke.
 
 use super::pulse::{Leg, Point, Size};
 use crate::bench::limits::Nameplate;
