@@ -7,9 +7,10 @@
 //! A path has one drive: whoever serves it holds a socket without a file that is named after it, which goes with its
 //! process however that ends. A link that is left then is replaced.
 //!
-//! Why fresh: after the last close of a slave its master reports the hang-up for ever, hands bytes written meanwhile to
-//! the next client, and keeps the exclusive mark of a killed client. Why no slave is kept open: the hang-up would never
-//! show. Linux only: there, raw mode can be set on the master.
+//! Why fresh: after the last close of a slave its master reports the hang-up until somebody opens it, hands bytes written
+//! meanwhile to the next client, and keeps the exclusive mark of a killed client. A host that opened the path between the
+//! hang-up and the next pair stays on this one. Why no slave is kept open: the hang-up would never show. Linux only: there,
+//! raw mode can be set on the master.
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
@@ -89,6 +90,7 @@ fn check_free(stable: &Path) -> io::Result<()> {
 pub(crate) struct PtyPort {
     master: PtyMaster,
     slave: PathBuf,
+    hung_up: bool,
 }
 
 impl PtyPort {
@@ -102,7 +104,23 @@ impl PtyPort {
         cfmakeraw(&mut termios);
         tcsetattr(&master, SetArg::TCSANOW, &termios)?;
         let slave = PathBuf::from(ptsname_r(&master)?);
-        Ok(Self { master, slave })
+        let hung_up = false;
+        Ok(Self {
+            master,
+            slave,
+            hung_up,
+        })
+    }
+
+    /// Whether another host is here since the last one went; from then on it is served like the first.
+    pub(crate) fn taken_again(&mut self) -> bool {
+        let mut fds = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
+        let polled = ppoll(&mut fds, Some(TimeSpec::from_duration(Duration::ZERO)), None);
+        let nobody = polled.is_err()
+            || (fds[0].revents()).is_none_or(|seen| seen.contains(PollFlags::POLLHUP));
+        let again = self.hung_up && !nobody;
+        self.hung_up &= !again;
+        again
     }
 
     /// Makes `stable` lead to this pair; the change is atomic. What is there and no link of an emulator is left alone.
@@ -138,15 +156,17 @@ impl Port for PtyPort {
         // An interrupted wait is a short wait.
         let _ = ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None);
         match (&self.master).read(buffer) {
-            Ok(0) => Err(Gone),
-            Ok(bytes) => Ok(bytes),
+            Ok(bytes @ 1..) => Ok(bytes),
             Err(error)
                 if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
             {
                 Ok(0)
             }
             // EIO: the last slave was closed and everything it wrote has been read.
-            Err(_) => Err(Gone),
+            Ok(0) | Err(_) => {
+                self.hung_up = true;
+                Err(Gone)
+            }
         }
     }
 
@@ -194,6 +214,32 @@ mod tests {
             }
         }
         assert_eq!(seen, bytes);
+    }
+
+    #[test]
+    fn a_host_that_opens_the_pair_before_the_next_one_is_published_is_seen() {
+        let mut port = PtyPort::open().unwrap();
+        let slave = port.slave.clone();
+        let host = || {
+            let both = fs::File::options().read(true).write(true).open(&slave);
+            both.unwrap()
+        };
+        let first = host();
+        assert!(!port.taken_again(), "nobody has gone");
+        drop(first);
+        let mut buffer = [0; 64];
+        let patience = Duration::from_secs(5);
+        assert_eq!(port.read_within(&mut buffer, patience), Err(Gone));
+        assert!(!port.taken_again(), "nobody has come");
+        let mut second = host();
+        assert!(port.taken_again());
+        assert!(!port.taken_again(), "it is served, and has not gone");
+        second.write_all(b"here").unwrap();
+        assert_eq!(port.read_within(&mut buffer, patience), Ok(4));
+        assert_eq!(port.write(b"there"), 5);
+        let mut answer = [0; 5];
+        second.read_exact(&mut answer).unwrap();
+        assert_eq!(&answer, b"there");
     }
 
     #[test]

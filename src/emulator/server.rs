@@ -360,10 +360,14 @@ impl<'a> Server<'a> {
                 thread::sleep(Duration::from_secs_f64(left_s));
                 break;
             }
-            // The path leads to the next pair before this one goes.
+            // The path leads to the next pair before this one goes; who took this one meanwhile is served here.
             let next = PtyPort::open()?;
             next.publish(stable)?;
-            port = next;
+            if port.taken_again() {
+                port.publish(stable)?;
+            } else {
+                port = next;
+            }
         }
         port.unpublish(stable);
         Ok(())
