@@ -133,7 +133,7 @@ fn maps_that_were_measured_are_given_forward_and_take_a_third_of_what_the_model_
     let model = desk.path("model.toml");
     call("identify {} --output {}", &[&held, &model]).expect(0);
     let maps = [("friction", &held), ("cogging", &slow)].map(|(torque, run)| {
-        let map = desk.path(&format!("{torque}.csv"));
+        let map = desk.path(format!("{torque}.csv"));
         let text =
             format!("export --torque-map {torque} --run {{}} --model {{}} --to csv --output {{}}");
         call(&text, &[run, &model, &map]).expect(0);

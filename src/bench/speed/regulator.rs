@@ -333,7 +333,8 @@ impl Design<'_> {
         let (model, timing) = (self.model, &self.timing);
         if let Some(kt) = model.motor.torque_constant() {
             let most = limit_a * kt;
-            for map in self.maps.iter().filter(|map| map.largest_n_m() > most) {
+            let mut maps = self.maps.iter();
+            if let Some(map) = maps.find(|map| map.largest_n_m() > most) {
                 return Err(RegulatorError::Map {
                     name: map.torque.name(),
                     value: map.largest_n_m(),
