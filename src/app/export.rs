@@ -75,11 +75,12 @@ pub(crate) fn torque_map_of(
         }
     }
     let title = format!(
-        "{} of {}, {} of {} bins measured in {}{}: Kt and J of {}, exported by drivebench {}",
+        "{} of {}, {} of {} bins measured, {} of them not zero, in {}{}: Kt and J of {}, exported by drivebench {}",
         of.name(),
         file.model.motor.name,
         map.known(),
         map.bins.len(),
+        map.differ(),
         used.join(", "),
         unused.concat(),
         model.display(),

@@ -17,9 +17,9 @@ use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
 use super::run::tell_checks;
 use super::{files, output, pages};
 use crate::bench::{
-    BenchFile, CheckReport, ControllerKind, Design, ForwardUse, Limits, LoopDelay, Nameplate,
-    PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot, SpeedReport,
-    SpeedSection, loop_timing,
+    BenchFile, CheckReport, ControllerKind, Design, EMBEDDED_NAME, ForwardUse, Limits, LoopDelay,
+    Nameplate, PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot,
+    SpeedReport, SpeedSection, loop_timing,
 };
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
@@ -230,6 +230,16 @@ pub fn speed(
     let delay_s = delay.map_or(request.period_s, |delay| delay.median_s);
     let mut regulator = request.regulator(delay_s, noise_rad_s)?;
     let reasons = &mut regulator.reasons;
+    let history = &request.model.history;
+    let bench = &rig.bench.name;
+    if asked.source.0 == EMBEDDED_NAME && history.is_of_another_bench(bench) {
+        let runs = history.fitted_on.join(", ");
+        let text = format!(
+            "no bench file is given, so this is the embedded bench {bench:?}; the model was fitted on {runs}"
+        );
+        output::message(&format!("warning: {text}"));
+        reasons.push(text);
+    }
     reasons.extend(unwatched(&report, request.actuator));
     reasons.extend(converter(&request.limits));
     let model = match &asked.model {

@@ -381,8 +381,11 @@ impl SpeedController for Compensated {
     }
 
     fn foresee(&mut self, reference_rad_s: &dyn Fn(f64) -> f64) {
-        let end_s = self.forward.ahead_s() + 0.5 * self.forward.period_s;
-        self.foreseen_rad_s = Some(reference_rad_s(end_s));
+        self.foreseen_rad_s = Some(reference_rad_s(self.leads_s()));
+    }
+
+    fn leads_s(&self) -> f64 {
+        self.forward.ahead_s() + 0.5 * self.forward.period_s
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {

@@ -109,6 +109,14 @@ impl TorqueMap {
         self.bins.iter().filter(|bin| bin.torque.is_some()).count()
     }
 
+    /// Bins whose torque is known not to be zero.
+    pub fn differ(&self) -> usize {
+        let known = self.bins.iter().filter_map(|bin| bin.torque);
+        known
+            .filter(|it| it.low_n_m > 0.0 || it.high_n_m < 0.0)
+            .count()
+    }
+
     /// As CSV: a row for each bin at its middle, its cells empty where nothing was measured.
     pub fn to_csv(&self) -> String {
         let mut text = format!("{},{COLUMNS}\n", self.torque.axis().0);

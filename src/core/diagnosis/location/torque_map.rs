@@ -5,6 +5,9 @@
 //!                                                                               mean, 95 % interval, windows of each
 //! ```
 //!
+//! Of a cogging map a friction of each direction, `a + b w`, is taken out by turns with the bins: what is left is a torque of
+//! the place alone, which gives back over a turn what it takes.
+//!
 //! Nothing of the mapped torque's form is taken from the model; its Kt and J are, and an error of them scales what is found.
 //! A bin without enough windows has no value.
 
@@ -16,6 +19,7 @@ use super::axis::Search;
 use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
+use crate::numerics::count::whole;
 use crate::numerics::statistics::{extent, largest};
 use crate::plant::{Balance, MapBin, MappedTorque, MappedValue, Model, Scenario, TorqueMap};
 
@@ -30,6 +34,9 @@ const WINDOWS_EACH: f64 = 2.0;
 const MOST_TURN_RAD: f64 = 0.3;
 /// Share of a bin by which the speed of a window may wander (a standard deviation).
 const STEADY_SHARE: f64 = 0.5;
+/// Rounds of the backfitting, and the least spread of speeds, over the square of their mean, that has a slope.
+const BACKFITS: usize = 50;
+const SPREAD: f64 = 1e-4;
 /// Two-sided level of the intervals.
 const LEVEL: f64 = 0.95;
 
@@ -64,6 +71,7 @@ impl MapError {
 /// A window's place on the axis, its torque and the deviation that noise alone gives to it.
 struct Found {
     place: f64,
+    speed_rad_s: f64,
     torque_n_m: f64,
     floor_n_m: f64,
 }
@@ -116,6 +124,7 @@ pub fn torque_map(
             if let Some(place) = place {
                 found.push(Found {
                     place,
+                    speed_rad_s: window.speed_rad_s,
                     torque_n_m: window.error(Balance::Torque),
                     floor_n_m: window.floor(Balance::Torque),
                 });
@@ -124,6 +133,9 @@ pub fn torque_map(
     }
     if let (Some((_, signal)), true) = (left_out.last(), found.is_empty()) {
         return Ok(Err(MapError::Missing(signal)));
+    }
+    if of == MappedTorque::Cogging {
+        take_friction_out(&mut found, &bins);
     }
     let bins = bins.into_iter().map(|bin| filled(bin, &found)).collect();
     let map = TorqueMap { torque: of, bins };
@@ -161,6 +173,64 @@ fn steady_speed(windows: &Windows<'_>, window: &Window, width: f64) -> Option<f6
 fn still_angle(own: &[f64]) -> Option<f64> {
     let (low, high) = extent(own.iter());
     (high - low < MOST_TURN_RAD).then(|| own[own.len() / 2].rem_euclid(TAU))
+}
+
+/// Takes what depends on the speed out of torques over a turn: the bins' means and a line over the speed of each direction,
+/// one after the other until neither changes (backfitting; Hastie and Tibshirani, Generalized Additive Models, 1990).
+fn take_friction_out(found: &mut [Found], bins: &[MapBin]) {
+    let width = bins[0].to - bins[0].from;
+    let bin_of = |found: &Found| whole((found.place / width).floor()).min(bins.len() - 1);
+    let mut wave = vec![0.0; bins.len()];
+    let mut lines = [[0.0; 2]; 2];
+    let way = |found: &Found| usize::from(found.speed_rad_s < 0.0);
+    let friction = |lines: &[[f64; 2]; 2], found: &Found| {
+        let [at_rest, slope] = lines[way(found)];
+        at_rest + slope * found.speed_rad_s
+    };
+    for _ in 0..BACKFITS {
+        for (direction, line) in lines.iter_mut().enumerate() {
+            let own = found.iter().filter(|found| way(found) == direction);
+            let rest = own.map(|found| (found.speed_rad_s, found.torque_n_m - wave[bin_of(found)]));
+            *line = straight(&rest.collect::<Vec<_>>());
+        }
+        let mut sums = vec![(0.0, 0.0); bins.len()];
+        for found in &*found {
+            let (sum, count) = &mut sums[bin_of(found)];
+            *sum += found.torque_n_m - friction(&lines, found);
+            *count += 1.0;
+        }
+        let known = sums.iter().filter(|(_, count)| *count > 0.0);
+        let middle = known.clone().map(|(sum, count)| sum / count).sum::<f64>()
+            / known.count().max(1) as f64;
+        for (wave, (sum, count)) in wave.iter_mut().zip(&sums) {
+            *wave = if *count > 0.0 {
+                sum / count - middle
+            } else {
+                0.0
+            };
+        }
+    }
+    for found in found {
+        found.torque_n_m -= friction(&lines, found);
+    }
+}
+
+/// Ordinate at zero and slope of the least squares; no slope where the places are one.
+fn straight(points: &[(f64, f64)]) -> [f64; 2] {
+    let n = points.len().max(1) as f64;
+    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
+    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+    let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
+    let product: f64 = points
+        .iter()
+        .map(|point| (point.0 - x) * (point.1 - y))
+        .sum();
+    let slope = if square > SPREAD * n * x * x {
+        product / square
+    } else {
+        0.0
+    };
+    [y - slope * x, slope]
 }
 
 fn filled(bin: MapBin, found: &[Found]) -> MapBin {
@@ -255,11 +325,28 @@ mod tests {
     }
 
     #[test]
-    fn cogging_is_found_over_a_turn() {
-        let truth = model(&[("cogging", &[0.0, 0.1, 7.0])]);
+    fn cogging_is_found_over_a_turn_whatever_friction_the_model_lacks() {
         // About 5 rad/s.
-        let levels = [3.2, -3.2];
-        let map = mapped(MappedTorque::Cogging, &truth, &model(&[]), &levels, 8.0);
+        let plain = cogging_of(&[("cogging", &[0.0, 0.1, 7.0])], &[3.2, -3.2]);
+        // Friction that falls with the speed, which the cogging makes swing.
+        let falling = [
+            ("cogging", &[0.0, 0.1, 7.0][..]),
+            ("stribeck_friction", &[0.16, 10.0]),
+        ];
+        let falling = cogging_of(&falling, &[3.7, -3.7]);
+        for map in [plain, falling] {
+            assert!(map.differ() > map.known() / 2, "{}", map.differ());
+        }
+    }
+
+    fn cogging_of(truth: &[(&str, &[f64])], levels: &[f64]) -> TorqueMap {
+        let map = mapped(
+            MappedTorque::Cogging,
+            &model(truth),
+            &model(&[]),
+            levels,
+            8.0,
+        );
         assert!(map.known() > BINS_PER_TURN / 2, "{}", map.known());
         let mut off = 0.0;
         for bin in &map.bins {
@@ -269,5 +356,6 @@ mod tests {
         }
         let rms = (off / map.known() as f64).sqrt();
         assert!(rms < 0.03, "{rms}");
+        map
     }
 }
