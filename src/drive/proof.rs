@@ -148,6 +148,7 @@ pub(super) struct Proof {
     pub(super) heard: bool,
     /// The last answer cannot be that to another request.
     pub(super) vouched: bool,
+    /// Requests that ended within the last silence.
     recent: Vec<(Code, Instant)>,
     clean_reads: u32,
     /// The last request that got no reply: its own may come when a probe has been answered already.
@@ -400,6 +401,9 @@ impl Proof {
         last.is_answered = end == End::Data;
         let last = *last;
         if !matches!(self.policy, Policy::Trial(_)) {
+            // A loop that never asks whether reads are to be kept apart would keep them all.
+            let quiet = self.quiet;
+            self.recent.retain(|(_, ended)| now < *ended + quiet);
             self.recent.push((last.code, now));
         }
         if end == End::Missing {
@@ -679,5 +683,19 @@ mod tests {
         let later = at + Duration::from_secs(8);
         clean(&mut proof, &read(1, 1), false, later);
         assert!(!is_apart(&mut proof, later + MS));
+    }
+
+    #[test]
+    fn a_loop_that_asks_nothing_before_its_commands_remembers_no_more_than_a_silence_of_them() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Fixed(Method::Nonce), QUIET, at);
+        let mut most = 0;
+        for _ in 0..10_000 {
+            at += MS;
+            proof.asked(&read(0, 1), false, at);
+            proof.ended(End::Data, &[], false, true, at);
+            most = most.max(proof.recent.len());
+        }
+        assert!((1..=20).contains(&most), "{most}");
     }
 }

@@ -24,6 +24,9 @@ use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
+/// Share of the held-out error that an effect has to take where all together leave more than the floor: what less is, any
+/// form takes of an error that has another cause.
+const LEAST_STEP: f64 = 0.02;
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
 /// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
@@ -294,7 +297,10 @@ pub fn diagnose_with(
     }
     let doubtful = |inference: &Inference, rungs: &[Standing]| {
         let without_size = without_size(inference, rungs);
-        without_size.or_else(|| by_chance(&bench, inference, rungs))
+        let by_chance = || by_chance(&bench, inference, rungs);
+        without_size
+            .or_else(by_chance)
+            .or_else(|| without_use(&bench, inference, rungs))
     };
     while let Some(id) = doubtful(&inference, &rungs) {
         inference.doubt(id);
@@ -335,6 +341,19 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
         .map(|step| inference.named[left + step]);
     let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
     named.find(|id| left == 0 || !is_shown(id))
+}
+
+/// The last named effect that hardly lowers the held-out error, where that stays above the floor with all of them.
+fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
+    let floor = inference.floor(&bench.evidence);
+    let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
+    let last = *errors.last()?;
+    if bench.fits_at_once() || floor.is_reached(last) {
+        return None;
+    }
+    let steps = errors.windows(2).enumerate().skip(1);
+    let short = steps.filter(|(_, pair)| pair[1] > (1.0 - LEAST_STEP) * pair[0]);
+    short.map(|(step, _)| inference.named[step]).last()
 }
 
 /// The steps down a ladder that are no longer than chance makes them.
