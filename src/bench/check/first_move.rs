@@ -252,7 +252,7 @@ impl<'c, 'a> Mover<'c, 'a> {
         if may_repeat && !legs.iter().all(is_settled) {
             legs.retain(is_settled);
             self.there_and_back(ways, legs)?;
-            let at = |leg: &Leg| ways.iter().position(|way| *way == leg.direction);
+            let at = |leg: &Leg| ways.iter().position(|way| way * leg.direction > 0.0);
             legs.sort_by_key(at);
         }
         self.come_to_rest()?;
