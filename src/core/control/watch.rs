@@ -35,7 +35,9 @@ const STEP: f64 = 0.7;
 const STEPS: i32 = 8;
 /// A swing that is left at this share of the first after all steps is not the loop's own.
 const NOT_OWN: f64 = 0.7;
-/// One that is left at this share of the one that was found before goes on: others die away.
+/// Half-swings of which the later ones are left at this share of the earlier ones last, others die away; the same of the
+/// halves of a second of a swing that is irregular.
+const LASTS: f64 = 0.85;
 const GOES_ON: f64 = 0.7;
 /// The time over which limits are watched, s, and its fewest cycles.
 const WATCHED_S: f64 = 1.0;
@@ -83,9 +85,6 @@ pub struct LoopWatch {
     first_rad_s: f64,
     gave_back: bool,
     told_rad_s: f64,
-    /// The last swing that was found, rad/s, and the cycles since.
-    last_rad_s: f64,
-    since: usize,
 }
 
 impl LoopWatch {
@@ -106,8 +105,6 @@ impl LoopWatch {
             first_rad_s: 0.0,
             gave_back: false,
             told_rad_s: 0.0,
-            last_rad_s: f64::MAX,
-            since: 0,
         }
     }
 
@@ -128,10 +125,6 @@ impl LoopWatch {
         limited: bool,
     ) -> Option<Finding> {
         let error = reference_rad_s - speed_rad_s;
-        self.since = self.since.saturating_add(1);
-        if self.since > 3 * self.cycles / 2 {
-            self.last_rad_s = f64::MAX;
-        }
         if reference_rad_s.to_bits() != self.reference_rad_s.to_bits() || !error.is_finite() {
             let step = reference_rad_s - self.reference_rad_s;
             if step.is_finite() {
@@ -148,19 +141,26 @@ impl LoopWatch {
         if self.second.len() > self.cycles {
             self.second.pop_front();
         }
-        let alike = swings.filter(|(_, least_rad_s)| *least_rad_s > self.floor_rad_s());
-        if let Some((swing_rad_s, _)) = alike {
-            return self.found(swing_rad_s, swing_rad_s > GOES_ON * self.last_rad_s);
+        // Softer gains do no harm to a loop whose swing would have died away; its end would.
+        let counts = |swing: &Alike| {
+            swing.least_rad_s > self.floor_rad_s() && (swing.lasts || self.can_soften())
+        };
+        if let Some(swing) = swings.filter(counts) {
+            return self.found(swing.mean_rad_s);
         }
         self.saturated().or_else(|| self.irregular())
     }
 
     /// A swing against which something is to be done.
-    fn found(&mut self, swing_rad_s: f64, goes_on: bool) -> Option<Finding> {
+    fn found(&mut self, swing_rad_s: f64) -> Option<Finding> {
         self.halves.forget();
         self.second.clear();
-        (self.last_rad_s, self.since) = (swing_rad_s, 0);
-        self.act(swing_rad_s, goes_on)
+        self.act(swing_rad_s)
+    }
+
+    /// A step of the gains is left.
+    const fn can_soften(&self) -> bool {
+        self.softens && !self.gave_back && self.steps < STEPS
     }
 
     /// The least half-swing against which something is done, rad/s.
@@ -176,29 +176,22 @@ impl LoopWatch {
         })
     }
 
-    /// What is done against a swing; `goes_on`: it is not the first that was seen lately.
-    fn act(&mut self, swing_rad_s: f64, goes_on: bool) -> Option<Finding> {
-        if self.softens && !self.gave_back {
+    /// What is done against a swing.
+    fn act(&mut self, swing_rad_s: f64) -> Option<Finding> {
+        if self.can_soften() {
             if self.steps == 0 {
                 self.first_rad_s = swing_rad_s;
             }
-            if self.steps < STEPS {
-                self.steps += 1;
-                let share = self.share();
-                return Some(Finding::Soften { swing_rad_s, share });
-            }
-            if swing_rad_s > NOT_OWN * self.first_rad_s {
-                self.gave_back = true;
-                self.told_rad_s = swing_rad_s;
-                self.last_rad_s = f64::MAX;
-                return Some(Finding::GiveBack { swing_rad_s });
-            }
+            self.steps += 1;
+            let share = self.share();
+            return Some(Finding::Soften { swing_rad_s, share });
+        }
+        if self.softens && !self.gave_back && swing_rad_s > NOT_OWN * self.first_rad_s {
+            self.gave_back = true;
+            self.told_rad_s = swing_rad_s;
+            return Some(Finding::GiveBack { swing_rad_s });
         }
         let most_rad_s = (NOISES * self.noise_rad_s).max(END_SHARE * self.largest_rad_s);
-        // One that is seen for the first time may be dying away.
-        if !goes_on {
-            return None;
-        }
         if swing_rad_s > most_rad_s {
             return Some(Finding::SwingsOn {
                 swing_rad_s,
@@ -237,7 +230,7 @@ impl LoopWatch {
             return None;
         }
         if swing_rad_s > self.floor_rad_s() {
-            self.found(swing_rad_s, true)
+            self.found(swing_rad_s)
         } else {
             self.tell(swing_rad_s)
         }
@@ -266,7 +259,7 @@ impl LoopWatch {
             .zip(all().skip(1))
             .any(|(one, next)| one.0 * next.0 < 0.0);
         if crosses {
-            return self.found(last, true);
+            return self.found(last);
         }
         self.second.clear();
         Some(Finding::Saturated {
@@ -281,6 +274,14 @@ fn ends(errors: impl Iterator<Item = f64>) -> (f64, f64) {
     errors.fold((f64::MAX, f64::MIN), |(low, high), error| {
         (low.min(error), high.max(error))
     })
+}
+
+/// Half-swings that are alike: their mean, the least of them, and whether the last ones are about as large as the first.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    mean_rad_s: f64,
+    least_rad_s: f64,
+    lasts: bool,
 }
 
 /// Half-swings that follow each other.
@@ -300,8 +301,8 @@ impl HalfSwings {
         (self.known, self.cycles, self.sign, self.largest) = (0, 0, 0.0, 0.0);
     }
 
-    /// One error. At the end of a half-swing, where it and those before it are alike: their mean, and the least of them.
-    fn push(&mut self, error: f64) -> Option<(f64, f64)> {
+    /// One error. At the end of a half-swing what it and those before it are, where they are alike.
+    fn push(&mut self, error: f64) -> Option<Alike> {
         self.cycles += 1;
         if self.cycles > LONGEST {
             self.forget();
@@ -317,10 +318,16 @@ impl HalfSwings {
         self.halves[HALVES - 1] = self.largest;
         self.known = (self.known + 1).min(HALVES);
         (self.sign, self.largest, self.cycles) = (error.signum(), error.abs(), 0);
-        let least = self.halves.iter().copied().fold(f64::MAX, f64::min);
+        let least_rad_s = self.halves.iter().copied().fold(f64::MAX, f64::min);
         let most = self.halves.iter().copied().fold(0.0, f64::max);
-        let mean = self.halves.iter().sum::<f64>() / HALVES as f64;
-        (self.known == HALVES && most < ALIKE * least).then_some((mean, least))
+        let (earlier, later) = self.halves.split_at(HALVES / 2);
+        let [earlier, later] = [earlier, later].map(|halves| halves.iter().sum::<f64>());
+        let alike = Alike {
+            mean_rad_s: (earlier + later) / HALVES as f64,
+            least_rad_s,
+            lasts: later > LASTS * earlier,
+        };
+        (self.known == HALVES && most < ALIKE * least_rad_s).then_some(alike)
     }
 }
 
@@ -364,8 +371,8 @@ mod tests {
             assert!(matches!(found[8], Finding::GiveBack { .. }), "{found:?}");
             assert!((share - 1.0).abs() < 1e-12);
             assert_eq!(ended(&found[9..]) > 0, ends, "{found:?}");
-            // Told of within a second where nothing can be softened, and the end where it is large.
-            let (found, _) = findings(false, 9.0, |_| amplitude, 60);
+            // Told of within half a second where nothing can be softened, and the end where it is large.
+            let (found, _) = findings(false, 9.0, |_| amplitude, 45);
             assert_eq!(found.len(), 1, "{found:?}");
             assert_eq!(ended(&found) > 0, ends, "{found:?}");
         }
