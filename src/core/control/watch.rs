@@ -21,10 +21,13 @@ const ALIKE: f64 = 3.0;
 const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
 /// One that is told of, in the noise and in the last step of the reference.
-const TOLD_NOISES: f64 = 7.0;
+const TOLD_NOISES: f64 = 8.0;
 const TOLD_STEP_SHARE: f64 = 0.02;
-/// Times that half a second of it goes from one side to the other, beyond half of its size on either.
-const TURNS: u32 = 4;
+/// Of the watched time, after the reference was reached, for which it is looked at.
+const LOOKED_AT: f64 = 0.75;
+/// Times that it goes from one side to the other within half of the watched time, beyond this share of its size on either.
+const TURNS: usize = 3;
+const BEYOND: f64 = 0.4;
 /// It is told of again when it has grown by this factor.
 const NEWS_FACTOR: f64 = 1.5;
 /// One that ends a loop which cannot be made softer: share of the largest reference so far.
@@ -36,7 +39,7 @@ const STEPS: i32 = 8;
 /// A swing that is left at this share of the first after all steps is not the loop's own.
 const NOT_OWN: f64 = 0.7;
 /// Half-swings of which the later ones are left at this share of the earlier ones last, others die away; the same of the
-/// halves of a second of a swing that is irregular.
+/// halves of the time for which an irregular swing is looked at.
 const LASTS: f64 = 0.85;
 const GOES_ON: f64 = 0.7;
 /// The time over which limits are watched, s, and its fewest cycles.
@@ -78,6 +81,9 @@ pub struct LoopWatch {
     halves: HalfSwings,
     /// Errors of the last second with this reference, and whether a limit held the output.
     second: VecDeque<(f64, bool)>,
+    /// Sign of the first of them, and the cycles since it changed: since the reference was reached.
+    first_side: f64,
+    arrived: usize,
     cycles: usize,
     /// Cycles until it is looked through again.
     until_look: usize,
@@ -99,6 +105,8 @@ impl LoopWatch {
             largest_rad_s: 0.0,
             halves: HalfSwings::default(),
             second: VecDeque::new(),
+            first_side: 0.0,
+            arrived: 0,
             cycles: cycles.max(FEWEST_CYCLES),
             until_look: 0,
             steps: 0,
@@ -134,8 +142,14 @@ impl LoopWatch {
             self.reference_rad_s = reference_rad_s;
             self.halves.forget();
             self.second.clear();
+            (self.first_side, self.arrived) = (0.0, 0);
             return None;
         }
+        if self.first_side == 0.0 {
+            self.first_side = error.signum();
+        }
+        let arrives = error * self.first_side < 0.0;
+        self.arrived += usize::from(arrives || self.arrived > 0);
         let swings = self.halves.push(error);
         self.second.push_back((error, limited));
         if self.second.len() > self.cycles {
@@ -201,32 +215,38 @@ impl LoopWatch {
         self.tell(swing_rad_s)
     }
 
-    /// What swings without half-swings that are alike, looked for four times in a second: by its size in the last half,
-    /// where it is not dying away.
+    /// What swings without half-swings that are alike, or slowly, looked for eight times in a second: by its size in the last
+    /// half of what is looked at, where it is not dying away.
     fn irregular(&mut self) -> Option<Finding> {
         self.until_look = self.until_look.saturating_sub(1);
-        if self.second.len() < self.cycles || self.until_look > 0 {
+        let looked_at = whole(LOOKED_AT * self.cycles as f64);
+        let known = self.second.len().min(self.arrived);
+        if known < looked_at || self.until_look > 0 {
             return None;
         }
-        self.until_look = self.cycles / 4;
-        let half = self.cycles / 2;
-        let errors = || self.second.iter().map(|cycle| cycle.0);
-        let last = || errors().skip(half);
-        let (low, high) = ends(last());
-        let (swing_rad_s, middle) = (0.5 * (high - low), 0.5 * (high + low));
-        let before = ends(errors().take(half));
+        self.until_look = self.cycles / 8;
+        let errors = || {
+            let all = self.second.iter().map(|cycle| cycle.0);
+            all.skip(self.second.len() - looked_at)
+        };
+        let (low, high) = ends(errors().skip(looked_at / 2));
+        let swing_rad_s = 0.5 * (high - low);
+        let before = ends(errors().take(looked_at / 2));
         let told = (TOLD_NOISES * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
         if swing_rad_s < told || swing_rad_s < GOES_ON * 0.5 * (before.1 - before.0) {
             return None;
         }
-        let beyond = |error: &f64| (error - middle).abs() > 0.5 * swing_rad_s;
-        let (mut side, mut turns) = (0.0, 0);
-        for error in last().filter(beyond) {
-            let now = (error - middle).signum();
-            turns += u32::from(side * now < 0.0);
-            side = now;
-        }
-        if turns < TURNS {
+        let (low, high) = (low.min(before.0), high.max(before.1));
+        let (size, middle) = (0.5 * (high - low), 0.5 * (high + low));
+        let beyond = |(_, error): &(usize, f64)| (error - middle).abs() > BEYOND * size;
+        let mut sides: Vec<(usize, bool)> = (errors().enumerate().filter(beyond))
+            .map(|(cycle, error)| (cycle, error > middle))
+            .collect();
+        sides.dedup_by_key(|one| one.1);
+        // The first side was not turned to.
+        let turns = sides.get(1..).unwrap_or_default();
+        let quick = |some: &[(usize, bool)]| some[TURNS - 1].0 - some[0].0 < self.cycles / 2;
+        if !turns.windows(TURNS).any(quick) {
             return None;
         }
         if swing_rad_s > self.floor_rad_s() {
