@@ -95,6 +95,7 @@ fn session(bench: &BenchFile) -> Session {
         motor: &motor,
         limits: &limits,
         section,
+        maps: &[],
         actuator,
         timing: loop_timing(&model, PERIOD_S, PERIOD_S),
         noise_rad_s: 0.15,

@@ -5,7 +5,7 @@ use super::identify::{Answer, is_usable};
 use super::output::{fitted, quoted};
 use super::run::Whole;
 use super::speed::SpeedResult;
-use crate::bench::{Outcome, RunSummary, Stop, Tracking};
+use crate::bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking};
 use crate::identification::nameplate::Comparison;
 use crate::identification::repeat::Repeated;
 use crate::plant::Model;
@@ -161,6 +161,7 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
     let mut card = account(summary, "");
     if let Some(report) = &summary.speed {
         card.say("tracking", report.tracking.iter().map(tracking_text), 2);
+        card.say("steps", steps_text(report), 2);
         let steps = Table::of(&report.steps)
             .column("at s", |step| fixed(step.step.at_s, 2))
             .column("from", |step| fixed(step.speed_rad_s, 1))
@@ -170,11 +171,16 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
             })
             .column("settling s", |step| {
                 let settling = step.response.settling_s.map(|s| fixed(s, 3));
-                settling.unwrap_or_else(|| "never".to_owned())
+                let none = if step.settles_in_noise {
+                    "in noise"
+                } else {
+                    "never"
+                };
+                settling.unwrap_or_else(|| none.to_owned())
             })
             .column("IAE rad", |step| fixed(step.response.absolute_error_rad, 2))
             .column("limited %", |step| fixed(100.0 * step.limited_share, 0));
-        card.table("steps", steps, &["limited %", "IAE rad", "from"], 3);
+        card.table("", steps, &["limited %", "IAE rad", "from"], 3);
         let changes = report.gain_changes.iter();
         let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
         card.say("gains", changes.collect::<Vec<_>>(), 0);
@@ -223,8 +229,54 @@ pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
     rows
 }
 
+/// The worst step of the report, or where it was followed twice the means of each pass, so that both are seen.
+fn steps_text(report: &SpeedReport) -> Vec<String> {
+    let overshoot = |step: &&StepFigures| step.response.overshoot_percent;
+    let mean = |steps: &[&StepFigures], value: fn(&StepFigures) -> Option<f64>| {
+        let values: Vec<f64> = steps.iter().filter_map(|step| value(step)).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let pass = |pass: &Tracking| {
+        let inside = |step: &&StepFigures| (pass.from_s..pass.until_s).contains(&step.step.at_s);
+        let steps: Vec<&StepFigures> = report.steps.iter().filter(inside).collect();
+        let overshoot = mean(&steps, |step| Some(step.response.overshoot_percent))?;
+        let error = mean(&steps, |step| Some(step.response.absolute_error_rad))?;
+        let settled = steps
+            .iter()
+            .filter(|step| step.response.settling_s.is_some());
+        let settled = match mean(&steps, |step| step.response.settling_s) {
+            Some(mean) => format!("{} settled in {mean:.3} s", settled.count()),
+            None => "none settled".to_owned(),
+        };
+        let (with, count) = (forward_word(pass), steps.len());
+        Some(format!(
+            "{count} {with} feed-forward, on the mean: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}"
+        ))
+    };
+    if report.tracking.len() > 1 {
+        return report.tracking.iter().filter_map(pass).collect();
+    }
+    let mut steps = report.steps.iter();
+    let worst = steps
+        .by_ref()
+        .skip(1)
+        .max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
+    let worst = worst.filter(|_| report.steps.len() > 2);
+    let text = worst.map(|step| {
+        format!(
+            "most overshoot at {:.2} s: {:.1} %, {:.2} rad of error (IAE)",
+            step.step.at_s, step.response.overshoot_percent, step.response.absolute_error_rad
+        )
+    });
+    text.into_iter().collect()
+}
+
+const fn forward_word(pass: &Tracking) -> &'static str {
+    if pass.feed_forward { "with" } else { "without" }
+}
+
 fn tracking_text(pass: &Tracking) -> String {
-    let with = if pass.feed_forward { "with" } else { "without" };
+    let with = forward_word(pass);
     let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
     let reversals = pass.reversal_rms_rad_s;
     let reversals =

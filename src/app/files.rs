@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::export::samples_as_parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
-use crate::bench::{OnlineResult, Outcome, RunSummary};
+use crate::bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use crate::diagnosis::{Fitted, Rung};
 use crate::emulator::mystery::Mystery;
 use crate::identification::noise::FloorSource;
@@ -44,6 +44,15 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
     let name = path.display().to_string();
     let text = read_text(path)?;
     Ok(ModelFile::parse(&name, &text)?)
+}
+
+/// The speed loop with a model, on a bench to be named where its runs are of another one than the embedded.
+pub(crate) fn speed_command(history: &FileHistory, model: &Path, options: &str) -> String {
+    let embedded = BenchFile::embedded_default().name;
+    let is_another = history.is_of_another_bench(&embedded);
+    let bench = if is_another { " BENCH.toml" } else { "" };
+    let model = output::quoted(model);
+    format!("drivebench speed{bench} --model {model}{options}")
 }
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {

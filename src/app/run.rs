@@ -188,28 +188,32 @@ impl Connection {
 }
 
 /// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
-/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew.
+/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew. A model
+/// that cannot be held against its run judges nothing either.
 fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
     let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
         return;
     };
-    let left = || -> Option<f64> {
-        let loaded = whole.recorded.load().ok()?;
-        let run = Scenario::from_run(&loaded.run).ok()?;
+    let left = || -> Result<Option<f64>, Failure> {
+        let loaded = whole.recorded.load()?;
+        let run = Scenario::from_run(&loaded.run)?;
         let start = Model::baseline(nameplate.clone());
-        let start = start::complete(&start, &run).ok()?;
-        let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start).ok()?;
-        let error = Score::of(&fit.model, &evidence.training, &evidence.noise)
-            .ok()?
-            .nrms;
+        let start = start::complete(&start, &run)?;
+        let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start)?;
+        let error = Score::of(&fit.model, &evidence.training, &evidence.noise)?.nrms;
         let is_explained = evidence.noise.is_at_the_floor(error);
-        (evidence.noise.source != FloorSource::None && !is_explained).then_some(error)
+        Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))
     };
-    if let Some(times) = left() {
-        comparison.doubt(format!(
+    match left() {
+        Ok(Some(times)) => comparison.doubt(format!(
             "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
              drivebench diagnose names it"
-        ));
+        )),
+        Ok(None) => {}
+        Err(error) => comparison.doubt(format!(
+            "not judged: the five-parameter model cannot be held against this run ({})",
+            error.headline()
+        )),
     }
 }
 

@@ -7,14 +7,13 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::failure::Failure;
-use super::files::read_text;
-use super::output::quoted;
+use super::files::{read_text, speed_command};
 use crate::control::tuning::{Request, Tuning, tune_over};
 use crate::control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
     StepPoint, drawn,
 };
-use crate::plant::{Model, ModelFile};
+use crate::plant::{FileHistory, Model, ModelFile};
 use crate::report::{Card, Tone};
 
 /// Lines of the predicted step response.
@@ -27,6 +26,8 @@ pub(crate) struct TuneResult {
     step: Vec<StepPoint>,
     /// Inertia over the model's between which gains can follow it on line.
     adaptation_range: (f64, f64),
+    #[serde(skip)]
+    history: FileHistory,
 }
 
 impl TuneResult {
@@ -42,6 +43,7 @@ impl TuneResult {
         Ok(Self {
             step: tuning.step.clone(),
             adaptation_range: Schedule::new(&own, &draws, timing, request)?.range(),
+            history: file.history.clone(),
             tuning,
         })
     }
@@ -164,8 +166,7 @@ fn card(result: &TuneResult, model: &Path) -> Card {
         )
     });
     card.bars("", bars.collect(), "speed over its reference");
-    let model = quoted(model);
-    card.go_on(format!("drivebench speed --model {model}"));
+    card.go_on(speed_command(&result.history, model, ""));
     card
 }
 

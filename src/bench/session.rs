@@ -372,7 +372,14 @@ impl Session {
             }
         } else if self.is_brake_shut() {
             if !self.is_at_rest() {
-                let text = "the ramp down is over and the shaft is not known to stand still: the output goes off all the same; see that it does";
+                let speed = self.drive.as_ref().and_then(|s| s.get(Channel::Speed));
+                let shaft = speed.map_or_else(
+                    || "is not known to stand still".to_owned(),
+                    |speed| format!("still turns at {speed:.1} rad/s"),
+                );
+                let text = format!(
+                    "the shaft {shaft} and the ramp down is over: the output goes off all the same; see that it comes to rest"
+                );
                 self.notice(Level::Warning, text);
             }
             self.stop_now();

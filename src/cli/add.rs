@@ -9,12 +9,12 @@ use super::arguments::{EvidenceArguments, run_path};
 use super::failure::{Failure, REFUSED};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
-use crate::app::files::model_file;
+use crate::app::files::{model_file, speed_command};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use crate::identification::output_error;
 use crate::plant::effect::{Axis, DefinitionError};
-use crate::plant::{Effect, Model, ModelError, effect};
+use crate::plant::{Effect, FileHistory, Model, ModelError, effect};
 use crate::report::Card;
 use crate::report::comparison::{change_card, change_in_full};
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
@@ -236,8 +236,12 @@ fn card(result: &AddResult, arguments: &Arguments) -> Card {
         &arguments.model
     });
     card.go_on(format!("drivebench diagnose {run}{of}{words}"));
-    if kept.is_some() {
-        card.go_on(format!("drivebench speed{of} --feed-forward compare"));
+    if let Some(model) = kept {
+        let runs = FileHistory {
+            fitted_on: vec![arguments.run.display().to_string()],
+            ..FileHistory::default()
+        };
+        card.go_on(speed_command(&runs, model, " --feed-forward compare"));
     }
     card
 }

@@ -20,6 +20,8 @@ const WIDE: usize = 96;
 /// Rows of the headline, and of one sentence of a list.
 const MOST_ROWS: usize = 4;
 const MOST_ROWS_OF_A_SENTENCE: usize = 2;
+/// Where a sentence breaks off.
+const MARK: char = '…';
 /// Longest bar, and the room that name and figure need beside it.
 const LONGEST: usize = 40;
 const FIGURE: usize = 8;
@@ -164,7 +166,7 @@ impl Card {
     /// All of it, in rows of this width.
     pub fn rows(&self, width: usize) -> Vec<String> {
         let shown: Vec<usize> = self.parts.iter().map(|part| part.body.entries()).collect();
-        self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE)
+        self.with(&shown, width, usize::MAX)
     }
 
     /// What fits into [`LINES`] rows of at most [`COLUMNS`], or of a terminal that is narrower.
@@ -192,7 +194,7 @@ impl Card {
         let wide = width >= WIDE;
         let indent = if wide { LABEL } else { INDENT };
         let room = width.saturating_sub(indent).max(1);
-        let mut rows = shortened(&self.headline, width, MOST_ROWS);
+        let mut rows = shortened(&self.headline, width, most.max(MOST_ROWS));
         let labelled = |rows: &mut Vec<String>, label: &str, body: Vec<String>| {
             if !wide && !label.is_empty() && !body.is_empty() {
                 rows.push(cut(label, width));
@@ -203,14 +205,19 @@ impl Card {
                 rows.push(format!("{lead:<indent$}{row}").trim_end().to_owned());
             }
         };
+        let mut breaks_off = false;
         for (part, shown) in self.parts.iter().zip(shown) {
-            labelled(&mut rows, part.label, part.body.rows(*shown, room, most));
+            let body = part.body.rows(*shown, room, most);
+            breaks_off |= body.iter().any(|row| row.ends_with(MARK));
+            labelled(&mut rows, part.label, body);
         }
         let all: usize = self.parts.iter().map(|part| part.body.entries()).sum();
-        let left = all - shown.iter().sum::<usize>();
-        if left > 0 {
-            labelled(&mut rows, "more", vec![format!("--full has {left} more")]);
-        }
+        let more = match all - shown.iter().sum::<usize>() {
+            0 if breaks_off => Some("--full has the rest of what ends in …".to_owned()),
+            0 => None,
+            left => Some(format!("--full has {left} more")),
+        };
+        labelled(&mut rows, "more", more.into_iter().collect());
         let commands = self.commands.iter();
         let commands: Vec<String> = commands.flat_map(|text| command(text, room)).collect();
         if !commands.is_empty() {
@@ -228,7 +235,7 @@ fn shortened(text: &str, width: usize, most: usize) -> Vec<String> {
     if rows.len() > most {
         rows.truncate(most);
         if let Some(last) = rows.last_mut() {
-            *last = cut(&format!("{last} …"), width);
+            *last = cut(&format!("{last} {MARK}"), width);
         }
     }
     rows

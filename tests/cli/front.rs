@@ -350,7 +350,7 @@ fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
     let header = desk.path("rubs.h");
     let text = "export --torque-map friction --run {} --model {} --to c --output {}";
     let said = call(text, &[fit, &own, &header]).expect(0).stdout;
-    has(&said, &["friction of ZK-22FC, ", " of 24 bins measured in"]);
+    has(&said, &["friction of ZK-22FC, ", " of 24 bins measured, "]);
     let written = fs::read_to_string(&header).unwrap();
     has(&written, &["rubs_torque(float speed_rad_s,"]);
     for (text, paths, words) in [

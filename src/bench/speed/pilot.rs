@@ -403,7 +403,16 @@ impl Pilot for SpeedPilot {
             adaptation: adaptation_csv(self.regulator.actuator, &self.adaptation),
             held_cycles: self.held_cycles,
             tracking: tracking(&self.record, &passes),
-            steps: figures(&self.record, &self.reference.steps()),
+            steps: figures(
+                &self.record,
+                &self.reference.steps(),
+                &|time_s| {
+                    let pass = self.reference.pass_at(time_s);
+                    let controller = self.regulator.passes.get(pass);
+                    controller.map_or(0.0, |(_, controller)| controller.leads_s())
+                },
+                self.regulator.noise_rad_s,
+            ),
         })
     }
 }

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::delay::LoopDelay;
 use super::reference::ReferenceStep;
-use crate::control::{Actuator, Adapted, LoopTiming, Response, response};
+use crate::control::{Actuator, Adapted, LoopTiming, Response, SETTLED_SHARE, response};
 
 /// A change of the gains while the loop ran.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,10 +32,13 @@ pub struct Watched {
 pub struct StepFigures {
     #[serde(flatten)]
     pub step: ReferenceStep,
-    /// What was measured at the instant of the step, rad/s: the response is counted from there.
+    /// What was measured when the output began to change, rad/s: the response is counted from there, its times from the
+    /// instant of the step on, its error against the reference of each instant.
     pub speed_rad_s: f64,
     #[serde(flatten)]
     pub response: Response,
+    /// The band of settling is narrower than the noise of a sample: its time is not told.
+    pub settles_in_noise: bool,
     /// Largest size of what left, actuator's unit, and share of the cycles in which a limit held it.
     pub peak_output: f64,
     pub limited_share: f64,
@@ -174,19 +177,47 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
     passes.iter().filter_map(track).collect()
 }
 
-/// Figures of the steps that the record reaches; a step that a stop cut short has none.
-pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigures> {
+/// Standard deviations of a sample that a band has to hold.
+const NOISE_SIGMAS: f64 = 2.5;
+
+/// Figures of the steps that the record reaches; a step that a stop cut short has none. `leads_s` says how long before a
+/// change of the reference at an instant the output begins to change: what happens then belongs to that change.
+pub(super) fn figures(
+    record: &[Cycle],
+    steps: &[ReferenceStep],
+    leads_s: &dyn Fn(f64) -> f64,
+    noise_rad_s: f64,
+) -> Vec<StepFigures> {
     let figure = |step: &ReferenceStep| {
-        let cycles = cycles(record, step.at_s, step.until_s)?;
-        let speed_rad_s = cycles.first()?.speed_rad_s;
+        let until_s = step.until_s - leads_s(step.until_s);
+        let cycles = cycles(record, step.at_s - leads_s(step.at_s), until_s)?;
+        let Cycle {
+            time_s: begin_s,
+            speed_rad_s,
+            ..
+        } = *cycles.first()?;
         let trace = cycles.iter().map(|cycle| (cycle.time_s, cycle.speed_rad_s));
         let trace: Vec<(f64, f64)> = trace.collect();
+        let early_s = (step.at_s - begin_s).max(0.0);
+        let response = response(&trace, speed_rad_s, step.to_rad_s);
+        let errors = cycles.windows(2).map(|pair| {
+            let error = pair[0].reference_rad_s - pair[0].speed_rad_s;
+            error.abs() * (pair[1].time_s - pair[0].time_s)
+        });
         let limited = cycles.iter().filter(|cycle| cycle.limited).count();
         let peak = cycles.iter().map(|cycle| cycle.output.abs());
+        let band_rad_s = SETTLED_SHARE * (step.to_rad_s - speed_rad_s).abs();
+        let settles_in_noise = band_rad_s < NOISE_SIGMAS * noise_rad_s;
+        let settling_s = response.settling_s.filter(|_| !settles_in_noise);
         Some(StepFigures {
             step: *step,
             speed_rad_s,
-            response: response(&trace, speed_rad_s, step.to_rad_s),
+            settles_in_noise,
+            response: Response {
+                settling_s: settling_s.map(|time_s| (time_s - early_s).max(0.0)),
+                absolute_error_rad: errors.sum(),
+                ..response
+            },
             peak_output: peak.fold(0.0, f64::max),
             limited_share: limited as f64 / cycles.len() as f64,
         })
@@ -244,7 +275,7 @@ mod tests {
             }
         };
         let record: Vec<Cycle> = (0..250).map(cycle).collect();
-        let found = figures(&record, &steps);
+        let found = figures(&record, &steps, &|_| 0.0, 0.0);
         assert_eq!(found.len(), 2);
         assert!(found[0].response.overshoot_percent < 1e-9);
         assert!((found[0].response.settling_s.unwrap() - 0.3).abs() < 0.011);
@@ -261,6 +292,43 @@ mod tests {
         assert!((tracked[0].rms_rad_s - 2.35).abs() < 0.02, "{tracked:?}");
         assert!((tracked[0].peak_rad_s - 10.0).abs() < 1e-9);
         assert_eq!(tracked[0].reversal_rms_rad_s, None);
+    }
+
+    #[test]
+    fn what_begins_before_its_step_belongs_to_it_and_not_to_the_one_before() {
+        let steps = [(1.0, 2.0, 0.0, 10.0), (2.0, 3.0, 10.0, 0.0)];
+        let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
+            at_s,
+            until_s,
+            from_rad_s,
+            to_rad_s,
+        });
+        // There within 0.04 s, half of them before the reference.
+        let cycle = |n: i32| {
+            let time_s = f64::from(n) * 0.01;
+            let ramp = |at_s: f64| 10.0 * ((time_s - at_s + 0.02) / 0.04).clamp(0.0, 1.0);
+            Cycle {
+                time_s,
+                reference_rad_s: if (1.0..2.0).contains(&time_s) {
+                    10.0
+                } else {
+                    0.0
+                },
+                speed_rad_s: ramp(1.0) - ramp(2.0),
+                output: 0.0,
+                limited: false,
+            }
+        };
+        let record: Vec<Cycle> = (0..310).map(cycle).collect();
+        for found in figures(&record, &steps, &|_| 0.02, 0.1) {
+            assert!(found.response.settling_s.unwrap() < 0.021, "{found:?}");
+            near(found.response.absolute_error_rad, 0.1, 0.03);
+            assert!(found.response.overshoot_percent < 1e-9);
+        }
+        let late = figures(&record, &steps, &|_| 0.0, 0.1);
+        assert_eq!(late[0].response.settling_s, None);
+        let noisy = figures(&record, &steps, &|_| 0.02, 0.3);
+        assert!(noisy[0].settles_in_noise && noisy[0].response.settling_s.is_none());
     }
 
     #[test]

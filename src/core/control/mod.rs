@@ -52,7 +52,7 @@ pub use optimal::{
     LoadObserving, LoadObservingSettings, PaperB, PaperBError, PaperBPlant, PaperBSettings,
 };
 pub use pi::{AntiWindup, Pi};
-pub use response::{Response, response};
+pub use response::{Response, SETTLED_SHARE, response};
 pub use schedule::{Schedule, Scheduled};
 pub use sensor::{Direct, HallSensor, SpeedSensor};
 pub use spread::drawn;
@@ -107,6 +107,11 @@ pub trait SpeedController: Send {
 
     /// The reference of the cycle that comes and of what follows: a function of the time since its sample, s.
     fn foresee(&mut self, _reference_rad_s: &dyn Fn(f64) -> f64) {}
+
+    /// So long before a change of the reference that it foresees its output begins to change, s.
+    fn leads_s(&self) -> f64 {
+        0.0
+    }
 
     /// From now on the reference is a planned motion, and what it costs is given beside this controller, which regulates
     /// the error about it. False where it has a model of its own, to which that would be a load.

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 /// Share of the step within which a response has settled.
-const SETTLED_SHARE: f64 = 0.05;
+pub const SETTLED_SHARE: f64 = 0.05;
 
 /// What a step response shows; times from the step on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -50,6 +50,24 @@ pub struct FileHistory {
     pub fitted: Vec<FittedValue>,
 }
 
+/// Characters of a run's time stamp before its `Z`.
+const STAMP: usize = 15;
+
+impl FileHistory {
+    /// Whether the values come from runs of other benches than the one of this name, as far as the folders tell: a run's
+    /// is called `20261126T073220Z-NAME`.
+    pub fn is_of_another_bench(&self, name: &str) -> bool {
+        let is_foreign = |run: &String| {
+            let folder = run.rsplit('/').next().unwrap_or_default();
+            let stamped = folder
+                .split_once("Z-")
+                .filter(|(stamp, _)| stamp.len() == STAMP);
+            stamped.is_some_and(|(_, bench)| !bench.starts_with(name))
+        };
+        !self.fitted_on.is_empty() && self.fitted_on.iter().all(is_foreign)
+    }
+}
+
 /// A model with its history, as it stands in a file.
 #[derive(Clone, Debug, Default)]
 pub struct ModelFile {

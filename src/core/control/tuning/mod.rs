@@ -470,7 +470,12 @@ impl Task<'_> {
             best => refused.map(|mut found| {
                 let with = best.map_or_else(
                     || "no notch there helps".to_owned(),
-                    |(reached_hz, ..)| format!("a notch there would give {reached_hz:.1} Hz"),
+                    |(reached_hz, ..)| {
+                        let least = 100.0 * (WORTH_A_NOTCH - 1.0);
+                        format!(
+                            "a notch there would give {reached_hz:.1} Hz, and below {least:.0} % more it is not worth one"
+                        )
+                    },
                 );
                 found.reasons.push(format!(
                     "the coupling at {:.1} Hz: the lower bandwidth of {before_hz:.1} Hz is taken; {with}",

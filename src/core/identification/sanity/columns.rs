@@ -9,6 +9,9 @@ const EXPLAINS: f64 = 0.35;
 /// An assignment with possible signs is only doubted where another one leaves less than this share of its error.
 const FAR_BETTER: f64 = 0.4;
 
+/// Parts of a record of which most speak for the given assignment where the machine changed between them.
+const PARTS: usize = 6;
+
 /// Names of the three columns, in the order of the table.
 const NAMES: [&str; 3] = ["voltage", "current", "speed"];
 
@@ -38,7 +41,8 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
         }
     }
     let impossible = given.impossible();
-    let better = best.filter(|(_, found)| {
+    let better = best.filter(|_| !explains_most_parts(table));
+    let better = better.filter(|(_, found)| {
         let share = if impossible.is_some() {
             1.1
         } else {
@@ -64,6 +68,22 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
             }
         }),
     })
+}
+
+/// Whether most parts of the record are explained as they are given, each by values of its own: a load that was changed
+/// while it was recorded bends the balances of the whole, and no column is in another's place.
+fn explains_most_parts(table: &Table) -> bool {
+    let size = table.windows.len().div_ceil(PARTS).max(1);
+    let parts = table.windows.chunks(size);
+    let explained = parts.clone().filter(|windows| {
+        let roles = Roles {
+            windows,
+            ..Roles::of(table)
+        };
+        let found = Balances::of(&roles);
+        found.is_some_and(|found| found.impossible().is_none() && found.error() < EXPLAINS)
+    });
+    2 * explained.count() > parts.len()
 }
 
 /// Which given column serves as voltage, current and speed, and with which sign.
