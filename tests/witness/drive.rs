@@ -1,7 +1,7 @@
 //! The drive itself: a register map of its own, states, watchdog, and whatever fault is inflicted on it.
 
 use super::codec::{self, Request};
-use super::fault::{Act, Reply, Sensor};
+use super::fault::{Act, FOUND_OUT_S, Reply, Sensor};
 use super::motor::{Hidden, Motor};
 
 /// Unit address.
@@ -33,8 +33,6 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 const SEEN_RPM: f64 = 100.0;
 const SEEN_CENTIAMPERES: f64 = 500.0;
 const SEEN_V: f64 = 5.0;
-/// For how long at least, s: five cycles.
-const SHOWN_S: f64 = 0.1;
 /// By so much another master wants less, 0.1 V.
 const OTHER_DECIVOLTS: i16 = 60;
 /// Torque of somebody who drives the shaft, N.m.
@@ -440,7 +438,7 @@ impl Drive {
         // true: a current that is read four times as large, a voltage that stays as it was.
         let shown_s = match self.act {
             Act::Speed(_) => Some(0.0),
-            Act::Current(_) | Act::SetPointsIgnored => Some(SHOWN_S),
+            Act::Current(_) | Act::SetPointsIgnored => Some(FOUND_OUT_S),
             _ => None,
         };
         let since_s = self.apart_s.filter(|_| shown_s.is_some());
