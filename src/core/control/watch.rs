@@ -2,8 +2,8 @@
 //!
 //! Play and elasticity between motor and load, or a delay that the model does not have, can turn gains that are right on
 //! paper into a steady swing. It is recognised, around a reference that stands still, by its half-swings, which are alike
-//! and quick; where play makes them irregular, by what is left of them in every second; or by a second that is spent at a
-//! limit while the error does not fall. The gains are then lowered by steps, where the controller can. A swing that goes on
+//! and quick; where they are slow, or play makes them irregular, by their size since the reference was reached; or by a
+//! second that is spent at a limit while the error does not fall. The gains are then lowered by steps, where the controller can. A swing that goes on
 //! all the same is not the loop's own, and they are given back. What swings by much and cannot be made softer, or does not
 //! get to its reference at the limit, is to be ended.
 
@@ -41,7 +41,7 @@ const NOT_OWN: f64 = 0.7;
 /// Half-swings of which the later ones are left at this share of the earlier ones last, others die away; the same of the
 /// halves of the time for which an irregular swing is looked at.
 const LASTS: f64 = 0.85;
-const GOES_ON: f64 = 0.7;
+const GOES_ON: f64 = 0.6;
 /// The time over which limits are watched, s, and its fewest cycles.
 const WATCHED_S: f64 = 1.0;
 const FEWEST_CYCLES: usize = 20;
@@ -215,7 +215,7 @@ impl LoopWatch {
         self.tell(swing_rad_s)
     }
 
-    /// What swings without half-swings that are alike, or slowly, looked for eight times in a second: by its size in the last
+    /// What swings without half-swings that are alike, or slowly, looked for sixteen times in a second: by its size in the last
     /// half of what is looked at, where it is not dying away.
     fn irregular(&mut self) -> Option<Finding> {
         self.until_look = self.until_look.saturating_sub(1);
@@ -224,7 +224,7 @@ impl LoopWatch {
         if known < looked_at || self.until_look > 0 {
             return None;
         }
-        self.until_look = self.cycles / 8;
+        self.until_look = self.cycles / 16;
         let errors = || {
             let all = self.second.iter().map(|cycle| cycle.0);
             all.skip(self.second.len() - looked_at)
