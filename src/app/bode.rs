@@ -25,6 +25,8 @@ use crate::text::number::significant;
 /// Lines of the magnitude on the card, and what the shortest of them stands for, dB below the smallest.
 const LINES: usize = 12;
 const SHORTEST_DB: f64 = 3.0;
+/// Share of its frequency within which a point is at a mode.
+const AT_A_MODE: f64 = 0.01;
 /// Bands that are told of a pathway.
 const MOST_BANDS: usize = 4;
 
@@ -156,7 +158,7 @@ impl Bode {
         };
         let mut card = Card::new(tone, pathway.name(), &self.headline(own, &bands));
         card.say("modes", self.other_modes(pathway), 2);
-        card.say("carried", [self.band_sentence(&bands)], 1);
+        card.say("carried", [self.band_sentence(own, &bands)], 1);
         card.say("rate", [measured.rate_sentence()], 1);
         card.say("model", self.model_sentences(pathway, full), 3);
         card.say("caution", measured.cautions.iter().map(String::as_str), 1);
@@ -197,7 +199,7 @@ impl Bode {
         told.collect()
     }
 
-    fn band_sentence(&self, bands: &[(f64, f64)]) -> String {
+    fn band_sentence(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
         let measured = &self.compared.measured;
         let [used, lowest] = [measured.used_s, measured.lowest_hz].map(|own| significant(own, 3));
         let stretches = match measured.stretches {
@@ -218,8 +220,19 @@ impl Bode {
         } else {
             told.join(", ")
         };
+        let is_inside = |point: &&ResponsePoint| {
+            let hertz = point.frequency_hz;
+            bands
+                .iter()
+                .any(|(from, to)| (*from..=*to).contains(&hertz))
+        };
+        let inside: Vec<&ResponsePoint> = own.points.iter().filter(is_inside).collect();
+        let but = match inside.iter().filter(|point| !point.is_carried).count() {
+            0 => String::new(),
+            few => format!(" but for {few} of {} points", inside.len()),
+        };
         format!(
-            "{told}{more} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
+            "{told}{more}{but} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
         )
     }
 
@@ -227,20 +240,25 @@ impl Bode {
         let Some(from) = &self.model_from else {
             return vec!["none beside it: give one with --model".to_owned()];
         };
+        let own = self.compared.model.as_ref();
+        let own = own.map_or_else(Vec::new, |model| model.modes_of(shown));
+        let own: Vec<String> = own.iter().map(Mode::text).collect();
+        let mut told = Vec::new();
+        if !own.is_empty() {
+            told.push(format!("its own {}", own.join("; ")));
+        }
         let all = &self.compared.departures;
         if all.is_empty() {
-            return vec![format!(
+            told.push(format!(
                 "{from}: within the intervals wherever the response is carried"
-            )];
+            ));
+            return told;
         }
         let missing = self.compared.missing_resonances();
-        let mut told: Vec<String> = missing
-            .iter()
-            .map(|mode| {
-                let at = significant(mode.frequency_hz, 3);
-                format!("no resonance at {at} Hz: an elastic coupling would look like that")
-            })
-            .collect();
+        told.extend(missing.iter().map(|mode| {
+            let at = significant(mode.frequency_hz, 3);
+            format!("no resonance at {at} Hz: an elastic coupling would look like that")
+        }));
         let mut bands: Vec<&Departure> = all.iter().collect();
         // What is shown first, and of it what is farthest off.
         bands.sort_by(|a, b| {
@@ -289,7 +307,11 @@ impl Bode {
         let least = shown.iter().map(|(point, _)| decibel(point));
         let least = least.fold(f64::INFINITY, f64::min);
         let bars = shown.into_iter().map(|(point, mode)| {
-            let mode = mode.map_or("", |mode| mode.kind.name());
+            let mode = mode.map_or_else(String::new, |mode| {
+                let apart = (point.frequency_hz / mode.frequency_hz).ln().abs();
+                let beside = if apart > AT_A_MODE { "beside the " } else { "" };
+                format!("{beside}{}", mode.kind.name())
+            });
             let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
             let value = decibel(point);
             (

@@ -14,10 +14,10 @@ const SETTLED_S: f64 = 60.0;
 /// kB by which a process may grow after that.
 const GROWN_KB: u64 = 4096;
 
-/// Resident memory, kB, and open files.
+/// Memory of its own, kB, and open files. Pages of the program itself come and go as the kernel pleases.
 fn resources(id: u32) -> Option<(u64, usize)> {
     let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    let line = status.lines().find(|line| line.starts_with("RssAnon:"))?;
     let kilobytes = line.split_whitespace().nth(1)?.parse().ok()?;
     let files = fs::read_dir(format!("/proc/{id}/fd")).ok()?.count();
     Some((kilobytes, files))
