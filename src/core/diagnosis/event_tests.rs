@@ -143,7 +143,11 @@ fn what_was_there_before_either_run_moved_is_no_event() {
     let machine = truth("friction_onset", &[-3e-4, 0.1]);
     let data = Evidence::new(record(&machine, 0, 71), Some(record(&machine, 1, 72)), None);
     let found = diagnose(&nameplate(), data).unwrap();
-    assert!(!found.effects.contains(&"friction_onset"), "{}", found.sentence);
+    assert!(
+        !found.effects.contains(&"friction_onset"),
+        "{}",
+        found.sentence
+    );
 }
 
 /// A run of the commands that came, of which those that were asked for are known.
