@@ -221,7 +221,7 @@ fn pi() -> Pi {
 }
 
 fn compensated() -> Compensated {
-    let forward = FeedForward::new(&model(), Actuator::Voltage, &TIMING, 10.0);
+    let forward = FeedForward::new(&model(), &[], Actuator::Voltage, &TIMING, 10.0);
     let forward = forward.expect("the model is complete");
     Compensated::new(Box::new(pi()), forward)
 }

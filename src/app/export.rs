@@ -10,13 +10,11 @@ use super::files::read_model;
 use super::output;
 use super::tune::KeptGains;
 use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
-use crate::diagnosis::{MappedTorque, torque_map};
+use crate::diagnosis::torque_map;
 use crate::identification::noise::NoiseFloor;
-use crate::plant::{ModelFile, Scenario};
+use crate::plant::{MappedTorque, ModelFile, Scenario};
 use crate::recording::{ColumnKind, LoadedRun, RunFolder, write_run};
-use crate::report::export::{
-    Export, ExportError, Regulator, Target, formulas, map_as_c, map_as_csv,
-};
+use crate::report::export::{Export, ExportError, Regulator, Target, formulas, map_as_c};
 
 /// What is asked to be exported.
 pub(crate) struct ExportRequest<'a> {
@@ -67,20 +65,29 @@ pub(crate) fn torque_map_of(
     }
     let map = torque_map(of, &file.model, &measured)?
         .map_err(|error| Failure::usage(format!("{} map: {error}", of.name()), error.help()))?;
-    let names: Vec<&str> = runs.iter().map(|loaded| loaded.run.name.as_str()).collect();
+    let (map, left_out) = (map.map, map.left_out);
+    let (mut used, mut unused) = (Vec::new(), Vec::new());
+    for (index, loaded) in runs.iter().enumerate() {
+        let name = &loaded.run.name;
+        match left_out.iter().find(|(place, _)| *place == index) {
+            Some((_, signal)) => unused.push(format!("; {name} has no {signal} and was left out")),
+            None => used.push(name.as_str()),
+        }
+    }
     let title = format!(
-        "{} of {}, {} of {} bins measured in {}: Kt and J of {}, exported by drivebench {}",
+        "{} of {}, {} of {} bins measured in {}{}: Kt and J of {}, exported by drivebench {}",
         of.name(),
         file.model.motor.name,
         map.known(),
         map.bins.len(),
-        names.join(", "),
+        used.join(", "),
+        unused.concat(),
         model.display(),
         env!("CARGO_PKG_VERSION")
     );
     let text = match c_name {
         Some(name) => map_as_c(&map, name, &title),
-        None => map_as_csv(&map),
+        None => map.to_csv(),
     };
     Ok((text, title))
 }

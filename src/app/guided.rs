@@ -291,6 +291,7 @@ fn speed_loop(
         model: Some(first_folder(done)?.join(RunFile::Model.name())),
         controller: None,
         feed_forward: None,
+        maps: Vec::new(),
         actuator: None,
     };
     let ended = conduct(Audience::Leads("back to the loop"), move |controls| {

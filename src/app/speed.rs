@@ -24,7 +24,7 @@ use crate::bench::{
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
 use crate::drive::offer::Purpose;
-use crate::plant::{Model, ModelFile};
+use crate::plant::{Model, ModelFile, TorqueMap};
 use crate::recording::RunFile;
 use crate::report::SpeedLoop;
 use crate::report::page::{Cell, Table};
@@ -43,6 +43,8 @@ pub struct SpeedRequest {
     pub model: Option<PathBuf>,
     pub controller: Option<ControllerKind>,
     pub feed_forward: Option<ForwardUse>,
+    /// Measured torques that are given forward in the place of the model's, as `export --torque-map` writes them.
+    pub maps: Vec<PathBuf>,
     pub actuator: Option<Actuator>,
 }
 
@@ -85,6 +87,7 @@ struct LoopParts {
     motor: Nameplate,
     limits: Limits,
     model: ModelFile,
+    maps: Vec<TorqueMap>,
     period_s: f64,
 }
 
@@ -135,6 +138,7 @@ impl LoopParts {
                 ..ModelFile::default()
             },
         };
+        let maps = maps(&request.maps, section.feed_forward)?;
         let limits = bench.limits();
         if limits.quadrants < 4
             && let Some(speed) = reference.reverse_rad_s()
@@ -154,6 +158,7 @@ impl LoopParts {
             limits,
             motor,
             model,
+            maps,
             period_s: bench.period_s(),
         })
     }
@@ -168,6 +173,7 @@ impl LoopParts {
             motor: &self.motor,
             limits: &self.limits,
             section: &self.section,
+            maps: &self.maps,
             actuator: self.actuator,
             timing: loop_timing(&self.model.model, self.period_s, delay_s),
             noise_rad_s,
@@ -175,6 +181,32 @@ impl LoopParts {
         }
         .regulator()
     }
+}
+
+/// The maps of the files, one of each torque.
+fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> {
+    if !paths.is_empty() && used == ForwardUse::Off {
+        let help = "add --feed-forward on, or compare to see what it is worth";
+        return Err(Failure::usage(
+            "a feed-forward map is given, and feed-forward is off",
+            help,
+        ));
+    }
+    let mut maps: Vec<TorqueMap> = Vec::new();
+    for path in paths {
+        let text = files::read_text(path)?;
+        let map = TorqueMap::from_csv(&text).map_err(|error| {
+            let help = "`drivebench export --torque-map friction ... --to csv` writes one";
+            Failure::usage(format!("{}: {error}", path.display()), help)
+        })?;
+        if maps.iter().any(|other| other.torque == map.torque) {
+            let name = map.torque.name();
+            let headline = format!("{}: a second {name} map", path.display());
+            return Err(Failure::usage(headline, "give one of each torque"));
+        }
+        maps.push(map);
+    }
+    Ok(maps)
 }
 
 /// Regulates the speed over the rig that `open` gives.
@@ -214,6 +246,7 @@ pub fn speed(
             "actuator": request.actuator,
             "rule": request.section.rule(request.actuator),
             "feed_forward": request.section.feed_forward,
+            "feed_forward_maps": asked.maps.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
             "model": model,
             "delay_at_rest": delay,
             "timing": regulator.timing,

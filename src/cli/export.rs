@@ -6,7 +6,7 @@ use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::output;
 use crate::app::export::{ExportRequest, export, require_parquet, run_as_parquet, torque_map_of};
-use crate::diagnosis::MappedTorque;
+use crate::plant::MappedTorque;
 use crate::recording::LoadedRun;
 use crate::report::export::Target;
 

@@ -191,6 +191,10 @@ pub(super) struct SpeedArguments {
     /// follows the reference twice, without and with, and shows both tracking errors. Overrides the bench file
     #[arg(long, value_name = "USE", value_parser = forward_use)]
     feed_forward: Option<ForwardUse>,
+    /// Friction or cogging as measured (`export --torque-map`, CSV), in the place of the model's wherever it has a value;
+    /// one of each
+    #[arg(long, value_name = "MAP.csv")]
+    feed_forward_map: Vec<PathBuf>,
     /// voltage, current or speed: the quantity that is commanded; overrides the bench file
     #[arg(long, value_name = "QUANTITY", value_parser = actuator)]
     actuator: Option<Actuator>,
@@ -234,6 +238,7 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
         model: arguments.model,
         controller: arguments.controller,
         feed_forward: arguments.feed_forward,
+        maps: arguments.feed_forward_map,
         actuator: arguments.actuator,
     };
     let done = conduct(arguments.live.audience(None), move |strings| {

@@ -115,7 +115,11 @@ impl PtyPort {
     /// Whether another host is here since the last one went; from then on it is served like the first.
     pub(crate) fn taken_again(&mut self) -> bool {
         let mut fds = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
-        let polled = ppoll(&mut fds, Some(TimeSpec::from_duration(Duration::ZERO)), None);
+        let polled = ppoll(
+            &mut fds,
+            Some(TimeSpec::from_duration(Duration::ZERO)),
+            None,
+        );
         let nobody = polled.is_err()
             || (fds[0].revents()).is_none_or(|seen| seen.contains(PollFlags::POLLHUP));
         let again = self.hung_up && !nobody;

@@ -341,6 +341,7 @@ impl Commission {
             motor: &motor,
             limits: &limits,
             section,
+            maps: &[],
             actuator: section.actuator.unwrap_or(Actuator::Voltage),
             timing: loop_timing(model, period_s, period_s + limits.dead_time_s),
             noise_rad_s: Some(diagnosis.model.noise.speed_rad_s)

@@ -223,6 +223,7 @@ fn speed_session(bench: &BenchFile, guard: Guard) -> Session {
         motor: &motor,
         limits: &limits,
         section,
+        maps: &[],
         actuator: Actuator::Voltage,
         timing: timing(&model, period_s, period_s),
         noise_rad_s: 0.05,

@@ -12,7 +12,7 @@ use crate::control::{
     Mrac, MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
     SpeedController, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
 };
-use crate::plant::{FittedValue, Model, MotorKey};
+use crate::plant::{FittedValue, Model, MotorKey, TorqueMap};
 
 /// Gain margin that gains given by hand have to leave.
 const LEAST_GAIN_MARGIN: f64 = 1.6;
@@ -52,6 +52,8 @@ pub struct Design<'a> {
     pub motor: &'a Nameplate,
     pub limits: &'a Limits,
     pub section: &'a SpeedSection,
+    /// Torques that are given forward as they were measured.
+    pub maps: &'a [TorqueMap],
     pub actuator: Actuator,
     pub timing: LoopTiming,
     /// Standard deviation of a speed sample, rad/s.
@@ -120,6 +122,14 @@ pub enum RegulatorError {
     #[error("speed.feed_forward: nothing can be given forward {why}")]
     NothingForward { why: &'static str },
     #[error(
+        "the {name} map asks for {value:.3} N.m (expected up to the {most:.3} N.m of the loop's current limit)"
+    )]
+    Map {
+        name: &'static str,
+        value: f64,
+        most: f64,
+    },
+    #[error(
         "{controller}: with {cycles:.2} cycles of delay{} the loop goes on swinging by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
     )]
     Swings {
@@ -152,6 +162,7 @@ impl RegulatorError {
                 "the manual's speed loop response time, or a step of the set-point seen on the drive's own scope"
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
+            Self::Map { .. } => "take the map of this motor, in N.m",
             Self::Swings {
                 coupling_hz: Some(_),
                 ..
@@ -319,7 +330,19 @@ impl Design<'_> {
     /// The controller with the model's effects beside it. What is given forward is not for it to hold.
     fn compensated(&self, plants: &Plants) -> Result<Box<dyn SpeedController>, RegulatorError> {
         let limit_a = self.current_limit_a();
-        let forward = FeedForward::new(self.model, self.actuator, &self.timing, limit_a);
+        let (model, timing) = (self.model, &self.timing);
+        if let Some(kt) = model.motor.torque_constant() {
+            let most = limit_a * kt;
+            let mut maps = self.maps.iter();
+            if let Some(map) = maps.find(|map| map.largest_n_m() > most) {
+                return Err(RegulatorError::Map {
+                    name: map.torque.name(),
+                    value: map.largest_n_m(),
+                    most,
+                });
+            }
+        }
+        let forward = FeedForward::new(model, self.maps, self.actuator, timing, limit_a);
         let why = match self.actuator {
             Actuator::Speed => "with a speed command: the drive's own loop holds the speed",
             _ => "without the motor's friction, inertia and constants in the model",

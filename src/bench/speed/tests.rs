@@ -39,6 +39,7 @@ fn design<'a>(
         motor,
         limits,
         section,
+        maps: &[],
         actuator: section.actuator.unwrap_or(Actuator::Voltage),
         timing: timing(model, PERIOD_S, delay_cycles * PERIOD_S),
         noise_rad_s: 0.15,

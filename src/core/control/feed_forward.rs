@@ -8,14 +8,15 @@
 //!
 //! An output acts a dead time after its sample, and the winding's current follows later still: the reference is read so far
 //! ahead, and the angle is predicted as far. The effects' terms stand at planned speeds, so that no noise comes in. Behind
-//! a current command it is the torque over Kt. Any controller can be wrapped in it; one with a model of its own that would
+//! a current command it is the torque over Kt. A measured map takes the place of the model's friction or cogging wherever it
+//! has a value. Any controller can be wrapped in it; one with a model of its own that would
 //! take the planned acceleration for a load is given friction and effects only.
 
 use std::collections::VecDeque;
 
 use super::{Actuator, Adapted, LoopTiming, Measured, SpeedController};
 use crate::numerics::count::whole;
-use crate::plant::{Balance, Instant, Model, MotorKey, ShaftAngle, Terms};
+use crate::plant::{Balance, Instant, MappedTorque, Model, MotorKey, ShaftAngle, Terms, TorqueMap};
 
 /// Least half width of the speeds about zero over which friction changes its sign, rad/s.
 const SIGN_SPEED_RAD_S: f64 = 0.1;
@@ -27,6 +28,7 @@ const KEPT: usize = 160;
 /// Effects of a model in the actuator's unit.
 pub struct FeedForward {
     effects: Vec<Known>,
+    maps: Vec<TorqueMap>,
     motor: Instant,
     /// Coulomb torque that is given forward, N.m.
     friction_n_m: f64,
@@ -48,6 +50,8 @@ struct Known {
     id: &'static str,
     terms: Box<dyn Terms>,
     needs_angle: bool,
+    /// The map that takes its place where that has a value.
+    mapped: Option<MappedTorque>,
 }
 
 /// How the current follows an output, from one period to the next.
@@ -110,9 +114,10 @@ impl FeedForward {
     /// Friction of the motor and those effects of the model that are known at every instant, an effect of the angle while
     /// one is measured. `None` where the model lacks a value of the motor, and behind a speed command: there the drive's
     /// own loop holds the speed. What has states of its own, depends on the time of a run or on its supply, lies on the
-    /// path of the signals, or has no value yet, cannot be given forward and is left out.
+    /// path of the signals, or has no value yet, cannot be given forward and is left out. Of `maps` one of each torque.
     pub fn new(
         model: &Model,
+        maps: &[TorqueMap],
         actuator: Actuator,
         timing: &LoopTiming,
         current_limit_a: f64,
@@ -135,6 +140,7 @@ impl FeedForward {
                 id: active.id(),
                 terms: active.terms_of_the_instant().filter(|_| costs)?,
                 needs_angle: card.needs_angle,
+                mapped: (maps.iter().map(|map| map.torque)).find(|torque| torque.holds(active)),
             })
         });
         let shown_late = model
@@ -144,6 +150,7 @@ impl FeedForward {
         let shown_late_s: f64 = shown_late.filter_map(|active| active.values[0]).sum();
         Some(Self {
             effects: effects.collect(),
+            maps: maps.to_vec(),
             motor: Instant::of(&model.motor),
             friction_n_m: value(MotorKey::LoadTorque)?,
             inertia_kg_m2: value(MotorKey::Inertia)?,
@@ -159,12 +166,19 @@ impl FeedForward {
 
     /// What is given forward, in a sentence.
     fn sentence(&self, is_planned: bool) -> String {
-        let name = |effect: &Known| {
-            let while_measured =
-                ["", " while the drive gives its angle"][usize::from(effect.needs_angle)];
-            format!(", {}{while_measured}", effect.id)
+        let while_measured =
+            |needs_angle| ["", " while the drive gives its angle"][usize::from(needs_angle)];
+        let name =
+            |effect: &Known| format!(", {}{}", effect.id, while_measured(effect.needs_angle));
+        let map = |map: &TorqueMap| {
+            let (torque, known, bins) = (map.torque, map.known(), map.bins.len());
+            let name = torque.name();
+            let when = while_measured(torque == MappedTorque::Cogging);
+            format!(", the measured {name} in {known} of {bins} bins{when}")
         };
-        let names: String = self.effects.iter().map(name).collect();
+        let names: String = (self.effects.iter().map(name))
+            .chain(self.maps.iter().map(map))
+            .collect();
         let motion = match (is_planned, self.actuator) {
             (false, _) => "",
             (true, Actuator::Voltage) => ", back-EMF and acceleration of the reference",
@@ -204,11 +218,29 @@ impl FeedForward {
             angle: ShaftAngle::at(angle_rad.unwrap_or(0.0)),
             ..self.motor
         };
+        let mapped = |torque| {
+            let map = self.maps.iter().find(|map| map.torque == torque)?;
+            match torque {
+                MappedTorque::Friction => Some(map.at(speed_rad_s)? * sign.abs()),
+                MappedTorque::Cogging => map.at(angle_rad?),
+            }
+        };
+        let friction_n_m = mapped(MappedTorque::Friction);
+        let cogging_n_m = mapped(MappedTorque::Cogging);
         let given = || {
             let effects = self.effects.iter();
-            effects.filter(|effect| angle_rad.is_some() || !effect.needs_angle)
+            effects.filter(|effect| {
+                let is_in_a_map = match effect.mapped {
+                    Some(MappedTorque::Friction) => friction_n_m.is_some(),
+                    Some(MappedTorque::Cogging) => cogging_n_m.is_some(),
+                    None => false,
+                };
+                !is_in_a_map && (angle_rad.is_some() || !effect.needs_angle)
+            })
         };
-        let motion_n_m = self.friction_n_m * sign + self.inertia_kg_m2 * acceleration_rad_s2;
+        let motion_n_m = friction_n_m.unwrap_or(self.friction_n_m * sign)
+            + cogging_n_m.unwrap_or(0.0)
+            + self.inertia_kg_m2 * acceleration_rad_s2;
         let here = at(motion_n_m * self.amperes_per_torque);
         let sums = given().map(|effect| effect.terms.sums(&here, &[]));
         let torque_n_m = sums.fold(motion_n_m, |torque, sums| {
@@ -421,7 +453,7 @@ mod tests {
         AntiWindup, Course, CurrentLimit, Holding, Limiter, Pi, PiGains, TrialMachine, TrialPoint,
         trial,
     };
-    use crate::plant::Motor;
+    use crate::plant::{MapBin, MappedValue, Motor};
 
     const TIMING: LoopTiming = LoopTiming {
         period_s: 0.01,
@@ -437,7 +469,7 @@ mod tests {
     }
 
     fn forward(model: &Model, actuator: Actuator) -> FeedForward {
-        FeedForward::new(model, actuator, &TIMING, LIMIT_A).unwrap()
+        FeedForward::new(model, &[], actuator, &TIMING, LIMIT_A).unwrap()
     }
 
     fn voltage(id: &str, values: &[f64]) -> FeedForward {
@@ -485,7 +517,7 @@ mod tests {
         let drop = model("voltage_drop", &[1.5]);
         let amperes = forward(&drop, Actuator::Current);
         assert_close(at(&amperes, 200.0, None), 0.455 / 0.3538, 1e-9);
-        assert!(FeedForward::new(&fan, Actuator::Speed, &TIMING, LIMIT_A).is_none());
+        assert!(FeedForward::new(&fan, &[], Actuator::Speed, &TIMING, LIMIT_A).is_none());
     }
 
     #[test]
@@ -523,6 +555,69 @@ mod tests {
         assert_close(at(&cogging, 200.0, None), friction, 1e-9);
         let wave = at(&cogging, 200.0, Some(0.0)) - friction;
         assert_close(wave.abs(), 1.1 / 0.3538 * 0.1, 1e-9);
+    }
+
+    /// 40 bins to 100 rad/s either way, or 72 of a turn, with these torques at their middles.
+    fn map(torque: MappedTorque, value_n_m: impl Fn(f64) -> Option<f64>) -> TorqueMap {
+        let (first, width, count) = match torque {
+            MappedTorque::Friction => (-100.0, 5.0, 40),
+            MappedTorque::Cogging => (0.0, std::f64::consts::TAU / 72.0, 72),
+        };
+        let bin = |index: u32| {
+            let from = first + width * f64::from(index);
+            let value = value_n_m(from + 0.5 * width);
+            MapBin {
+                from,
+                to: from + width,
+                windows: 9,
+                torque: value.map(|torque_n_m| MappedValue {
+                    torque_n_m,
+                    low_n_m: torque_n_m,
+                    high_n_m: torque_n_m,
+                }),
+            }
+        };
+        TorqueMap {
+            torque,
+            bins: (0..count).map(bin).collect(),
+        }
+    }
+
+    #[test]
+    fn a_map_takes_the_place_of_what_it_measured_and_leaves_the_rest_to_the_model() {
+        // Beyond 50 rad/s nothing was measured.
+        let friction =
+            |speed: f64| (speed.abs() < 50.0).then(|| 0.3 * speed.signum() + 0.002 * speed);
+        let cogging = |angle: f64| Some(0.1 * (7.0 * angle).cos());
+        let maps = [
+            map(MappedTorque::Friction, friction),
+            map(MappedTorque::Cogging, cogging),
+        ];
+        let mut given = model("quadratic_load", &[2e-6]);
+        let other = Model::baseline(Motor::zk_22fc())
+            .with_effect("cogging")
+            .unwrap();
+        given.effects.extend(other.effects);
+        given.effects[1].values = vec![Some(0.0), Some(0.5), Some(3.0)];
+        let forward = FeedForward::new(&given, &maps, Actuator::Current, &TIMING, LIMIT_A).unwrap();
+        let torque = |speed, angle| 0.3538 * at(&forward, speed, angle);
+        let own = |speed: f64| 0.3 * speed.signum() + 0.002 * speed;
+        for speed in [-42.5, -7.5, 20.0, 33.0] {
+            assert_close(torque(speed, None), own(speed), 1e-9);
+        }
+        let model_n_m = 0.455 + 2e-6 * 80.0 * 80.0;
+        assert_close(torque(80.0, None), model_n_m, 1e-9);
+        let middle = std::f64::consts::TAU * 10.5 / 72.0;
+        let wave = cogging(middle).unwrap();
+        assert_close(torque(20.0, Some(middle)), own(20.0) + wave, 1e-9);
+        assert_close(torque(0.0, Some(middle)), wave, 1e-9);
+        // Half way up the change of sign: half the friction of the slowest bin.
+        assert_close(torque(0.05, None), 0.5 * own(2.5), 1e-9);
+        let said = forward.sentence(false);
+        assert!(
+            said.contains("the measured friction in 20 of 40 bins"),
+            "{said}"
+        );
     }
 
     /// Records what it is asked and gives nothing: what is fed forward is all that moves the motor.

@@ -45,8 +45,8 @@ pub use joint::foresight::Grounds;
 pub use ladder::{AddResult, Rung, add, known_along, remove};
 pub use location::{
     AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
-    Located, MapBin, MapCell, MapDigits, MapError, MappedTorque, MappedValue, Off, OwnChange,
-    TorqueMap, axis_map, effect_curve, error_curve, lean, locate, torque_map,
+    Located, MapCell, MapDigits, MapError, MeasuredMap, Off, OwnChange, axis_map, effect_curve,
+    error_curve, lean, locate, torque_map,
 };
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,

@@ -19,6 +19,7 @@ mod scenario;
 mod shaft_angle;
 mod simulate;
 pub mod testing;
+mod torque_map;
 mod typical_size;
 mod unknown_input;
 
@@ -34,5 +35,6 @@ pub use motor::{Motor, MotorKey};
 pub use motor_range::motor_range;
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{Correction, Plant, State, Trajectory, starts_from_rest};
+pub use torque_map::{MapBin, MapTextError, MappedTorque, MappedValue, TorqueMap};
 pub use typical_size::typical_size;
 pub use unknown_input::UnknownInput;

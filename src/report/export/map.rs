@@ -1,38 +1,13 @@
-//! A measured torque map as a table: CSV, or C with a function that reads it.
-
-use std::fmt::Write as _;
+//! A measured torque map as a table in C, with a function that reads it.
 
 use super::identifier;
-use crate::diagnosis::{MapBin, MappedTorque, MappedValue, TorqueMap};
-
-/// The map as CSV: a row for each bin at its middle, its cells empty where nothing was measured.
-pub fn map_as_csv(map: &TorqueMap) -> String {
-    let mut text = format!(
-        "{},torque_n_m,torque_low_n_m,torque_high_n_m,windows\n",
-        map.of.axis().0
-    );
-    for bin in &map.bins {
-        let _ = write!(text, "{:?},", bin.middle());
-        match bin.torque {
-            Some(it) => {
-                let _ = write!(
-                    text,
-                    "{:?},{:?},{:?}",
-                    it.torque_n_m, it.low_n_m, it.high_n_m
-                );
-            }
-            None => text.push_str(",,"),
-        }
-        let _ = writeln!(text, ",{}", bin.windows);
-    }
-    text
-}
+use crate::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
 
 /// The map as one C99 header. `title` says what it is and where it comes from.
 pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
     let name = identifier(name);
-    let (place, unit) = map.of.axis();
-    let turns = map.of == MappedTorque::Cogging;
+    let (place, unit) = map.torque.axis();
+    let turns = map.torque == MappedTorque::Cogging;
     let inside = format!("along >= 0.0f && along <= (float){{{{NAME}}}}_BINS && {place} != 0.0f");
     let beyond_zero = "    /* Friction does not lead through zero. */\n    there = next >= 0 && next < {{NAME}}_BINS && (next < {{NAME}}_BINS / 2) == (own < {{NAME}}_BINS / 2) ? {{name}}_torque_n_m[next] : here;";
     let (wrap, inside, beyond) = if turns {

@@ -3,7 +3,7 @@
 //! ```text
 //! Model --(formula of each effect, as a tree)--> terms of the equations --.
 //! PiGains, what holds a speed --------------------------------------------+--> template of the language --> one file
-//! TorqueMap ----------------------------------------------------------------> CSV, or C with its interpolation
+//! TorqueMap ----------------------------------------------------------------> C with its interpolation
 //! ```
 //!
 //! Every target integrates the same equations: the classical Runge-Kutta method in steps that follow the fastest motion,
@@ -12,7 +12,7 @@
 mod map;
 mod notation;
 
-pub use map::{map_as_c, map_as_csv};
+pub use map::map_as_c;
 
 use std::fmt::Write as _;
 

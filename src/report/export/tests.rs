@@ -5,12 +5,12 @@ use std::process::Command;
 
 use super::*;
 use crate::control::{AntiWindup, Measured, Pi, SpeedController};
-use crate::diagnosis::{MapBin, MappedTorque, MappedValue, TorqueMap};
 use crate::plant::effect::{self, CATALOGUE, define};
 use crate::plant::testing::held;
 use crate::plant::{
     ActiveEffect, Effect, Motor, ParameterRole, ParameterSpec, Scenario, State, Trajectory,
 };
+use crate::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
 use crate::sample::Channel;
 
 const END_S: f64 = 0.4;
@@ -372,15 +372,14 @@ fn gapped(of: MappedTorque) -> TorqueMap {
         }
     };
     TorqueMap {
-        of,
+        torque: of,
         bins: (0..count).map(bin).collect(),
-        windows_left_out: 0,
     }
 }
 
 #[test]
 fn a_map_as_csv_has_empty_cells_where_nothing_was_measured() {
-    let text = map_as_csv(&gapped(MappedTorque::Friction));
+    let text = gapped(MappedTorque::Friction).to_csv();
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines.len(), 25);
     assert_eq!(

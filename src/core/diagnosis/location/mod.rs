@@ -30,7 +30,7 @@ pub use self::curve::{AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
 pub use self::leaning::{Leaning, lean};
-pub use self::torque_map::{MapBin, MapError, MappedTorque, MappedValue, TorqueMap, torque_map};
+pub use self::torque_map::{MapError, MeasuredMap, torque_map};
 
 pub(super) use self::axis::name_of;
 use self::axis::{figure, name_of_variable};

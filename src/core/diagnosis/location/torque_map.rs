@@ -1,4 +1,4 @@
-//! A torque as a map over speed or angle, measured: friction over both directions, cogging over a turn of the shaft.
+//! Measurement of a torque map: friction over both directions of the speed, cogging over a turn of the shaft.
 //!
 //! ```text
 //! model without the torque that is mapped --> windows: Kt <i> - J <dw/dt> - what the model keeps --> bins of a fixed grid
@@ -10,17 +10,14 @@
 
 use std::f64::consts::TAU;
 
-use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::axis::Search;
 use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
-use crate::numerics::count::whole;
 use crate::numerics::statistics::{extent, largest};
-use crate::plant::effect::Axis;
-use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
+use crate::plant::{Balance, MapBin, MappedTorque, MappedValue, Model, Scenario, TorqueMap};
 
 /// Bins of each direction, and of a turn: 5 degrees.
 const BINS_EACH_WAY: usize = 12;
@@ -36,130 +33,12 @@ const STEADY_SHARE: f64 = 0.5;
 /// Two-sided level of the intervals.
 const LEVEL: f64 = 0.95;
 
-/// The torque that is mapped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MappedTorque {
-    /// Everything that depends on the speed alone, over the speed.
-    Friction,
-    /// What the shaft's position asks for whatever the current is, over one turn.
-    Cogging,
-}
-
-impl MappedTorque {
-    pub const ALL: [Self; 2] = [Self::Friction, Self::Cogging];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Friction => "friction",
-            Self::Cogging => "cogging",
-        }
-    }
-
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|of| of.name() == name)
-    }
-
-    /// Key and unit of the axis.
-    pub const fn axis(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Friction => ("speed_rad_s", "rad/s"),
-            Self::Cogging => ("angle_rad", "rad"),
-        }
-    }
-
-    /// The model without it.
-    fn taken_out_of(self, model: &Model) -> Model {
-        let mut rest = model.clone();
-        match self {
-            Self::Friction => {
-                rest.motor.set(MotorKey::LoadTorque, 0.0);
-                let is_it = |active: &ActiveEffect| {
-                    active.effect.card().curve == Some((Balance::Torque, Axis::Speed))
-                };
-                rest.effects.retain(|active| !is_it(active));
-            }
-            Self::Cogging => {
-                let its = ["cogging", "eccentric_load"];
-                rest.effects.retain(|active| !its.contains(&active.id()));
-            }
-        }
-        rest
-    }
-}
-
-/// One bin of the grid.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MapBin {
-    pub from: f64,
-    pub to: f64,
-    /// Windows in it.
-    pub windows: usize,
-    pub torque: Option<MappedValue>,
-}
-
-/// Mean torque against positive motion, N.m, with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MappedValue {
-    pub torque_n_m: f64,
-    pub low_n_m: f64,
-    pub high_n_m: f64,
-}
-
-impl MapBin {
-    pub fn middle(&self) -> f64 {
-        0.5 * (self.from + self.to)
-    }
-
-    fn value(&self) -> Option<f64> {
-        self.torque.map(|torque| torque.torque_n_m)
-    }
-}
-
-/// A measured torque over an even grid.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct TorqueMap {
-    pub of: MappedTorque,
-    /// Of even width, in the order of their places; those of a friction map meet at zero.
-    pub bins: Vec<MapBin>,
-    /// Windows that were not used: the shaft turned too far in them, or its speed was not steady.
-    pub windows_left_out: usize,
-}
-
-impl TorqueMap {
-    /// Bins that have a value.
-    pub fn known(&self) -> usize {
-        self.bins.iter().filter(|bin| bin.torque.is_some()).count()
-    }
-
-    /// Between the middles of two bins on their line, where one of them has no value what the place's own bin has; `None`
-    /// where that has none, outside the grid, and at rest, where friction is what holds the shaft. Friction does not lead
-    /// through zero: within the innermost bins it is theirs.
-    pub fn at(&self, place: f64) -> Option<f64> {
-        let count = self.bins.len();
-        let (first, width) = (self.bins[0].from, self.bins[0].to - self.bins[0].from);
-        let turns = self.of == MappedTorque::Cogging;
-        let place = if turns { place.rem_euclid(TAU) } else { place };
-        let along = (place - first) / width;
-        let inside = turns || (along >= 0.0 && along <= count as f64 && place != 0.0);
-        if !(inside && along.is_finite()) {
-            return None;
-        }
-        let own = whole(along.floor()).min(count - 1);
-        let here = self.bins[own].value()?;
-        let off = along - own as f64 - 0.5;
-        let towards = if off < 0.0 { -1 } else { 1 };
-        let next = own.checked_add_signed(towards);
-        let next = match next {
-            Some(next) if next < count => Some(next),
-            _ if turns => Some((own + count).wrapping_add_signed(towards) % count),
-            _ => None,
-        };
-        let beyond = next.map(|next| self.bins[next]);
-        let beyond = beyond.filter(|bin| turns || bin.middle() * place > 0.0);
-        let there = beyond.and_then(|bin| bin.value()).unwrap_or(here);
-        Some(here + off.abs() * (there - here))
-    }
+/// A map with what it could not use.
+#[derive(Clone, Debug)]
+pub struct MeasuredMap {
+    pub map: TorqueMap,
+    /// Runs that were left out, by their places, and the signal that each lacks.
+    pub left_out: Vec<(usize, &'static str)>,
 }
 
 /// What stands in the way of a map.
@@ -194,7 +73,7 @@ pub fn torque_map(
     of: MappedTorque,
     model: &Model,
     runs: &[(Scenario, NoiseFloor)],
-) -> Result<Result<TorqueMap, MapError>, FitError> {
+) -> Result<Result<MeasuredMap, MapError>, FitError> {
     let rest = of.taken_out_of(model);
     let fastest = largest(
         runs.iter()
@@ -206,12 +85,11 @@ pub fn torque_map(
     };
     let width = bins[0].to - bins[0].from;
     let mut found: Vec<Found> = Vec::new();
-    let mut missing = None;
-    let mut windows_left_out = 0;
-    for (run, noise) in runs {
+    let mut left_out = Vec::new();
+    for (index, (run, noise)) in runs.iter().enumerate() {
         let windows = Windows::new(&rest, run, noise, FEWEST_HALF)?;
         if let Some(signal) = windows.missing_signal() {
-            missing = Some(signal);
+            left_out.push((index, signal));
             continue;
         }
         let search = Search {
@@ -223,7 +101,7 @@ pub fn torque_map(
             MappedTorque::Friction => Vec::new(),
             MappedTorque::Cogging => {
                 let Some(angle) = search.angle_at_samples() else {
-                    missing = Some("angle");
+                    left_out.push((index, "angle"));
                     continue;
                 };
                 angle
@@ -234,29 +112,25 @@ pub fn torque_map(
                 MappedTorque::Friction => steady_speed(&windows, window, width),
                 MappedTorque::Cogging => still_angle(&angle[windows.samples_of(window)]),
             };
-            match place {
-                Some(place) => found.push(Found {
+            // Where the shaft turned too far, or its speed was not steady, it has none.
+            if let Some(place) = place {
+                found.push(Found {
                     place,
                     torque_n_m: window.error(Balance::Torque),
                     floor_n_m: window.floor(Balance::Torque),
-                }),
-                None => windows_left_out += 1,
+                });
             }
         }
     }
-    if let Some(signal) = missing.filter(|_| found.is_empty()) {
+    if let (Some((_, signal)), true) = (left_out.last(), found.is_empty()) {
         return Ok(Err(MapError::Missing(signal)));
     }
     let bins = bins.into_iter().map(|bin| filled(bin, &found)).collect();
-    let map = TorqueMap {
-        of,
-        bins,
-        windows_left_out,
-    };
+    let map = TorqueMap { torque: of, bins };
     Ok(if map.known() == 0 {
         Err(MapError::Empty)
     } else {
-        Ok(map)
+        Ok(MeasuredMap { map, left_out })
     })
 }
 
@@ -325,7 +199,7 @@ fn student(freedom: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::plant::testing;
-    use crate::plant::{Motor, effect};
+    use crate::plant::{ActiveEffect, Motor, MotorKey, effect};
 
     fn model(effects: &[(&str, &[f64])]) -> Model {
         let mut model = Model::baseline(Motor::zk_22fc());
@@ -349,7 +223,9 @@ mod tests {
         let length_s = 0.1 + hold_s * levels.len() as f64;
         let run = testing::record(truth, events, 0.005, length_s, 3);
         let noise = NoiseFloor::from_spread(&run);
-        torque_map(of, given, &[(run, noise)]).unwrap().unwrap()
+        let measured = torque_map(of, given, &[(run, noise)]).unwrap().unwrap();
+        assert!(measured.left_out.is_empty());
+        measured.map
     }
 
     #[test]
@@ -393,53 +269,5 @@ mod tests {
         }
         let rms = (off / map.known() as f64).sqrt();
         assert!(rms < 0.03, "{rms}");
-    }
-
-    #[test]
-    fn between_bins_it_is_a_line_and_where_nothing_was_measured_nothing() {
-        let mut map = TorqueMap {
-            of: MappedTorque::Friction,
-            bins: grid(-20.0, 20.0, 4),
-            windows_left_out: 0,
-        };
-        for (bin, value) in map
-            .bins
-            .iter_mut()
-            .zip([None, Some(-1.0), Some(1.0), Some(2.0)])
-        {
-            bin.torque = value.map(|torque_n_m| MappedValue {
-                torque_n_m,
-                low_n_m: 0.0,
-                high_n_m: 0.0,
-            });
-        }
-        let near = |place, value: f64| {
-            let found: f64 = map.at(place).unwrap();
-            assert!((found - value).abs() < 1e-12, "{place}: {found}");
-        };
-        near(10.0, 1.5);
-        near(5.0, 1.0);
-        near(0.1, 1.0);
-        near(-0.1, -1.0);
-        near(-9.9, -1.0);
-        near(19.0, 2.0);
-        for nothing in [0.0, -15.0, 20.1, -30.0, f64::NAN] {
-            assert_eq!(map.at(nothing), None, "{nothing}");
-        }
-        let mut turn = TorqueMap {
-            of: MappedTorque::Cogging,
-            bins: grid(0.0, TAU, 4),
-            windows_left_out: 0,
-        };
-        for (bin, torque_n_m) in turn.bins.iter_mut().zip([1.0, 2.0, 3.0, 4.0]) {
-            bin.torque = Some(MappedValue {
-                torque_n_m,
-                low_n_m: 0.0,
-                high_n_m: 0.0,
-            });
-        }
-        assert!((turn.at(0.0).unwrap() - 2.5).abs() < 1e-12);
-        assert!((turn.at(TAU - 1e-9).unwrap() - 2.5).abs() < 1e-6);
-        assert!((turn.at(-TAU * 0.125).unwrap() - 4.0).abs() < 1e-12);
     }
 }
