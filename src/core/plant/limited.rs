@@ -314,18 +314,15 @@ mod tests {
                 };
                 let held_v = |a: f64| r * a + ke * w + l * (a - i) / h_s;
                 let volts = given_v.clamp(held_v(-limit_a), held_v(limit_a));
+                let is_limited = (volts - given_v).abs() > 0.0;
                 if step == 0 {
-                    let told_v = if volts == given_v {
-                        given_v
-                    } else {
-                        r * i + ke * w
-                    };
+                    let told_v = if is_limited { r * i + ke * w } else { given_v };
                     let cells = [command_v, told_v, i, w];
                     columns
                         .iter_mut()
                         .zip(cells)
                         .for_each(|(own, cell)| own.push(cell));
-                    limited.extend((volts != given_v).then_some(row as usize));
+                    limited.extend(is_limited.then_some(row as usize));
                 }
                 i += h_s * (volts - r * i - ke * w) / l;
                 let torque = ke * i;
