@@ -484,4 +484,6 @@ impl Checker<'_> {
 }
 
 #[cfg(test)]
+mod specimens;
+#[cfg(test)]
 mod tests;

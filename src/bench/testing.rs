@@ -8,8 +8,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::rand_core::RngCore;
 
 use super::bench_file::BenchFile;
 use super::clock::Clock;
@@ -24,6 +25,7 @@ use super::trip::TripKind;
 use crate::drive::{
     CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, exception_name,
 };
+use crate::emulator::truth::MotorTruth;
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use crate::recording::{Layout, MemoryRecorder};
 use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
@@ -435,6 +437,57 @@ pub(super) fn exact(name: &str) -> EmulatorConfig {
     EmulatorConfig {
         tolerance: 0.0,
         ..EmulatorConfig::embedded(name).unwrap()
+    }
+}
+
+/// A motor that somebody could have put on the bench: R and L/R over the whole range, the rest so that it is a motor.
+pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut log = |from: f64, to: f64| from * (to / from).powf(rng.random::<f64>());
+    let electrical_s = log(0.3e-3, 50e-3);
+    // Rated power in the winding as a share; a current of which the drive's resolution of 10 mA is 2 % at most.
+    let (resistance, rated_v, loss, rated_a) = loop {
+        let (resistance, rated_v, loss) = (log(0.1, 20.0), log(12.0, 220.0), log(0.02, 0.3));
+        let rated_a = loss * rated_v / resistance;
+        if (0.5..60.0).contains(&rated_a) {
+            break (resistance, rated_v, loss, rated_a);
+        }
+    };
+    let rated_rad_s = log(60.0, 500.0);
+    let back_emf = (1.0 - loss) * rated_v / rated_rad_s;
+    let mechanical_s = log(8e-3, 0.5);
+    let friction = log(0.01, 0.3);
+    let mut config = exact("zk-22fc-plain");
+    config.motor.resistance_ohm = resistance;
+    config.motor.inductance_h = resistance * electrical_s;
+    config.motor.back_emf_v_s_per_rad = back_emf;
+    config.motor.inertia_kg_m2 = mechanical_s * back_emf * back_emf / resistance;
+    config.motor.load_torque_n_m = friction * rated_a * back_emf;
+    config.motor.rated_voltage_v = rated_v;
+    config.motor.rated_current_a = rated_a;
+    config.motor.rated_speed_rad_s = rated_rad_s;
+    // As far away as the registers allow: the drive does not help.
+    config.limits.current_limit_a = 650.0;
+    config.limits.bus_v = 2.0 * rated_v;
+    config.limits.speed_limit_rad_s = 1300.0;
+    config.noise.current_a = 0.005 * rated_a;
+    config.noise.speed_rad_s = 0.0005 * rated_rad_s;
+    config.quantisation.current_a = 0.0;
+    config
+}
+
+/// The nameplate of exactly this motor.
+pub(super) fn plate_of(truth: MotorTruth) -> Nameplate {
+    Nameplate {
+        name: truth.name,
+        rated_voltage_v: truth.rated_voltage_v,
+        rated_current_a: truth.rated_current_a,
+        rated_speed_rad_s: truth.rated_speed_rad_s,
+        resistance_ohm: truth.resistance_ohm,
+        inductance_h: truth.inductance_h,
+        back_emf_v_s_per_rad: truth.back_emf_v_s_per_rad,
+        inertia_kg_m2: truth.inertia_kg_m2,
+        load_torque_n_m: truth.load_torque_n_m,
     }
 }
 

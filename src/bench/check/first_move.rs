@@ -25,6 +25,8 @@ const REST_NOISE: f64 = 3.0;
 const REST_SAMPLES: u32 = 3;
 /// Longest wait for rest, s.
 const REST_S: f64 = 8.0;
+/// Longest that a current is waited for at rest, s: it may have an offset.
+const BRAKED_S: f64 = 2.0;
 
 const DIRECTION: &str = "direction";
 
@@ -100,13 +102,14 @@ impl Checker<'_> {
             size: Size::of(first.plate, limits, zero, speed.1, self.period_s),
             current: floor(noise, Channel::Current),
             speed,
+            noise_v: floor(noise, Channel::Voltage).1,
             signed_current: has_signed_current(first.profile.registers.as_deref()),
             set_point: set_point(first.profile.registers.as_deref(), self.zero),
         };
         let still = self.still(limits);
         let one_way = limits.quadrants < 4;
-        let mut mover = Mover::new(self, limits, first.plate, known.size, still);
-        let (legs, cut) = mover.both_ways(one_way);
+        let mut mover = Mover::new(self, limits, known, still);
+        let (legs, cut) = mover.whole(one_way);
         if let Some(Cut::Ended(error)) = cut {
             return Err(error);
         }
@@ -132,7 +135,7 @@ impl Checker<'_> {
                 (format!("{why} ({figures})"), help)
             }
             (Some(Cut::Trip(trip)), _) => {
-                let why = implausible.map_or_else(String::new, |text| format!("; {text}"));
+                let why = implausible.map_or_else(String::new, |(text, _)| format!("; {text}"));
                 let help =
                     "the pulse was stopped at once: check limits, load and the drive's profile";
                 (format!("{}{why} ({figures})", trip.reason), help)
@@ -144,8 +147,7 @@ impl Checker<'_> {
             (_, Some((reason, help))) => (format!("{reason} ({figures})"), help),
             (_, None) => {
                 let passed = implausible.is_none();
-                let text = implausible.unwrap_or(ratios);
-                let help = "correct [motor] or the units of the drive's profile; `--escalate` finds a motor whose nameplate is in doubt; --waive-plausibility goes on";
+                let (text, help) = implausible.unwrap_or((ratios, ""));
                 let waived = options.waivers.plausibility;
                 return Ok(self.note(DIRECTION, true, figures, "")
                     && self.note_or_waive(PLAUSIBILITY, passed, waived, text, help));
@@ -175,24 +177,21 @@ fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
 struct Mover<'c, 'a> {
     checker: &'c mut Checker<'a>,
     guard: Guard,
-    size: Size,
+    known: Known<'c>,
     still: Still,
     brake: Option<Brake>,
     /// Mean of the speed at rest, and the most beside it, rad/s.
     rest: (f64, f64),
     next_s: f64,
+    /// What left last.
+    sent: Demand,
     /// For how long the computer had been suspended before.
     slept_s: f64,
 }
 
 impl<'c, 'a> Mover<'c, 'a> {
-    fn new(
-        checker: &'c mut Checker<'a>,
-        limits: &Limits,
-        plate: &Nameplate,
-        size: Size,
-        still: Still,
-    ) -> Self {
+    fn new(checker: &'c mut Checker<'a>, limits: &Limits, known: Known<'c>, still: Still) -> Self {
+        let Known { plate, size, .. } = known;
         let own = Limits {
             current_a: limits
                 .current_a
@@ -209,8 +208,9 @@ impl<'c, 'a> Mover<'c, 'a> {
             guard: Guard::new(own, plate, limit_a)
                 .with_period(checker.period_s)
                 .with_enable_time(checker.times().enable_s),
-            size,
+            known,
             still,
+            sent: checker.zero,
             brake: limits.load.brake(),
             rest: (mean, share.max(REST_NOISE * std)),
             next_s: checker.clock.now_s(),
@@ -220,7 +220,7 @@ impl<'c, 'a> Mover<'c, 'a> {
     }
 
     /// Each way of the pulse as far as it came, and why it was cut short.
-    fn both_ways(&mut self, one_way: bool) -> (Vec<Leg>, Option<Cut>) {
+    fn whole(&mut self, one_way: bool) -> (Vec<Leg>, Option<Cut>) {
         let mut legs = Vec::new();
         let result = self.all(one_way, &mut legs);
         if result.is_err() {
@@ -239,13 +239,21 @@ impl<'c, 'a> Mover<'c, 'a> {
             self.hold_for(brake.release_s + self.rise_of_hold_s())?;
         }
         // Up before down, where something pulls.
-        let up = if self.size.hold_a < 0.0 { -1.0 } else { 1.0 };
+        let up = if self.known.size.hold_a < 0.0 {
+            -1.0
+        } else {
+            1.0
+        };
         let ways: &[f64] = if one_way { &[1.0] } else { &[up, -up] };
-        for &direction in ways {
-            // What is left of the way before must not pass for this one.
-            self.come_to_rest()?;
-            legs.push(Leg::new(direction));
-            self.one_way(legs)?;
+        self.there_and_back(ways, legs)?;
+        let is_settled = |leg: &Leg| judge::is_settled(&self.known, leg);
+        // The other way brings the shaft back: only so does it stay within its travel.
+        let may_repeat = !one_way || self.known.size.goal_rad.is_none();
+        if may_repeat && !legs.iter().all(is_settled) {
+            legs.retain(is_settled);
+            self.there_and_back(ways, legs)?;
+            let at = |leg: &Leg| ways.iter().position(|way| *way == leg.direction);
+            legs.sort_by_key(at);
         }
         self.come_to_rest()?;
         if let Some(brake) = self.brake {
@@ -281,21 +289,34 @@ impl<'c, 'a> Mover<'c, 'a> {
         Err(Cut::Trip(trip))
     }
 
-    fn one_way(&mut self, legs: &mut [Leg]) -> Result<(), Cut> {
-        let Some(leg) = legs.last_mut() else {
-            return Ok(());
-        };
+    /// Each of these ways from rest. A leg that is there already stays.
+    fn there_and_back(&mut self, ways: &[f64], legs: &mut Vec<Leg>) -> Result<(), Cut> {
+        let there: Vec<f64> = legs.iter().map(|leg| leg.direction).collect();
+        for &direction in ways {
+            // What is left of the way before must not pass for this one.
+            self.come_to_rest()?;
+            let mut leg = Leg::new(direction);
+            let moved = self.one_way(&mut leg);
+            if moved.is_err() || !there.contains(&direction) {
+                legs.push(leg);
+            }
+            moved?;
+        }
+        Ok(())
+    }
+
+    fn one_way(&mut self, leg: &mut Leg) -> Result<(), Cut> {
         let begin_s = self.next_s;
-        while let Some(asked) = leg.asked(&self.size, self.next_s - begin_s) {
-            let demand = self.size.kind.demand(self.size.hold + asked);
+        while let Some(asked) = leg.asked(&self.known.size, self.next_s - begin_s) {
+            let demand = self.known.size.kind.demand(self.known.size.hold + asked);
             let (sample, trip) = self.step(demand)?;
             if let Some(sample) = &sample {
-                leg.push(&self.size, asked, sample);
+                leg.push(&self.known.size, asked, self.sent, sample);
             }
             if let Some(trip) = trip {
                 return Err(Cut::Trip(trip));
             }
-            if leg.is_astray(&self.size) {
+            if leg.is_astray(&self.known.size) {
                 return Err(Cut::Astray);
             }
         }
@@ -308,19 +329,32 @@ impl<'c, 'a> Mover<'c, 'a> {
         while rests < REST_SAMPLES {
             let sample = self.hold()?;
             let speed = sample.as_ref().and_then(|s| s.get(Channel::Speed));
+            let waited_s = self.next_s - begin_s;
+            let brakes = waited_s < BRAKED_S && sample.as_ref().is_some_and(|s| self.brakes(s));
             // A lost reply shows no rest. Of a drive without a speed there is nothing to wait for but the time.
             rests = match (&sample, speed) {
                 (None, _) => 0,
                 (Some(_), Some(speed)) if (speed - self.rest.0).abs() > self.rest.1 => 0,
+                _ if brakes => 0,
                 _ => rests + 1,
             };
-            let waited_s = self.next_s - begin_s;
             if waited_s > REST_S {
                 let speed = speed.unwrap_or(0.0);
                 return Err(Cut::Trip(Trip::unrested(self.next_s, speed, waited_s)));
             }
         }
         Ok(())
+    }
+
+    /// The voltage that holds a load still brakes what is left of the speed: that current goes the next way, and would pass
+    /// for the one of its pulse.
+    fn brakes(&self, sample: &Sample) -> bool {
+        let Known { size, current, .. } = self.known;
+        let flows = |amps: f64| (amps - current.0 - size.hold_a).abs() > self.known.flowed_a();
+        let turns = |speed: f64| (speed - self.rest.0).abs() > self.known.moved_rad_s();
+        let is_left = sample.get(Channel::Current).is_some_and(flows)
+            || sample.get(Channel::Speed).is_some_and(turns);
+        size.kind == Actuator::Voltage && is_left
     }
 
     fn hold_for(&mut self, seconds: f64) -> Result<(), Cut> {
@@ -333,11 +367,11 @@ impl<'c, 'a> Mover<'c, 'a> {
 
     /// Time in which the slew limit lets the holding torque rise, s.
     fn rise_of_hold_s(&self) -> f64 {
-        self.size.hold.abs() / self.guard.limits().slew_v_per_s
+        self.known.size.hold.abs() / self.guard.limits().slew_v_per_s
     }
 
     fn hold(&mut self) -> Result<Option<Sample>, Cut> {
-        match self.step(self.size.kind.demand(self.size.hold))? {
+        match self.step(self.known.size.kind.demand(self.known.size.hold))? {
             (_, Some(trip)) => Err(Cut::Trip(trip)),
             (sample, None) => Ok(sample),
         }
@@ -355,11 +389,13 @@ impl<'c, 'a> Mover<'c, 'a> {
         self.next_s = (self.next_s + self.checker.period_s).max(clock.now_s());
         clock.sleep_until_s(self.next_s);
         let now_s = clock.now_s();
+        // After a late cycle comes a whole one.
+        self.next_s = self.next_s.max(now_s);
         if let Some(trip) = self.guard.tick(now_s) {
             return Err(Cut::Trip(trip.clone()));
         }
-        let shaped = self.guard.shape(now_s, wanted);
-        let Some(sample) = self.checker.sample(shaped.demand)? else {
+        self.sent = self.guard.shape(now_s, wanted).demand;
+        let Some(sample) = self.checker.sample(self.sent)? else {
             return Ok((None, None));
         };
         let now_s = self.checker.clock.now_s();

@@ -8,8 +8,11 @@
 //! ```
 //!
 //! Each with the doubt of a small pulse, and what a specimen, a warm winding and drops that depend on nothing may make of
-//! it: what lies outside with all of its interval is no tolerance but another unit or another motor. The friction's current
-//! is the same before and after it breaks away, so drops of brushes and bridge cancel out of Ke.
+//! it: what lies outside with all of its interval is no tolerance but another unit or another motor, and is refused. The
+//! friction's current is the same before and after it breaks away, so drops of brushes and bridge cancel out of Ke.
+//! A sample after a pause of host or line is none of these: what the drive did meanwhile is not known.
+
+use std::ops::Range;
 
 use super::pulse::{Leg, Point, Size};
 use crate::bench::limits::Nameplate;
@@ -33,6 +36,8 @@ pub(super) struct Known<'a> {
     /// Mean and standard deviation at rest with the output off.
     pub(super) current: (f64, f64),
     pub(super) speed: (f64, f64),
+    /// Standard deviation of the voltage at rest.
+    pub(super) noise_v: f64,
     /// The drive's current has a sign.
     pub(super) signed_current: bool,
     /// The set-point of the profile that is commanded.
@@ -219,10 +224,10 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Ends) -> Option<(String, &'st
 /// flux of a specimen, cold or warm.
 const WINDING: (f64, f64) = (0.5, 3.0);
 const FLUX: (f64, f64) = (0.7, 1.4);
-/// An interval that reaches beyond this factor both ways tells nothing. One that begins below this share tells no size: a
-/// host that stood still in the pulse is enough for that, and only beyond the factor is it refused.
-const FACTOR: f64 = 3.0;
-const NO_SIZE: f64 = 0.1;
+/// A drive that takes a speed turns at what is asked within this factor.
+const FOLLOWED_FACTOR: f64 = 3.0;
+/// Into a sample the voltage changes by less than so many cycles of the pulse's rise, if nothing was in the way.
+const STEPS: f64 = 2.5;
 /// Doubt of a voltage for drops that depend on nothing, and of a difference of two, as shares of the rated voltage.
 const DROP_SHARE: f64 = 0.015;
 const DIFFERENCE_SHARE: f64 = 0.003;
@@ -250,27 +255,28 @@ impl Ratio {
         let Self {
             name, unit, plate, ..
         } = self;
-        if low < 1.0 / FACTOR && high > FACTOR {
-            return format!("the {name} cannot be told at this size (nameplate {plate} {unit})");
+        if self.is_untold() {
+            return format!(
+                "the {name} cannot be told at this size ({low:.2} to {high:.2} times the nameplate's {plate} {unit})"
+            );
         }
-        let size = if low < NO_SIZE && high < self.believed().0 {
-            "; too wide to tell its size"
-        } else {
-            ""
-        };
         format!(
-            "{name} {:.3} {unit} ({low:.2} to {high:.2} times the nameplate's {plate}{size})",
+            "{name} {:.3} {unit} ({low:.2} to {high:.2} times the nameplate's {plate})",
             value * plate
         )
     }
 
+    /// Whatever would be believed, and more, may be true.
+    fn is_untold(&self) -> bool {
+        let (low, _, high) = self.interval;
+        let (least, most) = self.believed();
+        low < least && high > most
+    }
+
+    /// Nothing that would be believed is true.
     fn is_refused(&self) -> bool {
         let (low, _, high) = self.interval;
-        let (least, most) = if low < NO_SIZE {
-            (1.0 / FACTOR, FACTOR)
-        } else {
-            self.believed()
-        };
+        let (least, most) = self.believed();
         low > most || high < least
     }
 
@@ -331,22 +337,25 @@ struct Mean {
     step_v: f64,
 }
 
-/// Of the last of the points.
-fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
-    let from = points.len().saturating_sub(AVERAGED);
+/// Of the last samples of this part of a way that no pause comes before.
+fn mean(known: &Known<'_>, leg: &Leg, part: Range<usize>) -> Option<Mean> {
+    let direction = leg.direction;
     // Before a pulse over a voltage stands what holds a load.
     let is_voltage = known.size.kind == Actuator::Voltage;
     let rest_v = if is_voltage { known.size.hold } else { 0.0 };
     let before = |k: usize| match k.checked_sub(1) {
-        Some(k) => points[k].voltage_v,
+        Some(k) => leg.points[k].voltage_v,
         None => Some(rest_v),
     };
-    let step_v = (from..points.len())
-        .filter_map(|k| Some((points[k].voltage_v? - before(k)?).abs()))
-        .fold(0.0, f64::max);
-    let points = &points[from..];
-    let rows: Vec<(f64, f64, f64)> = points
+    let counts = |k: &usize| !leg.points[*k].is_after_pause;
+    let averaged: Vec<usize> = part.rev().filter(counts).take(AVERAGED).collect();
+    let step_v = averaged
         .iter()
+        .filter_map(|k| Some((leg.points[*k].voltage_v? - before(*k)?).abs()))
+        .fold(0.0, f64::max);
+    let rows: Vec<(f64, f64, f64)> = averaged
+        .iter()
+        .map(|k| &leg.points[*k])
         .filter_map(|p| Some((p.voltage_v?, p.current_a? - known.current.0, p.speed_rad_s?)))
         .collect();
     let n = rows.len() as f64;
@@ -362,14 +371,19 @@ fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
     })
 }
 
-/// The last samples at rest and the last ones in motion of one way.
-fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
+/// Where one way comes into motion; `None`: it does not.
+fn moves_at(known: &Known<'_>, leg: &Leg) -> Option<usize> {
     let has_moved = |w: f64| (w - known.speed.0).abs() > known.moved_rad_s();
     let moves = |point: &Point| point.speed_rad_s.is_some_and(has_moved);
-    let first = leg.points.iter().position(moves);
-    let rest = &leg.points[..first.unwrap_or(leg.points.len())];
-    let rest = mean(known, leg.direction, rest);
-    let motion = first.and_then(|_| mean(known, leg.direction, &leg.points));
+    leg.points.iter().position(moves)
+}
+
+/// The last samples at rest and the last ones in motion of one way.
+fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
+    let all = leg.points.len();
+    let first = moves_at(known, leg);
+    let rest = mean(known, leg, 0..first.unwrap_or(all));
+    let motion = first.and_then(|first| mean(known, leg, first..all));
     (
         rest.filter(|mean| mean.voltage_v > 0.0 && mean.current_a.abs() > known.flowed_a()),
         motion,
@@ -439,7 +453,8 @@ fn followed(known: &Known<'_>, leg: &Leg) -> Option<(String, bool)> {
         "{:.2} rad/s asked, {speed:.2} rad/s measured",
         last.asked.abs()
     );
-    Some((text, (1.0 / FACTOR..=FACTOR).contains(&ratio)))
+    let believed = 1.0 / FOLLOWED_FACTOR..=FOLLOWED_FACTOR;
+    Some((text, believed.contains(&ratio)))
 }
 
 /// What a speed that is not the one that was asked may come from.
@@ -459,8 +474,37 @@ pub(super) fn astray(known: &Known<'_>, legs: &[Leg]) -> Option<String> {
     question(known, legs.last()?)
 }
 
-/// What was found, and why it is refused.
-pub(super) fn plausibility(known: &Known<'_>, legs: &[Leg]) -> (String, Option<String>) {
+/// A pause in this way has left no sample in motion that could be judged, or a voltage that is not the one of the pulse.
+fn is_spoilt(known: &Known<'_>, leg: &Leg) -> bool {
+    let (rest, motion) = ends(known, leg);
+    let lost = |first: usize| leg.points[first..].iter().all(|point| point.is_after_pause);
+    let is_lost = moves_at(known, leg).is_some_and(lost);
+    let most_v = STEPS * known.size.step() + NOISE_FACTOR * known.noise_v;
+    let steps = |mean: &Mean| mean.step_v > most_v;
+    let is_voltage = known.size.kind == Actuator::Voltage;
+    let is_driven = is_voltage && rest.iter().chain(&motion).any(steps);
+    let untold = ratios(known, leg).iter().any(Ratio::is_untold);
+    leg.pause_s.is_some() && (is_lost || is_driven && untold)
+}
+
+/// Nothing in this way has to be looked at once more because of a pause in it.
+pub(super) fn is_settled(known: &Known<'_>, leg: &Leg) -> bool {
+    let fits = |ratio: &Ratio| !ratio.is_refused() && !ratio.is_untold();
+    leg.pause_s.is_none()
+        || fault(known, leg.direction, &Ends::of(known, leg)).is_none()
+            && !is_spoilt(known, leg)
+            && ratios(known, leg).iter().all(fits)
+            && followed(known, leg).is_none_or(|(_, good)| good)
+}
+
+const NAMEPLATE_HELP: &str = "correct [motor] or the units of the drive's profile; `--escalate` finds a motor whose nameplate is in doubt; --waive-plausibility goes on";
+const PAUSE_HELP: &str = "see what else keeps the computer or the line busy, or lower link.rate_hz; --waive-plausibility goes on without this check";
+
+/// What was found, and why it is refused, with the next step.
+pub(super) fn plausibility(
+    known: &Known<'_>,
+    legs: &[Leg],
+) -> (String, Option<(String, &'static str)>) {
     let mut texts = Vec::new();
     let mut refusal = None;
     for leg in legs {
@@ -469,15 +513,23 @@ pub(super) fn plausibility(known: &Known<'_>, legs: &[Leg]) -> (String, Option<S
         for ratio in ratios(known, leg) {
             let text = ratio.text();
             if ratio.is_refused() && refusal.is_none() {
-                refusal = Some(ratio.refusal());
+                refusal = Some((ratio.refusal(), NAMEPLATE_HELP));
             }
             texts.push(format!("{way} {text}"));
         }
         if let Some((text, good)) = followed(known, leg) {
             if !good && refusal.is_none() {
-                refusal = question(known, leg);
+                refusal = question(known, leg).map(|text| (text, NAMEPLATE_HELP));
             }
             texts.push(format!("{way} {text}"));
+        }
+        if let Some(pause_s) = leg.pause_s {
+            let text = format!("{way} a pause of {pause_s:.3} s between two samples");
+            if is_spoilt(known, leg) && refusal.is_none() {
+                let why = "the pulse was made again and still cannot be judged";
+                refusal = Some((format!("{text}: {why}"), PAUSE_HELP));
+            }
+            texts.push(format!("{text}, not judged by what follows it at once"));
         }
     }
     if texts.is_empty() {
@@ -502,6 +554,7 @@ mod tests {
             size: Size::of(plate, &limits, zero, 0.15, 0.01),
             current: (0.0, 0.03),
             speed: (0.0, 0.15),
+            noise_v: 0.02,
             signed_current: true,
             set_point: None,
         }
@@ -524,7 +577,8 @@ mod tests {
             let mut leg = Leg::new(way);
             for _ in 0..3 {
                 let reply = reply(way * current_a, way * speed_rad_s);
-                leg.push(&known.size, volts * way, &reply);
+                let asked = volts * way;
+                leg.push(&known.size, asked, Demand::Voltage(asked), &reply);
             }
             leg
         });
@@ -558,7 +612,8 @@ mod tests {
             let mut leg = Leg::new(1.0);
             for step in 0..8 {
                 let volts = 0.4 * f64::from(step);
-                leg.push(&known.size, volts, &reply(current_a(volts), 0.0));
+                let sent = Demand::Voltage(volts);
+                leg.push(&known.size, volts, sent, &reply(current_a(volts), 0.0));
             }
             direction(&known, &[leg]).1.unwrap().0
         };
@@ -598,13 +653,13 @@ mod tests {
             let emf_v = (volts - drop_v - truth.resistance_ohm * current_a).max(0.0);
             let speed = speed_factor * emf_v / truth.back_emf_v_s_per_rad;
             let reply = reply(current_factor * current_a, speed).with(Channel::Voltage, volts);
-            leg.push(&known.size, volts, &reply);
+            leg.push(&known.size, volts, Demand::Voltage(volts), &reply);
             if speed > 9.0 {
                 break;
             }
         }
         let (text, refusal) = plausibility(&known, &[leg]);
-        (text, refusal.unwrap_or_default())
+        (text, refusal.map_or_else(String::new, |(text, _)| text))
     }
 
     #[test]
@@ -651,16 +706,16 @@ mod tests {
         };
         let mut leg = Leg::new(1.0);
         let reply = Sample::at(0.0).with(Channel::Speed, 32.8);
-        leg.push(&known.size, 7.5, &reply);
+        leg.push(&known.size, 7.5, Demand::Speed(7.5), &reply);
         let (_, refusal) = plausibility(&known, &[leg.clone()]);
-        for text in [refusal.unwrap(), astray(&known, &[leg]).unwrap()] {
+        for text in [refusal.unwrap().0, astray(&known, &[leg]).unwrap()] {
             has(&text, "asked 7.50 rad/s, got 32.80 rad/s");
             has(&text, "word order or scale of speed_ref");
         }
     }
 
     #[test]
-    fn an_interval_without_any_believable_value_is_refused_and_one_that_tells_no_size_says_so() {
+    fn an_interval_without_any_believable_value_is_refused_however_wide_it_is() {
         let ratio = |is_winding, interval| Ratio {
             name: if is_winding { RESISTANCE } else { BACK_EMF },
             unit: "",
@@ -668,31 +723,83 @@ mod tests {
             plate: 1.0,
             interval,
         };
-        for (is_winding, interval, words) in [
-            (false, (0.0, 0.1, 0.3), "too wide to tell its size"),
-            (
-                false,
-                (0.45, 0.55, 0.65),
-                "0.7 to 1.4 times would be believed",
-            ),
-            (false, (1.5, 1.7, 2.0), "0.7 to 1.4 times"),
-            (true, (3.1, 3.5, 3.9), "0.5 to 3 times"),
+        for (is_winding, interval) in [
+            (false, (0.0, 0.1, 0.3)),
+            (false, (0.0, 0.3, 0.68)),
+            (false, (0.45, 0.55, 0.65)),
+            (false, (1.5, 1.7, f64::INFINITY)),
+            (true, (0.0, 0.2, 0.49)),
+            (true, (3.1, 3.5, 3.9)),
         ] {
             let ratio = ratio(is_winding, interval);
-            assert!(ratio.is_refused(), "{words}");
-            has(ratio.refusal(), words);
+            assert!(ratio.is_refused(), "{interval:?}");
+            let words = if is_winding { "0.5 to 3" } else { "0.7 to 1.4" };
+            has(ratio.refusal(), &format!("{words} times would be believed"));
         }
-        for (is_winding, interval) in [
-            (false, (0.0, 0.4, 0.75)),
-            (false, (0.66, 0.95, 1.27)),
-            (true, (0.48, 1.25, 2.08)),
-            (true, (2.21, 3.28, 4.44)),
+        for (is_winding, interval, untold) in [
+            (false, (0.0, 0.4, 0.75), false),
+            (false, (0.66, 0.95, 1.27), false),
+            (false, (0.66, 0.95, 1.41), true),
+            (false, (0.0, 0.9, f64::INFINITY), true),
+            (true, (0.48, 1.25, 2.08), false),
+            (true, (2.21, 3.28, 4.44), false),
+            (true, (0.0, 1.4, 3.1), true),
         ] {
-            assert!(!ratio(is_winding, interval).is_refused());
+            let ratio = ratio(is_winding, interval);
+            assert!(!ratio.is_refused(), "{interval:?}");
+            let text = ratio.text();
+            assert_eq!(text.contains("cannot be told"), untold, "{text}");
         }
-        let sizeless = ratio(false, (0.0, 0.3, 0.68));
-        assert!(!sizeless.is_refused());
-        has(sizeless.text(), "too wide to tell its size");
+    }
+
+    /// A pulse of the paper's motor both ways, with that long before some of the samples, s.
+    fn with_pauses(pause_s: f64, after: fn(usize) -> bool) -> [Leg; 2] {
+        let plate = Nameplate::zk_22fc();
+        let known = known(&plate, Demand::Voltage(0.0));
+        [1.0, -1.0].map(|way| {
+            let mut leg = Leg::new(way);
+            let mut time_s = 0.0;
+            for step in 1..60 {
+                let volts = 0.1 * f64::from(step);
+                let current_a = (volts / 1.1).min(1.29);
+                let speed = (volts - 1.1 * current_a) / 0.3538;
+                time_s += if after(leg.points.len()) {
+                    pause_s
+                } else {
+                    0.01
+                };
+                let mut reply = reply(way * current_a, way * speed);
+                reply.time_s = time_s;
+                let sent = Demand::Voltage(way * volts);
+                leg.push(&known.size, way * volts, sent, &reply);
+                if speed > 9.0 {
+                    break;
+                }
+            }
+            leg
+        })
+    }
+
+    #[test]
+    fn what_follows_a_pause_is_not_judged_and_where_nothing_else_is_left_that_is_refused_as_such() {
+        let plate = Nameplate::zk_22fc();
+        let known = known(&plate, Demand::Voltage(0.0));
+        // One cycle without a reply is no pause.
+        for leg in with_pauses(0.02, |_| true) {
+            assert!(leg.pause_s.is_none() && is_settled(&known, &leg));
+        }
+        // Wherever one is, the rest of the pulse tells.
+        let legs = with_pauses(0.2, |point| point % 3 == 0);
+        let (text, refusal) = plausibility(&known, &legs);
+        assert_eq!(refusal, None);
+        has(&text, "back-EMF constant 0.35");
+        has(&text, "back a pause of 0.200 s between two samples");
+        let legs = with_pauses(0.2, |_| true);
+        assert!(!is_settled(&known, &legs[0]));
+        let (text, help) = plausibility(&known, &legs).1.unwrap();
+        has(&text, "forward a pause of 0.200 s between two samples");
+        has(text, "still cannot be judged");
+        has(help, "--waive-plausibility");
     }
 
     #[test]

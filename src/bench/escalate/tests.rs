@@ -1,16 +1,12 @@
 //! The escalation against the software drive, in virtual time. The drive's own current limit is set far away: nothing but
 //! the escalation keeps the current down.
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use super::*;
 use crate::bench::bench_file::LimitsSection;
 use crate::bench::limits::MotorSection;
 use crate::bench::session::Outcome as RunOutcome;
-use crate::bench::testing::{Course, Tamper, Tampered, exact, in_memory, within};
+use crate::bench::testing::{Course, Tamper, Tampered, in_memory, plate_of, random_motor, within};
 use crate::drive::{DriveLink, LinkError};
-use crate::emulator::truth::MotorTruth;
 use crate::emulator::{EmulatorConfig, MemoryLink, VirtualClock};
 use crate::identification::escalation::{Ending, Escalation, Outcome};
 use crate::plant::MotorKey;
@@ -174,20 +170,6 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
 }
 
 /// The nameplate of a software drive's motor.
-fn plate_of(truth: MotorTruth) -> Nameplate {
-    Nameplate {
-        name: truth.name,
-        rated_voltage_v: truth.rated_voltage_v,
-        rated_current_a: truth.rated_current_a,
-        rated_speed_rad_s: truth.rated_speed_rad_s,
-        resistance_ohm: truth.resistance_ohm,
-        inductance_h: truth.inductance_h,
-        back_emf_v_s_per_rad: truth.back_emf_v_s_per_rad,
-        inertia_kg_m2: truth.inertia_kg_m2,
-        load_torque_n_m: truth.load_torque_n_m,
-    }
-}
-
 #[test]
 fn the_sequence_is_left_alone_or_made_smaller_until_every_limit_holds() {
     let bench = BenchFile::embedded_default();
@@ -214,43 +196,13 @@ fn the_sequence_is_left_alone_or_made_smaller_until_every_limit_holds() {
     within(peak_v(&large.bench), ..peak_v(&bench));
 }
 
-/// A motor that somebody could have put on the bench: R and L/R over the whole range, the rest so that it is a motor.
-fn random_motor(seed: u64) -> (BenchFile, EmulatorConfig) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut log = |from: f64, to: f64| from * (to / from).powf(rng.random::<f64>());
-    let electrical_s = log(0.3e-3, 50e-3);
-    // Rated power in the winding as a share; a current of which the drive's resolution of 10 mA is 2 % at most.
-    let (resistance, rated_v, loss, rated_a) = loop {
-        let (resistance, rated_v, loss) = (log(0.1, 20.0), log(12.0, 220.0), log(0.02, 0.3));
-        let rated_a = loss * rated_v / resistance;
-        if (0.5..60.0).contains(&rated_a) {
-            break (resistance, rated_v, loss, rated_a);
-        }
-    };
-    let rated_rad_s = log(60.0, 500.0);
-    let back_emf = (1.0 - loss) * rated_v / rated_rad_s;
-    let mechanical_s = log(8e-3, 0.5);
-    let friction = log(0.01, 0.3);
-    let mut config = exact("zk-22fc-plain");
-    config.motor.resistance_ohm = resistance;
-    config.motor.inductance_h = resistance * electrical_s;
-    config.motor.back_emf_v_s_per_rad = back_emf;
-    config.motor.inertia_kg_m2 = mechanical_s * back_emf * back_emf / resistance;
-    config.motor.load_torque_n_m = friction * rated_a * back_emf;
-    config.motor.rated_voltage_v = rated_v;
-    config.motor.rated_current_a = rated_a;
-    config.motor.rated_speed_rad_s = rated_rad_s;
-    // As far away as the registers allow: the drive does not help.
-    config.limits.current_limit_a = 650.0;
-    config.limits.bus_v = 2.0 * rated_v;
-    config.limits.speed_limit_rad_s = 1300.0;
-    config.noise.current_a = 0.005 * rated_a;
-    config.noise.speed_rad_s = 0.0005 * rated_rad_s;
-    config.quantisation.current_a = 0.0;
+/// A random motor, of which only the rated values are known.
+fn random_bench(seed: u64) -> (BenchFile, EmulatorConfig) {
+    let config = random_motor(seed);
     let mut bench = unknown_bench();
-    bench.motor.rated_voltage_v = rated_v;
-    bench.motor.rated_current_a = rated_a;
-    bench.motor.rated_speed_rad_s = rated_rad_s;
+    bench.motor.rated_voltage_v = config.motor.rated_voltage_v;
+    bench.motor.rated_current_a = config.motor.rated_current_a;
+    bench.motor.rated_speed_rad_s = config.motor.rated_speed_rad_s;
     bench.limits = LimitsSection {
         time_s: bench.limits.time_s,
         link_silence_s: bench.limits.link_silence_s,
@@ -262,7 +214,7 @@ fn random_motor(seed: u64) -> (BenchFile, EmulatorConfig) {
 
 /// What went wrong with one random motor, if anything.
 fn fault_of(seed: u64) -> Option<String> {
-    let (bench, config) = random_motor(seed);
+    let (bench, config) = random_bench(seed);
     let done = escalated(&bench, &config, seed);
     let limits = bench.limits();
     let truth = &config.motor;
