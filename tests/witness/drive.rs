@@ -32,7 +32,7 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 /// what brushes and bridge may drop, 3 % to 5 % of the rated voltage, through resistance and back-EMF constant.
 const SEEN_RPM: f64 = 100.0;
 const SEEN_CENTIAMPERES: f64 = 500.0;
-const SEEN_V: f64 = 5.0;
+const SEEN_V: f64 = 5.5;
 /// By so much another master wants less, 0.1 V.
 const OTHER_DECIVOLTS: i16 = 60;
 /// Torque of somebody who drives the shaft, N.m.
@@ -433,12 +433,12 @@ impl Drive {
             _ => true,
         };
         let is_seen = is_seen && self.is_on() || matches!(self.act, Act::Trip | Act::CommLoss);
-        // A single reading says nothing of its sensor. What differs for less than the time in which it has to be found out, at
-        // the end of an acceleration, and then not enough for as long as a loop holds its speed, cannot be told from what is
-        // true: a current that is read four times as large, a voltage that stays as it was.
+        // A single reading says nothing of its sensor. A current that is read four times as large for less than the time in
+        // which it has to be found out, at the end of an acceleration, and then differs not enough for as long as a loop holds
+        // its speed, cannot be told from a true one.
         let shown_s = match self.act {
             Act::Speed(_) => Some(0.0),
-            Act::Current(_) | Act::SetPointsIgnored => Some(FOUND_OUT_S),
+            Act::Current(_) => Some(FOUND_OUT_S),
             _ => None,
         };
         let since_s = self.apart_s.filter(|_| shown_s.is_some());
