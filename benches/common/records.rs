@@ -41,6 +41,7 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
         unknown_input: vec![],
+        limits: vec![],
         scored: 0..samples,
     };
     let truth = Plant::new(truth, Input::Voltage)

@@ -106,6 +106,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
         gains: kept.gains,
         holding: Holding::of(&file.model, Actuator::Voltage, viscous),
         period_s: kept.timing.period_s,
+        leaving_s: kept.timing.leaving_s(),
         limit_v,
     })
 }

@@ -214,6 +214,7 @@ pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
         unknown_input: vec![],
+        limits: vec![],
         scored: 0..count,
     }
 }

@@ -177,6 +177,24 @@ fn brushes() {
 }
 
 #[test]
+fn a_start_so_late_that_the_drive_comes_to_its_current_limit() {
+    let plain = include_str!("../../bench-configs/emulators/zk-22fc-plain.toml");
+    for (seed, delay_s) in [(2, 0.4), (5, 0.437)] {
+        let hidden = format!("\n[[hidden]]\nid = \"start_delay\"\ndelay_s = {delay_s}\n");
+        let config = EmulatorConfig::parse("late.toml", &(plain.to_owned() + &hidden)).unwrap();
+        let [fit, holdout] = record(&config, seed, &[1, 2]).try_into().unwrap();
+        assert!(!fit.limits.is_empty() && !holdout.limits.is_empty());
+        let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
+        let evidence = Evidence::new(fit, Some(holdout), None);
+        let found = diagnose(&nameplate, evidence).unwrap();
+        assert_eq!(found.effects, ["start_delay"], "{}", found.sentence);
+        let found_s = found.candidates[0].parameters[0].value.unwrap();
+        assert!((found_s - delay_s).abs() < 2e-3, "{found_s} {delay_s}");
+        assert!(found.holdout_after < 1.5, "{}", found.sentence);
+    }
+}
+
+#[test]
 fn a_winding_that_warms_from_run_to_run() {
     hidden_effect_is_named("zk-22fc-warming", Some("winding_heating"), 1);
 }

@@ -183,6 +183,7 @@ mod simulated {
             angle: vec![],
             time_half_width_s: vec![],
             unknown_input: vec![],
+            limits: vec![],
             scored: 0..samples,
             sample_time_s: times.collect(),
         };

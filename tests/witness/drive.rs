@@ -1,7 +1,7 @@
 //! The drive itself: a register map of its own, states, watchdog, and whatever fault is inflicted on it.
 
 use super::codec::{self, Request};
-use super::fault::{Act, Reply, Sensor};
+use super::fault::{Act, FOUND_OUT_S, Reply, Sensor};
 use super::motor::{Hidden, Motor};
 
 /// Unit address.
@@ -32,7 +32,7 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 /// what brushes and bridge may drop, 3 % to 5 % of the rated voltage, through resistance and back-EMF constant.
 const SEEN_RPM: f64 = 100.0;
 const SEEN_CENTIAMPERES: f64 = 500.0;
-const SEEN_V: f64 = 5.0;
+const SEEN_V: f64 = 5.5;
 /// By so much another master wants less, 0.1 V.
 const OTHER_DECIVOLTS: i16 = 60;
 /// Torque of somebody who drives the shaft, N.m.
@@ -433,12 +433,19 @@ impl Drive {
             _ => true,
         };
         let is_seen = is_seen && self.is_on() || matches!(self.act, Act::Trip | Act::CommLoss);
-        // A single reading says nothing of its sensor: a current that is read four times as large at the end of an acceleration,
-        // and nothing that differs enough for as long as a loop then holds its speed, cannot be told from a true one.
-        let is_reading = matches!(self.act, Act::Speed(_) | Act::Current(_));
-        let since_s = self.apart_s.filter(|_| is_reading);
+        // A single reading says nothing of its sensor. A current that is read four times as large for less than the time in
+        // which it has to be found out, at the end of an acceleration, and then differs not enough for as long as a loop holds
+        // its speed, cannot be told from a true one.
+        let shown_s = match self.act {
+            Act::Speed(_) => Some(0.0),
+            Act::Current(_) => Some(FOUND_OUT_S),
+            _ => None,
+        };
+        let since_s = self.apart_s.filter(|_| shown_s.is_some());
         self.apart_s = is_seen.then(|| since_s.unwrap_or(self.now_s));
-        if is_seen && (since_s.is_some() || !is_reading) {
+        let for_s = since_s.map(|since_s| self.now_s - since_s);
+        let is_shown = shown_s.is_none_or(|shown_s| for_s.is_some_and(|for_s| for_s >= shown_s));
+        if is_seen && is_shown {
             self.visible_s = self.visible_s.or(self.apart_s);
         }
         told

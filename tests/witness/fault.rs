@@ -213,7 +213,7 @@ const TRIP: &[i32] = &[4];
 /// A drive that does not do as it is told is a failure of the device or a trip.
 const LINK_OR_TRIP: &[i32] = &[3, 4];
 /// The longer of 200 ms and 5 cycles, in which a measurement that cannot be is found out, s.
-const FOUND_OUT_S: f64 = 0.2;
+pub(crate) const FOUND_OUT_S: f64 = 0.2;
 /// In which somebody else on the line shows in what they leave, s.
 const NOTICED_S: f64 = 1.0;
 

@@ -16,7 +16,7 @@ const FOLLOWS_CURRENT_S: f64 = 0.4;
 const FOLLOWS_SPEED_S: f64 = 2.0;
 /// A voltage that stays behind a set-point which has moved by so much, in rated voltages: it has moved by less than this
 /// share of it.
-const STAYS_V: f64 = 0.08;
+const STAYS_V: f64 = 0.06;
 const STAYS_SHARE: f64 = 0.25;
 /// Factors by which a voltage may be off whose scale was seen to be right.
 const KNOWN_SCALE: Range = Range::new(0.85, 1.15);

@@ -392,7 +392,8 @@ impl Design<'_> {
                     let tuning = tuned()?;
                     (tuning.gains, tuning.reasons)
                 };
-                (Box::new(Pi::new(gains, AntiWindup::Hold, holding)), reasons)
+                let pi = Pi::new(gains, AntiWindup::Hold, holding);
+                (Box::new(pi.leaving_after(self.timing.leaving_s())), reasons)
             }
             ControllerKind::Addc => {
                 let tuning = tuned()?;

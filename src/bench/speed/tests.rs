@@ -6,7 +6,7 @@ use crate::bench::bench_file::BenchFile;
 use crate::bench::guard::Guard;
 use crate::bench::session::{Intent, Outcome, Phase, Session};
 use crate::bench::testing::{Lab, ScriptedDrive, exact, has, in_memory, near, unspoilt, within};
-use crate::bench::trip::{Trip, TripKind};
+use crate::bench::trip::TripKind;
 use crate::bench::{Limits, Nameplate};
 use crate::control::Actuator;
 use crate::emulator::truth::effect::HiddenEffect;
@@ -15,6 +15,8 @@ use crate::emulator::{
 };
 use crate::plant::{FittedValue, Model, MotorKey};
 use crate::sample::{Channel, Demand, DriveState, Sample};
+
+mod watch;
 
 const PERIOD_S: f64 = 0.01;
 
@@ -679,131 +681,6 @@ fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() 
     for fate in &started {
         assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
         assert!(fate.swing_rad_s < STILL_RAD_S, "{fate:?}");
-    }
-}
-
-/// How often what was measured in the last second of the loop goes from one side of its middle to the other, and how far,
-/// peak to peak: zero where it is noise, slow, or dies away.
-fn ring_rad_s(speeds: &[f64]) -> f64 {
-    let extent = |speeds: &[f64]| {
-        let ends = speeds
-            .iter()
-            .fold((f64::MAX, f64::MIN), |(low, high), &speed| {
-                (low.min(speed), high.max(speed))
-            });
-        (ends.1 - ends.0, 0.5 * (ends.0 + ends.1))
-    };
-    let (size, middle) = extent(speeds);
-    let (first, last) = speeds.split_at(speeds.len() / 2);
-    let mut sides: Vec<bool> = speeds
-        .iter()
-        .filter(|speed| (**speed - middle).abs() > 0.25 * size)
-        .map(|speed| *speed > middle)
-        .collect();
-    sides.dedup();
-    let rings = sides.len() > 8 && extent(last).0 > 0.6 * extent(first).0;
-    if rings { size } else { 0.0 }
-}
-
-/// What the watch said of one machine under one controller, how it ended, and what it rang by at the end.
-#[derive(Debug)]
-struct Heard {
-    #[expect(dead_code, reason = "shown where one fails")]
-    about: String,
-    outcome: Option<Outcome>,
-    watch: Vec<Watched>,
-    ring_rad_s: f64,
-}
-
-/// The embedded reference with this controller on this machine; `None`: refused before anything moved.
-fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64) -> Option<Heard> {
-    let mut bench = bench();
-    bench.speed.as_mut().unwrap().controller = kind;
-    let model = baseline(&bench);
-    if refusal(&bench, &model, 1.0).is_some() {
-        return None;
-    }
-    let lab = Lab::new(session(&bench, &model), in_memory(config, seed), unspoilt).started(1300);
-    let end: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
-    let begin_s = end.first()?.0;
-    // The last of the six levels ends at 12 s.
-    let last = begin_s + 10.98..begin_s + 11.98;
-    let speeds = end.iter().filter(|row| last.contains(&row.0));
-    let speeds: Vec<f64> = speeds.map(|row| row.1).collect();
-    let outcome = lab.outcome().cloned();
-    let is_done = outcome == Some(Outcome::Done);
-    Some(Heard {
-        about: format!("{} on {seed}: {:?}", kind.id(), config.hidden),
-        outcome,
-        watch: lab.session.report()?.watch,
-        ring_rad_s: if is_done { ring_rad_s(&speeds) } else { 0.0 },
-    })
-}
-
-/// Step of the embedded reference, and what of a ring is told from the noise of the sensor, rad/s peak to peak.
-const STEP_RAD_S: f64 = 20.0;
-const NOISE_RAD_S: f64 = 10.0 * 0.15;
-
-#[test]
-fn no_controller_rings_unnoticed_behind_a_coupling_on_two_hundred_motors() {
-    use rand::{Rng as _, SeedableRng as _};
-    let mut found = 0;
-    for seed in 1..=MOTORS {
-        let mut dice = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let mut values = vec![
-            ("frequency_hz", dice.random_range(8.0..60.0)),
-            ("inertia_ratio", dice.random_range(0.1..0.8)),
-            ("damping_ratio", dice.random_range(0.005..0.1)),
-            ("friction_split", dice.random_range(0.0..1.0)),
-        ];
-        let mut id = "elastic_coupling";
-        if seed.is_multiple_of(3) {
-            id = "backlash";
-            values.push(("gap_rad", dice.random_range(0.005..0.08)));
-        }
-        let mut config = exact("zk-22fc-plain");
-        config.motor.inertia_kg_m2 *= dice.random_range(0.5..4.0);
-        config.hidden = vec![HiddenEffect::new(id, &values).unwrap()];
-        let kind = ControllerKind::ALL[usize::try_from(seed % 5).unwrap()];
-        let Some(heard) = heard(&config, kind, seed) else {
-            continue;
-        };
-        let trips =
-            |trip: &Trip| matches!(trip.kind, TripKind::LoopSwings | TripKind::LoopSaturated);
-        let said = match &heard.outcome {
-            Some(Outcome::Tripped(trip)) => trips(trip) && !heard.watch.is_empty(),
-            _ => !heard.watch.is_empty(),
-        };
-        found += usize::from(said);
-        let rings = heard.ring_rad_s > 0.05 * STEP_RAD_S + NOISE_RAD_S;
-        assert!(said || !rings, "{heard:?}");
-        let ended = matches!(heard.outcome, Some(Outcome::Done)) || said;
-        assert!(ended, "{heard:?}");
-    }
-    assert!(found > 20, "{found} of {MOTORS} told of");
-}
-
-#[test]
-fn no_controller_is_suspected_on_two_hundred_motors_that_are_what_their_model_says() {
-    for seed in 1..=MOTORS {
-        let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-        config.tolerance = 0.1;
-        let none = [("none", vec![])];
-        let known: [(&str, Vec<(&str, f64)>); 3] = [
-            ("viscous_friction", vec![("viscous_n_m_s_per_rad", 4e-4)]),
-            (
-                "quadratic_load",
-                vec![("quadratic_n_m_s2_per_rad2", 1.8e-6)],
-            ),
-            ("voltage_drop", vec![("drop_v", 1.2)]),
-        ];
-        let all: Vec<_> = known.into_iter().chain(none).collect();
-        let (id, values) = &all[usize::try_from(seed / 5 % 4).unwrap()];
-        config.hidden = HiddenEffect::new(id, values).into_iter().collect();
-        let kind = ControllerKind::ALL[usize::try_from(seed % 5).unwrap()];
-        let heard = heard(&config, kind, seed).unwrap();
-        assert_eq!(heard.outcome, Some(Outcome::Done), "{heard:?}");
-        assert!(heard.watch.is_empty(), "{heard:?}");
     }
 }
 

@@ -101,7 +101,8 @@ impl Addc {
         };
         let gains = schedule.at(1.0).gains;
         Ok(Self {
-            pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
+            pi: Pi::new(gains, AntiWindup::Hold, settings.holding)
+                .leaving_after(timing.leaving_s()),
             schedule,
             estimator,
             electrical: None,

@@ -68,7 +68,7 @@ fn figure_6(each_s: f64) -> impl Fn(f64) -> f64 {
 fn fixed() -> Pi {
     let tuning = tune(&plant(), &timing(), &Request::default()).unwrap();
     let holding = Holding::of(&model(), Actuator::Voltage, 0.0);
-    Pi::new(tuning.gains, AntiWindup::Hold, holding)
+    Pi::new(tuning.gains, AntiWindup::Hold, holding).leaving_after(timing().leaving_s())
 }
 
 fn adaptive() -> Addc {
@@ -124,7 +124,7 @@ fn figure_6_the_fixed_gains_swing_and_the_adaptive_ones_do_not() {
         let calm = |step: &Response| step.overshoot_percent < 10.0 && step.settling_s.is_some();
         let (light, heavy) = (&adaptive[6..11], &adaptive[12..]);
         assert!(light.iter().all(calm) && heavy.iter().all(calm));
-        let swings = |step: &Response| (25.0..55.0).contains(&step.overshoot_percent);
+        let swings = |step: &Response| (25.0..60.0).contains(&step.overshoot_percent);
         assert!(fixed[6..11].iter().all(swings));
     }
 }
@@ -257,7 +257,7 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         };
         let plant = testing::plant(ratio * inertia(0.2));
         let gains = tune(&plant, &timing, &request).unwrap().gains;
-        Pi::new(gains, AntiWindup::Hold, holding)
+        Pi::new(gains, AntiWindup::Hold, holding).leaving_after(timing.leaving_s())
     };
     let scales = MracScales {
         speed_rad_s: 110.0,
@@ -281,7 +281,7 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         let mut all: [Box<dyn SpeedController>; 6] = [
             Box::new(by_hand(ratio)),
             Box::new(addc.unwrap()),
-            Box::new(Pi::new(gains, AntiWindup::Hold, holding)),
+            Box::new(Pi::new(gains, AntiWindup::Hold, holding).leaving_after(timing.leaving_s())),
             Box::new(Mrac::new(&plant(), &timing, scales, true).unwrap()),
             Box::new(PaperB::new(paper_b, PaperBSettings::default()).unwrap()),
             Box::new(LoadObserving::new(&model(), &plant(), &timing, &observing).unwrap()),
@@ -291,7 +291,7 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         eprintln!("| {ratio} | {} |", cells.join(" | "));
         let [hand, addc, ..] = found;
         assert!(addc.0 <= 1.02 * hand.0, "{ratio}: {addc:?} {hand:?}");
-        // What the largest of some hundred samples of the sensor's noise makes of a step of 20 rad/s.
-        assert!(addc.1 <= hand.1 + 2.5, "{ratio}: {addc:?} {hand:?}");
+        // Beside what the largest of some hundred samples of the sensor's noise makes of a step of 20 rad/s.
+        assert!(addc.1 <= hand.1 + 0.3, "{ratio}: {addc:?} {hand:?}");
     }
 }

@@ -7,6 +7,10 @@ use super::loop_shape::lag_share;
 use super::notch::NotchMemory;
 use super::{Holding, Measured, PiGains, SpeedController};
 
+/// Share of the error by which the speed is at most taken further than it is seen: what would gain more until it leaves the
+/// limit is another inertia than the gains are for.
+const MOST_LEAD: f64 = 0.4;
+
 /// What the integral part does while the output is limited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -15,7 +19,8 @@ pub enum AntiWindup {
     Off,
     /// It stands still while the error would drive it further into the limit.
     Clamp,
-    /// It follows what holds the present speed, so that the loop leaves the limit as from rest at that speed.
+    /// It follows what holds the speed that is there when an output acts, so that the loop leaves the limit as from rest at
+    /// that speed.
     #[default]
     Hold,
 }
@@ -28,6 +33,10 @@ pub struct Pi {
     share: f64,
     anti_windup: AntiWindup,
     holding: Holding,
+    /// By how much what is seen is older than what leaves the limit, s.
+    leaving_s: f64,
+    /// Of the last cycle.
+    speed_rad_s: f64,
     integral: f64,
     /// The reference after its filter; `None` before the first step.
     reference_rad_s: Option<f64>,
@@ -50,6 +59,8 @@ impl Pi {
             share: 1.0,
             anti_windup,
             holding,
+            leaving_s: 0.0,
+            speed_rad_s: 0.0,
             integral: 0.0,
             reference_rad_s: None,
             notch: NotchMemory::at_rest(),
@@ -58,6 +69,13 @@ impl Pi {
             load: 0.0,
             is_planned: false,
         }
+    }
+
+    /// The same in a loop that leaves its limit so late after what it sees.
+    #[must_use]
+    pub const fn leaving_after(mut self, leaving_s: f64) -> Self {
+        self.leaving_s = leaving_s;
+        self
     }
 
     pub const fn gains(&self) -> &PiGains {
@@ -141,15 +159,19 @@ impl SpeedController for Pi {
         match self.anti_windup {
             AntiWindup::Clamp if outward => {}
             AntiWindup::Hold if outward => {
-                self.integral = self.holding.output(speed_rad_s) + self.load;
+                let gained = (speed_rad_s - self.speed_rad_s) / period_s;
+                let lead = (self.leaving_s * gained / error).clamp(0.0, MOST_LEAD) * error;
+                self.integral = self.holding.output(speed_rad_s + lead) + self.load;
             }
             _ => {
-                self.integral += growth;
+                // Before the growth: that of a step which takes the output to its limit is no load.
                 if !self.is_limited() {
                     self.load = self.integral - self.holding.output(speed_rad_s);
                 }
+                self.integral += growth;
             }
         }
+        self.speed_rad_s = speed_rad_s;
         self.wanted = self.gains.proportional * error + self.integral;
         self.wanted
     }
@@ -160,6 +182,7 @@ impl SpeedController for Pi {
 
     fn reset(&mut self, now: &Measured, output: f64) {
         self.integral = output;
+        self.speed_rad_s = now.speed_rad_s;
         self.load = 0.0;
         self.limited = 0.0;
         self.wanted = output;

@@ -35,6 +35,12 @@ impl LoopTiming {
         0.5 * self.period_s + self.delay_s
     }
 
+    /// From a sample to the end of the period for which its output holds, s: until then a loop that leaves its limit goes on
+    /// as it does within it.
+    pub fn leaving_s(&self) -> f64 {
+        self.delay_s + self.period_s
+    }
+
     /// Dead time and filter: the share of the small time constant that is not the motor's, s.
     pub fn small_time_s(&self) -> f64 {
         self.dead_time_s() + self.filter_s

@@ -2,8 +2,8 @@
 //!
 //! Play and elasticity between motor and load, or a delay that the model does not have, can turn gains that are right on
 //! paper into a steady swing. It is recognised, around a reference that stands still, by its half-swings, which are alike
-//! and quick; where play makes them irregular, by what is left of them in every second; or by a second that is spent at a
-//! limit while the error does not fall. The gains are then lowered by steps, where the controller can. A swing that goes on
+//! and quick; where they are slow, or play makes them irregular, by their size since the reference was reached; or by a
+//! second that is spent at a limit while the error does not fall. The gains are then lowered by steps, where the controller can. A swing that goes on
 //! all the same is not the loop's own, and they are given back. What swings by much and cannot be made softer, or does not
 //! get to its reference at the limit, is to be ended.
 
@@ -21,10 +21,13 @@ const ALIKE: f64 = 3.0;
 const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
 /// One that is told of, in the noise and in the last step of the reference.
-const TOLD_NOISES: f64 = 7.0;
+const TOLD_NOISES: f64 = 8.0;
 const TOLD_STEP_SHARE: f64 = 0.02;
-/// Times that half a second of it goes from one side to the other, beyond half of its size on either.
-const TURNS: u32 = 4;
+/// Of the watched time, after the reference was reached, for which it is looked at.
+const LOOKED_AT: f64 = 0.75;
+/// Times that it goes from one side to the other within half of the watched time, beyond this share of its size on either.
+const TURNS: usize = 3;
+const BEYOND: f64 = 0.4;
 /// It is told of again when it has grown by this factor.
 const NEWS_FACTOR: f64 = 1.5;
 /// One that ends a loop which cannot be made softer: share of the largest reference so far.
@@ -35,8 +38,10 @@ const STEP: f64 = 0.7;
 const STEPS: i32 = 8;
 /// A swing that is left at this share of the first after all steps is not the loop's own.
 const NOT_OWN: f64 = 0.7;
-/// One that is left at this share of the one that was found before goes on: others die away.
-const GOES_ON: f64 = 0.7;
+/// Half-swings of which the later ones are left at this share of the earlier ones last, others die away; the same of the
+/// halves of the time for which an irregular swing is looked at.
+const LASTS: f64 = 0.85;
+const GOES_ON: f64 = 0.6;
 /// The time over which limits are watched, s, and its fewest cycles.
 const WATCHED_S: f64 = 1.0;
 const FEWEST_CYCLES: usize = 20;
@@ -76,6 +81,9 @@ pub struct LoopWatch {
     halves: HalfSwings,
     /// Errors of the last second with this reference, and whether a limit held the output.
     second: VecDeque<(f64, bool)>,
+    /// Sign of the first of them, and the cycles since it changed: since the reference was reached.
+    first_side: f64,
+    arrived: usize,
     cycles: usize,
     /// Cycles until it is looked through again.
     until_look: usize,
@@ -83,9 +91,6 @@ pub struct LoopWatch {
     first_rad_s: f64,
     gave_back: bool,
     told_rad_s: f64,
-    /// The last swing that was found, rad/s, and the cycles since.
-    last_rad_s: f64,
-    since: usize,
 }
 
 impl LoopWatch {
@@ -100,14 +105,14 @@ impl LoopWatch {
             largest_rad_s: 0.0,
             halves: HalfSwings::default(),
             second: VecDeque::new(),
+            first_side: 0.0,
+            arrived: 0,
             cycles: cycles.max(FEWEST_CYCLES),
             until_look: 0,
             steps: 0,
             first_rad_s: 0.0,
             gave_back: false,
             told_rad_s: 0.0,
-            last_rad_s: f64::MAX,
-            since: 0,
         }
     }
 
@@ -128,10 +133,6 @@ impl LoopWatch {
         limited: bool,
     ) -> Option<Finding> {
         let error = reference_rad_s - speed_rad_s;
-        self.since = self.since.saturating_add(1);
-        if self.since > 3 * self.cycles / 2 {
-            self.last_rad_s = f64::MAX;
-        }
         if reference_rad_s.to_bits() != self.reference_rad_s.to_bits() || !error.is_finite() {
             let step = reference_rad_s - self.reference_rad_s;
             if step.is_finite() {
@@ -141,26 +142,39 @@ impl LoopWatch {
             self.reference_rad_s = reference_rad_s;
             self.halves.forget();
             self.second.clear();
+            (self.first_side, self.arrived) = (0.0, 0);
             return None;
         }
+        if self.first_side == 0.0 {
+            self.first_side = error.signum();
+        }
+        let arrives = error * self.first_side < 0.0;
+        self.arrived += usize::from(arrives || self.arrived > 0);
         let swings = self.halves.push(error);
         self.second.push_back((error, limited));
         if self.second.len() > self.cycles {
             self.second.pop_front();
         }
-        let alike = swings.filter(|(_, least_rad_s)| *least_rad_s > self.floor_rad_s());
-        if let Some((swing_rad_s, _)) = alike {
-            return self.found(swing_rad_s, swing_rad_s > GOES_ON * self.last_rad_s);
+        // Softer gains do no harm to a loop whose swing would have died away; its end would.
+        let counts = |swing: &Alike| {
+            swing.least_rad_s > self.floor_rad_s() && (swing.lasts || self.can_soften())
+        };
+        if let Some(swing) = swings.filter(counts) {
+            return self.found(swing.mean_rad_s);
         }
         self.saturated().or_else(|| self.irregular())
     }
 
     /// A swing against which something is to be done.
-    fn found(&mut self, swing_rad_s: f64, goes_on: bool) -> Option<Finding> {
+    fn found(&mut self, swing_rad_s: f64) -> Option<Finding> {
         self.halves.forget();
         self.second.clear();
-        (self.last_rad_s, self.since) = (swing_rad_s, 0);
-        self.act(swing_rad_s, goes_on)
+        self.act(swing_rad_s)
+    }
+
+    /// A step of the gains is left.
+    const fn can_soften(&self) -> bool {
+        self.softens && !self.gave_back && self.steps < STEPS
     }
 
     /// The least half-swing against which something is done, rad/s.
@@ -176,29 +190,22 @@ impl LoopWatch {
         })
     }
 
-    /// What is done against a swing; `goes_on`: it is not the first that was seen lately.
-    fn act(&mut self, swing_rad_s: f64, goes_on: bool) -> Option<Finding> {
-        if self.softens && !self.gave_back {
+    /// What is done against a swing.
+    fn act(&mut self, swing_rad_s: f64) -> Option<Finding> {
+        if self.can_soften() {
             if self.steps == 0 {
                 self.first_rad_s = swing_rad_s;
             }
-            if self.steps < STEPS {
-                self.steps += 1;
-                let share = self.share();
-                return Some(Finding::Soften { swing_rad_s, share });
-            }
-            if swing_rad_s > NOT_OWN * self.first_rad_s {
-                self.gave_back = true;
-                self.told_rad_s = swing_rad_s;
-                self.last_rad_s = f64::MAX;
-                return Some(Finding::GiveBack { swing_rad_s });
-            }
+            self.steps += 1;
+            let share = self.share();
+            return Some(Finding::Soften { swing_rad_s, share });
+        }
+        if self.softens && !self.gave_back && swing_rad_s > NOT_OWN * self.first_rad_s {
+            self.gave_back = true;
+            self.told_rad_s = swing_rad_s;
+            return Some(Finding::GiveBack { swing_rad_s });
         }
         let most_rad_s = (NOISES * self.noise_rad_s).max(END_SHARE * self.largest_rad_s);
-        // One that is seen for the first time may be dying away.
-        if !goes_on {
-            return None;
-        }
         if swing_rad_s > most_rad_s {
             return Some(Finding::SwingsOn {
                 swing_rad_s,
@@ -208,36 +215,42 @@ impl LoopWatch {
         self.tell(swing_rad_s)
     }
 
-    /// What swings without half-swings that are alike, looked for four times in a second: by its size in the last half,
-    /// where it is not dying away.
+    /// What swings without half-swings that are alike, or slowly, looked for sixteen times in a second: by its size in the last
+    /// half of what is looked at, where it is not dying away.
     fn irregular(&mut self) -> Option<Finding> {
         self.until_look = self.until_look.saturating_sub(1);
-        if self.second.len() < self.cycles || self.until_look > 0 {
+        let looked_at = whole(LOOKED_AT * self.cycles as f64);
+        let known = self.second.len().min(self.arrived);
+        if known < looked_at || self.until_look > 0 {
             return None;
         }
-        self.until_look = self.cycles / 4;
-        let half = self.cycles / 2;
-        let errors = || self.second.iter().map(|cycle| cycle.0);
-        let last = || errors().skip(half);
-        let (low, high) = ends(last());
-        let (swing_rad_s, middle) = (0.5 * (high - low), 0.5 * (high + low));
-        let before = ends(errors().take(half));
+        self.until_look = self.cycles / 16;
+        let errors = || {
+            let all = self.second.iter().map(|cycle| cycle.0);
+            all.skip(self.second.len() - looked_at)
+        };
+        let (low, high) = ends(errors().skip(looked_at / 2));
+        let swing_rad_s = 0.5 * (high - low);
+        let before = ends(errors().take(looked_at / 2));
         let told = (TOLD_NOISES * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
         if swing_rad_s < told || swing_rad_s < GOES_ON * 0.5 * (before.1 - before.0) {
             return None;
         }
-        let beyond = |error: &f64| (error - middle).abs() > 0.5 * swing_rad_s;
-        let (mut side, mut turns) = (0.0, 0);
-        for error in last().filter(beyond) {
-            let now = (error - middle).signum();
-            turns += u32::from(side * now < 0.0);
-            side = now;
-        }
-        if turns < TURNS {
+        let (low, high) = (low.min(before.0), high.max(before.1));
+        let (size, middle) = (0.5 * (high - low), 0.5 * (high + low));
+        let beyond = |(_, error): &(usize, f64)| (error - middle).abs() > BEYOND * size;
+        let mut sides: Vec<(usize, bool)> = (errors().enumerate().filter(beyond))
+            .map(|(cycle, error)| (cycle, error > middle))
+            .collect();
+        sides.dedup_by_key(|one| one.1);
+        // The first side was not turned to.
+        let turns = sides.get(1..).unwrap_or_default();
+        let quick = |some: &[(usize, bool)]| some[TURNS - 1].0 - some[0].0 < self.cycles / 2;
+        if !turns.windows(TURNS).any(quick) {
             return None;
         }
         if swing_rad_s > self.floor_rad_s() {
-            self.found(swing_rad_s, true)
+            self.found(swing_rad_s)
         } else {
             self.tell(swing_rad_s)
         }
@@ -266,7 +279,7 @@ impl LoopWatch {
             .zip(all().skip(1))
             .any(|(one, next)| one.0 * next.0 < 0.0);
         if crosses {
-            return self.found(last, true);
+            return self.found(last);
         }
         self.second.clear();
         Some(Finding::Saturated {
@@ -281,6 +294,14 @@ fn ends(errors: impl Iterator<Item = f64>) -> (f64, f64) {
     errors.fold((f64::MAX, f64::MIN), |(low, high), error| {
         (low.min(error), high.max(error))
     })
+}
+
+/// Half-swings that are alike: their mean, the least of them, and whether the last ones are about as large as the first.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    mean_rad_s: f64,
+    least_rad_s: f64,
+    lasts: bool,
 }
 
 /// Half-swings that follow each other.
@@ -300,8 +321,8 @@ impl HalfSwings {
         (self.known, self.cycles, self.sign, self.largest) = (0, 0, 0.0, 0.0);
     }
 
-    /// One error. At the end of a half-swing, where it and those before it are alike: their mean, and the least of them.
-    fn push(&mut self, error: f64) -> Option<(f64, f64)> {
+    /// One error. At the end of a half-swing what it and those before it are, where they are alike.
+    fn push(&mut self, error: f64) -> Option<Alike> {
         self.cycles += 1;
         if self.cycles > LONGEST {
             self.forget();
@@ -317,10 +338,16 @@ impl HalfSwings {
         self.halves[HALVES - 1] = self.largest;
         self.known = (self.known + 1).min(HALVES);
         (self.sign, self.largest, self.cycles) = (error.signum(), error.abs(), 0);
-        let least = self.halves.iter().copied().fold(f64::MAX, f64::min);
+        let least_rad_s = self.halves.iter().copied().fold(f64::MAX, f64::min);
         let most = self.halves.iter().copied().fold(0.0, f64::max);
-        let mean = self.halves.iter().sum::<f64>() / HALVES as f64;
-        (self.known == HALVES && most < ALIKE * least).then_some((mean, least))
+        let (earlier, later) = self.halves.split_at(HALVES / 2);
+        let [earlier, later] = [earlier, later].map(|halves| halves.iter().sum::<f64>());
+        let alike = Alike {
+            mean_rad_s: (earlier + later) / HALVES as f64,
+            least_rad_s,
+            lasts: later > LASTS * earlier,
+        };
+        (self.known == HALVES && most < ALIKE * least_rad_s).then_some(alike)
     }
 }
 
@@ -364,8 +391,8 @@ mod tests {
             assert!(matches!(found[8], Finding::GiveBack { .. }), "{found:?}");
             assert!((share - 1.0).abs() < 1e-12);
             assert_eq!(ended(&found[9..]) > 0, ends, "{found:?}");
-            // Told of within a second where nothing can be softened, and the end where it is large.
-            let (found, _) = findings(false, 9.0, |_| amplitude, 60);
+            // Told of within half a second where nothing can be softened, and the end where it is large.
+            let (found, _) = findings(false, 9.0, |_| amplitude, 45);
             assert_eq!(found.len(), 1, "{found:?}");
             assert_eq!(ended(&found) > 0, ends, "{found:?}");
         }

@@ -24,9 +24,6 @@ use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
-/// Share of the held-out error that an effect has to take where all together leave more than the floor: what less is, any
-/// form takes of an error that has another cause.
-const LEAST_STEP: f64 = 0.02;
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
 /// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
@@ -343,7 +340,8 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
     named.find(|id| left == 0 || !is_shown(id))
 }
 
-/// The last named effect that hardly lowers the held-out error, where that stays above the floor with all of them.
+/// The last named effect that raises the held-out error, where that stays above the floor with all of them: it takes of the
+/// fitted run what has another cause.
 fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let floor = inference.floor(&bench.evidence);
     let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
@@ -352,7 +350,7 @@ fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Opti
         return None;
     }
     let steps = errors.windows(2).enumerate().skip(1);
-    let short = steps.filter(|(_, pair)| pair[1] > (1.0 - LEAST_STEP) * pair[0]);
+    let short = steps.filter(|(_, pair)| pair[1] > pair[0]);
     short.map(|(step, _)| inference.named[step]).last()
 }
 

@@ -137,6 +137,19 @@ fn where_nothing_happened_no_event_is_likely() {
     assert!(complete >= 9, "{complete}");
 }
 
+#[test]
+fn what_was_there_before_either_run_moved_is_no_event() {
+    // Friction that falls with the speed from the outset, which no effect that is always there has the sign for.
+    let machine = truth("friction_onset", &[-3e-4, 0.1]);
+    let data = Evidence::new(record(&machine, 0, 71), Some(record(&machine, 1, 72)), None);
+    let found = diagnose(&nameplate(), data).unwrap();
+    assert!(
+        !found.effects.contains(&"friction_onset"),
+        "{}",
+        found.sentence
+    );
+}
+
 /// A run of the commands that came, of which those that were asked for are known.
 fn asked(came: Vec<(f64, f64)>, asked: Vec<(f64, f64)>, end_s: f64, seed: u64) -> Scenario {
     Scenario {

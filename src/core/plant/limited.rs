@@ -5,6 +5,9 @@
 //! measured   ____/--__--/____      drive follows R i + Ke w, which is nearly straight from sample to sample); beside them
 //!                 limited          that line, continued, until it crosses the command
 //! ```
+//!
+//! Where the current was far from the limit a sample before, as behind a step or a late start, the motor had the whole command
+//! until its current was there. When that was lies between the samples, and a simulation finds it.
 
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Run};
@@ -14,21 +17,42 @@ use crate::signal::{self, Point};
 const STEP_S: f64 = 0.5e-3;
 const MOST_STEPS: usize = 50;
 
+/// Share of the current at a limit by which it may differ from sample to sample and count as held, and as close to it before.
+const NEAR: f64 = 0.1;
+
+/// The interval within which the output of a drive came to its current limit: the whole command up to when the current was there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimitReached {
+    pub from_s: f64,
+    pub to_s: f64,
+    pub command_v: f64,
+    /// Where the limit held the current, A.
+    pub current_a: f64,
+    /// Square of what the command and the voltage at the limit differ by, V2: what is not known of the voltage between.
+    pub variance: f64,
+}
+
 /// One stretch of samples between which the limit was never released.
 struct Stretch {
     /// Measured voltages.
     samples: Vec<Point>,
+    /// Measured currents there and at the sample before, A; not a number where missing.
+    current_a: Vec<f64>,
+    before_a: f64,
     /// Stamps of the samples beside it, at which the command held.
     before_s: f64,
     after_s: f64,
 }
 
-/// The commands `(time, V)`, held until the next, with those replaced that a limit of the drive kept from the motor.
-pub(super) fn applied(run: &Run, commands: &[Point]) -> Vec<Point> {
+/// The commands `(time, V)`, held until the next, with those replaced that a limit of the drive kept from the motor, and where
+/// its current limit was reached from afar.
+pub(super) fn applied(run: &Run, commands: &[Point]) -> (Vec<Point>, Vec<LimitReached>) {
+    let mut reached = Vec::new();
     let stretches = stretches(run).into_iter();
-    stretches.fold(commands.to_vec(), |events, stretch| {
-        replaced(&events, &stretch)
-    })
+    let events = stretches.fold(commands.to_vec(), |events, stretch| {
+        replaced(&events, &stretch, &mut reached)
+    });
+    (events, reached)
 }
 
 fn stretches(run: &Run) -> Vec<Stretch> {
@@ -43,6 +67,8 @@ fn stretches(run: &Run) -> Vec<Stretch> {
         .map(|row| (row, limited.binary_search(&row).is_ok()))
         .collect();
     let points: Vec<Point> = run.points(Channel::Voltage).collect();
+    let currents = run.column(Channel::Current).unwrap_or_default();
+    let current = |at: usize| currents.get(rows[at].0).copied().unwrap_or(f64::NAN);
     let mut end = 0;
     rows.chunk_by(|one, next| one.1 == next.1)
         .filter_map(|group| {
@@ -50,6 +76,8 @@ fn stretches(run: &Run) -> Vec<Stretch> {
             end += group.len();
             let samples = points[begin..end].to_vec();
             group[0].1.then(|| Stretch {
+                current_a: (begin..end).map(current).collect(),
+                before_a: begin.checked_sub(1).map_or(f64::NAN, current),
                 before_s: points[begin.saturating_sub(1)].0,
                 after_s: points.get(end).unwrap_or(&samples[samples.len() - 1]).0,
                 samples,
@@ -58,7 +86,7 @@ fn stretches(run: &Run) -> Vec<Stretch> {
         .collect()
 }
 
-fn replaced(events: &[Point], stretch: &Stretch) -> Vec<Point> {
+fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>) -> Vec<Point> {
     let held = |time_s: f64| signal::held(events, time_s).unwrap_or(events[0].1);
     let samples = &stretch.samples;
     let (first, last) = (samples[0], samples[samples.len() - 1]);
@@ -78,10 +106,38 @@ fn replaced(events: &[Point], stretch: &Stretch) -> Vec<Point> {
         }
     };
     let mut inside = Vec::new();
-    let mut pieces = |from_s: f64, to_s: f64, volts: &dyn Fn(f64) -> f64| {
+    let pieces = |from_s: f64, to_s: f64, volts: &dyn Fn(f64) -> f64| -> Vec<Point> {
         let count = whole(((to_s - from_s) / STEP_S).ceil()).min(MOST_STEPS);
         let share = |at: f64| from_s + (to_s - from_s) * at / count as f64;
-        inside.extend((0..count).map(|k| (share(k as f64), volts(share(k as f64 + 0.5)))));
+        let piece = |k: usize| (share(k as f64), volts(share(k as f64 + 0.5)));
+        (0..count).map(piece).collect()
+    };
+    let current = |at: usize| stretch.current_a.get(at).copied().unwrap_or(f64::NAN);
+    // `line` are the pieces that lead to the limit at sample `to`; `behind` is the next one on its side of it.
+    let mut reach = |line: &[Point], before_a: f64, to: usize, behind: Option<usize>| {
+        let (at_a, behind_a) = (current(to), behind.map_or(f64::NAN, current));
+        let is_near = |a: f64| (a - at_a).abs() <= NEAR * at_a.abs();
+        let limit_a = match behind {
+            Some(_) if is_near(behind_a) => 0.5 * (at_a + behind_a),
+            Some(_) => return,
+            None => at_a,
+        };
+        let below = line
+            .iter()
+            .find(|piece| (held(piece.0) - piece.1).abs() > 0.0);
+        if let Some(&(from_s, line_v)) = below
+            && before_a.is_finite()
+            && limit_a.is_finite()
+            && !is_near(before_a)
+        {
+            reached.push(LimitReached {
+                from_s,
+                to_s: samples[to].0,
+                command_v: held(from_s),
+                current_a: limit_a,
+                variance: (held(from_s) - line_v).powi(2),
+            });
+        }
     };
     let line = |a: Point, b: Point, time_s: f64| {
         if b.0 > a.0 {
@@ -91,32 +147,37 @@ fn replaced(events: &[Point], stretch: &Stretch) -> Vec<Point> {
         }
     };
     let second = *samples.get(1).unwrap_or(&first);
-    pieces(stretch.before_s, first.0, &|t| {
+    let towards = pieces(stretch.before_s, first.0, &|t| {
         limit(t, first_side, line(first, second, t))
     });
+    let stays = |at: usize| (sides.get(at + 1)? * sides[at] > 0.0).then_some(at + 1);
+    reach(&towards, stretch.before_a, 0, stays(0));
+    inside.extend(towards);
     for (at, pair) in samples.windows(2).enumerate() {
         let turned_s = (sides[at] * sides[at + 1] < 0.0)
             .then(|| largest_step(events, pair[0].0, pair[1].0))
             .flatten();
         let Some(turned_s) = turned_s else {
-            pieces(pair[0].0, pair[1].0, &|t| line(pair[0], pair[1], t));
+            inside.extend(pieces(pair[0].0, pair[1].0, &|t| line(pair[0], pair[1], t)));
             continue;
         };
         // The limit held the output on one side until the command turned, and on the other from then on.
         let (to, from) = (pair[0], pair[1]);
         let before = if at > 0 { samples[at - 1] } else { to };
         let behind = *samples.get(at + 2).unwrap_or(&from);
-        pieces(to.0, turned_s, &|t| {
+        inside.extend(pieces(to.0, turned_s, &|t| {
             limit(t, sides[at], line(before, to, t))
-        });
-        pieces(turned_s, from.0, &|t| {
+        }));
+        let towards = pieces(turned_s, from.0, &|t| {
             limit(t, sides[at + 1], line(from, behind, t))
         });
+        reach(&towards, current(at), at + 1, stays(at + 1));
+        inside.extend(towards);
     }
     let last_but_one = samples[samples.len().saturating_sub(2)];
-    pieces(last.0, stretch.after_s, &|t| {
+    inside.extend(pieces(last.0, stretch.after_s, &|t| {
         limit(t, last_side, line(last_but_one, last, t))
-    });
+    }));
     let after_s = stretch.after_s.max(last.0);
     let before = events.iter().filter(|event| event.0 < stretch.before_s);
     let after = events.iter().filter(|event| event.0 > after_s);
@@ -144,6 +205,7 @@ fn sign(of: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::plant::testing::{held, run_of};
+    use crate::plant::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
     use crate::sample::Origin;
 
     /// A ramp of 10 V a sample, held by the drive at `30 + 2 k` V while it is beyond it, and its commands.
@@ -177,14 +239,15 @@ mod tests {
     #[test]
     fn without_a_limit_the_commands_stand() {
         let (run, commands) = ramp();
-        assert_eq!(applied(&run, &commands), commands);
+        assert_eq!(applied(&run, &commands), (commands, vec![]));
     }
 
     #[test]
     fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
         let (mut run, commands) = ramp();
         run.set_limited_rows(vec![4, 5, 6]);
-        let events = applied(&run, &commands);
+        let (events, reached) = applied(&run, &commands);
+        assert_eq!(reached, [], "no current tells of it");
         let grows = events.windows(2).all(|pair| pair[0].0 < pair[1].0);
         assert!(grows, "{events:?}");
         // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
@@ -209,7 +272,8 @@ mod tests {
         let mut run = run_of("r", times, [column]);
         run.set_limited_rows((2..9).collect());
         let commands = held([0.0, 0.015, 0.045, 0.085], [0.0, 60.0, -60.0, -20.0]);
-        let events = applied(&run, &commands);
+        let (events, reached) = applied(&run, &commands);
+        assert_eq!(reached, [], "no current tells of it");
         // To the instant of the reversal on the one side, on the other from there.
         let (at, volts) = (
             [0.0121, 0.0171, 0.0351, 0.0421, 0.0449],
@@ -228,6 +292,100 @@ mod tests {
         let (run, commands) = ramp();
         let mut run = run.without(Channel::Voltage);
         run.set_limited_rows(vec![4, 5, 6]);
-        assert_eq!(applied(&run, &commands), commands);
+        assert_eq!(applied(&run, &commands), (commands, vec![]));
+    }
+
+    /// A motor at a drive that gives the command from `start_s` on and holds the current below 10 A, sampled every 10 ms: by
+    /// small steps that know nothing of the plant's.
+    fn chopped(commands: &[Point], start_s: f64) -> Run {
+        let (r, l, ke, j, mc) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);
+        let (limit_a, h_s) = (10.0, 1e-6);
+        let (mut i, mut w) = (0.0_f64, 0.0_f64);
+        let mut columns = [vec![], vec![], vec![], vec![]];
+        let mut limited = Vec::new();
+        for row in 0..40_u32 {
+            for step in 0..10_000_u32 {
+                let time_s = 0.01 * f64::from(row) + h_s * f64::from(step);
+                let command_v = signal::held(commands, time_s + 1e-9).unwrap();
+                let given_v = if time_s + 1e-9 < start_s {
+                    0.0
+                } else {
+                    command_v
+                };
+                let held_v = |a: f64| r * a + ke * w + l * (a - i) / h_s;
+                let volts = given_v.clamp(held_v(-limit_a), held_v(limit_a));
+                let is_limited = (volts - given_v).abs() > 0.0;
+                if step == 0 {
+                    let told_v = if is_limited { r * i + ke * w } else { given_v };
+                    let cells = [command_v, told_v, i, w];
+                    columns
+                        .iter_mut()
+                        .zip(cells)
+                        .for_each(|(own, cell)| own.push(cell));
+                    limited.extend(is_limited.then_some(row as usize));
+                }
+                i += h_s * (volts - r * i - ke * w) / l;
+                let torque = ke * i;
+                let is_held = w <= 0.0 && torque.abs() <= mc;
+                w = if is_held {
+                    0.0
+                } else {
+                    w + h_s * (torque - mc * w.signum()) / j
+                };
+            }
+        }
+        let channels = [
+            (Channel::VoltageCmd, Origin::Commanded),
+            (Channel::Voltage, Origin::Measured),
+            (Channel::Current, Origin::Measured),
+            (Channel::Speed, Origin::Measured),
+        ];
+        let columns = channels.into_iter().zip(columns);
+        let columns = columns.map(|((channel, origin), cells)| (channel, cells, origin));
+        let mut run = run_of(
+            "r",
+            (0..40).map(|row| 0.01 * f64::from(row)).collect(),
+            columns,
+        );
+        run.set_limited_rows(limited);
+        run
+    }
+
+    #[test]
+    fn the_whole_command_acts_until_the_current_is_at_the_limit() {
+        let step = held([0.0, 0.05], [0.0, 60.0]);
+        // The same level from the first sample on, under a drive that starts within an interval.
+        let level = held([0.0, 0.01], [0.0, 35.0]);
+        for (commands, late_s) in [(step, 0.0), (level, 0.0443)] {
+            let run = chopped(&commands, commands[1].0 + late_s);
+            let scenario = Scenario::from_run(&run).unwrap();
+            let [limit] = scenario.limits[..] else {
+                panic!("{:?}", scenario.limits)
+            };
+            assert!((limit.to_s - 0.06).abs() < 1e-9, "{limit:?}");
+            assert!((limit.current_a - 10.0).abs() < 0.05, "{limit:?}");
+            let mut model = Model::baseline(Motor::zk_22fc());
+            if late_s > 0.0 {
+                let late = effect::find("start_delay").unwrap();
+                model.effects.push(ActiveEffect::with(late, &[late_s]));
+            }
+            let misses = || -> [f64; 2] {
+                let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+                let found = plant.simulate(&scenario, State::default());
+                [
+                    (&found.current_a, &scenario.current_a),
+                    (&found.speed_rad_s, &scenario.speed_rad_s),
+                ]
+                .map(|(found, own)| {
+                    let pairs = found.iter().zip(own);
+                    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+                })
+            };
+            let [current_a, speed_rad_s] = misses();
+            assert!(
+                current_a < 0.1 && speed_rad_s < 0.15,
+                "{late_s}: {current_a} {speed_rad_s}"
+            );
+        }
     }
 }

@@ -28,6 +28,7 @@ pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path,
     ShaftAngle, Sums, Terms,
 };
+pub use limited::LimitReached;
 pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};

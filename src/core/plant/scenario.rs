@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
-use super::limited::applied;
+use super::limited::{LimitReached, applied};
 use super::shaft_angle::continuous;
 use super::unknown_input::{self, Told, UnknownInput};
 use crate::numerics::count::whole;
@@ -85,6 +85,8 @@ pub struct Scenario {
     pub time_half_width_s: Vec<f64>,
     /// Where rows were lost that told the voltage, in order; `events` hold its estimate there. Empty in a whole record.
     pub unknown_input: Vec<UnknownInput>,
+    /// Where the drive came to its current limit from afar, in order.
+    pub limits: Vec<LimitReached>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
@@ -127,6 +129,7 @@ impl Scenario {
             angle: Vec::new(),
             time_half_width_s: Vec::new(),
             unknown_input: Vec::new(),
+            limits: Vec::new(),
         }
     }
 
@@ -136,8 +139,9 @@ impl Scenario {
             run: run.name.clone(),
         })?;
         let mut events: Vec<(f64, f64)> = run.points(channel).collect();
+        let mut limits = Vec::new();
         if channel == Channel::VoltageCmd {
-            events = applied(run, &events);
+            (events, limits) = applied(run, &events);
         }
         let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
         let column = |channel| run.column(channel).unwrap_or_default();
@@ -178,6 +182,7 @@ impl Scenario {
                 let cells = cells(widths, 0.0).into_iter();
                 cells.map(half_width_s).collect()
             }),
+            limits,
             ..Self::planned(run.name.clone(), input, channel, events, times)
         };
         scenario.refuse_gaps()?;
@@ -383,6 +388,8 @@ impl Scenario {
         let to = self.angle.partition_point(|point| point.0 <= end_s);
         let mut unknown_input = self.unknown_input.clone();
         unknown_input.retain(|hole| hole.from_s >= events[0].0 && hole.to_s <= end_s);
+        let mut limits = self.limits.clone();
+        limits.retain(|limit| limit.from_s >= events[0].0 && limit.to_s <= end_s);
         let part = |values: &Vec<f64>| values.get(samples.clone()).unwrap_or_default().to_vec();
         let [from_s, to_s] = [begin_s, end_s].map(|time_s| time_s - self.sample_time_s[0]);
         let name = format!("{} ({from_s:.0} to {to_s:.0} s)", self.name);
@@ -393,6 +400,7 @@ impl Scenario {
             speed_rad_s: part(&self.speed_rad_s),
             time_half_width_s: part(&self.time_half_width_s),
             unknown_input,
+            limits,
             ..Self::planned(name, input, channel, events, times)
         }
     }
@@ -458,9 +466,17 @@ impl Scenario {
             to_s: there(hole.to_s),
             ..*hole
         }));
+        let limits = self.limits.iter().copied();
+        let mut limits: Vec<LimitReached> = limits.filter(|limit| limit.to_s < ended_s).collect();
+        limits.extend(later.limits.iter().map(|limit| LimitReached {
+            from_s: there(limit.from_s),
+            to_s: there(limit.to_s),
+            ..*limit
+        }));
         let times: Vec<f64> = later.sample_time_s.iter().copied().map(there).collect();
         Self {
             angle,
+            limits,
             current_a: joined(&self.current_a, &later.current_a),
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s: if is_sharp {

@@ -25,6 +25,7 @@ use steps::Steps;
 use two_mass::TwoMass;
 
 use super::effect::Instant;
+use super::limited::LimitReached;
 use super::model::{Model, ModelError};
 use super::scenario::{Input, REFERENCE_SUPPLY_V, Scenario};
 use crate::numerics::count::whole;
@@ -40,6 +41,10 @@ const LONGEST_RINGING_STEP_S: f64 = 1e-3;
 /// Share of the fastest time constant that a step of the classical Runge-Kutta method may take: its error is then below a
 /// thousandth of a per cent.
 const RUNGE_KUTTA_SHARE: f64 = 0.25;
+
+/// Longest piece of a command that acts until the current is at a limit, s, and the share of that current that it misses it by.
+const LONGEST_RISE_S: f64 = 5e-4;
+const AT_THE_LIMIT: f64 = 1e-3;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -221,6 +226,7 @@ impl Plant {
             .filter(|hole| late_s > 0.0 && hole.restart.is_some())
             .map(|hole| hole.to_s..hole.to_s + late_s)
             .peekable();
+        let mut limits = scenario.limits.iter().peekable();
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
         self.equations.set_supply(scenario.supply_v());
@@ -242,12 +248,21 @@ impl Plant {
                 let mut next_s = events
                     .get(event + 1)
                     .map_or(sample_s, |next| next.0.min(sample_s));
+                let mut input = events[event].1;
+                while limits.next_if(|limit| limit.to_s <= now_s).is_some() {}
+                if let Some(limit) = limits.peek()
+                    && now_s >= limit.from_s + late_s
+                    && let Some(rise_s) = self.rise_s(limit, input, &state, now_s)
+                {
+                    input = limit.command_v;
+                    next_s = next_s.min(now_s + rise_s);
+                }
                 // One that lies before the simulation begins is none of its own.
                 let again = restarts.next_if(|restart| restart.0 <= next_s);
                 if let Some((at_s, _)) = again {
                     next_s = at_s.max(now_s);
                 }
-                let (dt_s, input) = (next_s - now_s, events[event].1);
+                let dt_s = next_s - now_s;
                 self.advance(&mut state, now_s, dt_s, input, &mut angle);
                 now_s = next_s;
                 if let Some((_, measured)) = again {
@@ -273,6 +288,31 @@ impl Plant {
                 self.equations.extra_v = change.voltage_v;
             }
         }
+    }
+
+    /// Time for which the whole command acts before the current is where a limit holds it by `held_v`, or comes nearer, s; none
+    /// where it is there, or the drive has not started yet.
+    fn rise_s(&self, limit: &LimitReached, held_v: f64, state: &State, now_s: f64) -> Option<f64> {
+        let direction = (limit.command_v - held_v).signum();
+        let missing_a = direction * (limit.current_a - state.current_a);
+        if held_v == 0.0 || missing_a <= AT_THE_LIMIT * limit.current_a.abs() {
+            return None;
+        }
+        let at = Instant {
+            time_s: now_s - self.begin_s,
+            voltage_v: limit.command_v,
+            angle: self.equations.angle(state.angle_rad),
+            ..Instant::default()
+        };
+        let [[by_current, by_speed], _] = self.equations.a;
+        let linear = by_current * state.current_a + by_speed * state.speed_rad_s;
+        let rate = direction * (linear + self.equations.forcing(state, &at)[0]);
+        let longest_s = LONGEST_RISE_S;
+        Some(if rate > 0.0 {
+            (missing_a / rate).min(longest_s)
+        } else {
+            longest_s
+        })
     }
 
     /// Moves the state. What lies between motion and reading (a filter, an offset) stays between them.

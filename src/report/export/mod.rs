@@ -70,12 +70,14 @@ pub struct Regulator {
     pub gains: PiGains,
     pub holding: Holding,
     pub period_s: f64,
+    /// By how much what is seen is older than what leaves the limit, s.
+    pub leaving_s: f64,
     pub limit_v: f64,
 }
 
 impl Regulator {
     /// As targets list them.
-    pub fn values(&self) -> [(&'static str, f64); 7] {
+    pub fn values(&self) -> [(&'static str, f64); 8] {
         [
             ("proportional_v_s_per_rad", self.gains.proportional),
             ("integral_time_s", self.gains.integral_time_s),
@@ -84,6 +86,7 @@ impl Regulator {
             ("limit_v", self.limit_v),
             ("holding_v_s_per_rad", self.holding.per_speed),
             ("holding_v", self.holding.against),
+            ("leaving_s", self.leaving_s),
         ]
     }
 }

@@ -196,6 +196,7 @@ fn regulator() -> Regulator {
             against: 1.4,
         },
         period_s: 0.01,
+        leaving_s: 0.02,
         limit_v: 12.0,
     }
 }
@@ -205,9 +206,10 @@ fn regulated() -> Vec<f64> {
         gains,
         holding,
         period_s,
+        leaving_s,
         limit_v,
     } = regulator();
-    let mut pi = Pi::new(gains, AntiWindup::Hold, holding);
+    let mut pi = Pi::new(gains, AntiWindup::Hold, holding).leaving_after(leaving_s);
     let cycles = (0..CYCLES).map(|cycle| {
         let (reference, speed) = loop_input(cycle);
         let wanted = pi.step(reference, &Measured::at(speed), period_s);

@@ -514,8 +514,10 @@ mod tests {
         let figure = super::figure_6(&bench());
         for row in figure.adapted(1) {
             let overshoot = row.fixed.response.overshoot_percent;
-            assert!((25.0..55.0).contains(&overshoot), "{overshoot}");
-            assert_eq!(row.fixed.response.settling_s, None, "{row:?}");
+            assert!((25.0..60.0).contains(&overshoot), "{overshoot}");
+            // Not before the next step.
+            let settled_s = row.fixed.response.settling_s;
+            assert!(settled_s.is_none_or(|s| s > 3.5), "{row:?}");
         }
         for row in figure.adapted(1).chain(figure.adapted(2)) {
             let response = row.adaptive.response;

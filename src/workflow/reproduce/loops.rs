@@ -140,7 +140,8 @@ impl Bench {
     }
 
     pub(super) fn pi(&self) -> Pi {
-        Pi::new(self.tuning(1.0).gains, AntiWindup::Hold, self.holding())
+        let pi = Pi::new(self.tuning(1.0).gains, AntiWindup::Hold, self.holding());
+        pi.leaving_after(self.timing.leaving_s())
     }
 
     pub(super) fn addc(&self) -> Addc {

@@ -89,6 +89,7 @@ pub(super) fn driven(
         angle: vec![],
         time_half_width_s: vec![],
         unknown_input: vec![],
+        limits: vec![],
     }
 }
 

@@ -1,7 +1,7 @@
 //! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
 //! one after the other.
 
-use super::columns::{Around, FAR_MEAN_SQUARE, Linear, Variant, linearise, squares};
+use super::columns::{Around, Candidate, FAR_MEAN_SQUARE, Linear, Variant, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
@@ -92,7 +92,7 @@ fn best_step(
     };
     let mut singles: Vec<(f64, usize, usize)> = Vec::new();
     for (k, candidate) in linear.candidates.iter().enumerate() {
-        if candidate.in_model || candidate.excludes.iter().any(|other| set[*other].is_some()) {
+        if candidate.in_model || says_the_same(candidate, &set) {
             continue;
         }
         let logs = reduced.conditional(&columns, k);
@@ -151,12 +151,19 @@ fn best_step(
     best
 }
 
+/// Whether a candidate stands for something that is in the set.
+fn says_the_same(candidate: &Candidate, set: &Set) -> bool {
+    candidate.excludes.iter().any(|other| set[*other].is_some())
+}
+
 /// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
 /// moves: the fall of the cost, the candidate and the form.
 fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
     let candidates = linear.candidates.iter().enumerate();
     candidates
-        .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
+        .filter(|(k, candidate)| {
+            set[*k].is_none() && candidate.is_whole() && !says_the_same(candidate, set)
+        })
         .filter_map(|(k, candidate)| {
             let fall = |variant: &Variant| {
                 let (column, size) = (variant.columns[0].at, variant.mean);

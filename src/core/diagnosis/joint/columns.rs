@@ -637,7 +637,7 @@ pub(super) fn linearise(
     });
     let columns: Vec<Whitened> = columns.collect();
     let mut linear = assemble(nuisances, candidates, runs, columns);
-    events::pair(&mut linear, runs.len());
+    events::pair(&mut linear, runs);
     Some(linear)
 }
 

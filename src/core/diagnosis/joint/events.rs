@@ -339,8 +339,8 @@ pub(super) fn parts(
 
 /// Adds to events that may be in several runs the forms in which they are: of what the model lacks the likeliest moments of
 /// two runs together, of what it has either alone.
-pub(super) fn pair(linear: &mut Linear, runs: usize) {
-    if runs < 2 {
+pub(super) fn pair(linear: &mut Linear, runs: &[Around<'_>]) {
+    if runs.len() < 2 {
         return;
     }
     let base: Vec<usize> = (0..linear.nuisances.len())
@@ -357,9 +357,9 @@ pub(super) fn pair(linear: &mut Linear, runs: usize) {
     };
     let paired = |candidate: &Candidate| {
         if candidate.in_model {
-            alone(candidate, runs)
+            alone(candidate, runs.len())
         } else {
-            together(candidate, &gain)
+            together(candidate, runs, &gain)
         }
     };
     let added: Vec<Vec<Variant>> = linear.candidates.iter().map(paired).collect();
@@ -388,8 +388,13 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     own.map(only).collect()
 }
 
-/// An event that the model lacks, in two runs at once.
-fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant> {
+/// An event that the model lacks, in two runs at once. What was there before either moved is no event but always there, and
+/// would lend the effects that always are a sign that they do not have.
+fn together(
+    candidate: &Candidate,
+    runs: &[Around<'_>],
+    gain: &impl Fn(usize) -> f64,
+) -> Vec<Variant> {
     let of_run = |run: usize| -> Vec<&Variant> {
         let is_own = |form: &&Variant| form.moments().next().is_some_and(|own| own.0 == run);
         let own = candidate.variants.iter().filter(is_own);
@@ -405,8 +410,25 @@ fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant>
         log_prior: log_share_of_two(candidate.id),
         ..a.clone()
     };
-    let pairs = first.iter().flat_map(|a| second.iter().map(|b| both(a, b)));
-    pairs.collect()
+    let seen_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], candidate.id));
+    let happens = |form: &Variant| {
+        let mut moments = form.moments();
+        moments.any(|(run, time_s)| time_s > seen_s[run])
+    };
+    let pairs = first
+        .iter()
+        .flat_map(|a| second.iter().map(move |b| (a, b)));
+    let pairs = pairs.filter(|(a, b)| happens(a) || happens(b));
+    pairs.map(|(a, b)| both(a, b)).collect()
+}
+
+/// When the shaft of a run turns first, s after its first command.
+fn moves_s(run: &Around<'_>) -> f64 {
+    let directions = run.followed.direction.iter();
+    let first = directions
+        .zip(&run.scenario.sample_time_s)
+        .find(|(direction, _)| **direction != 0.0);
+    first.map_or(f64::INFINITY, |(_, time_s)| time_s - run.scenario.begin_s())
 }
 
 /// When an event happened, with the interval that holds the moment with 95 %.

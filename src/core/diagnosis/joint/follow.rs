@@ -124,6 +124,8 @@ pub(super) struct Passage {
     pub begins_again: bool,
     /// The part of `fresh` that holes of the record make: a voltage that nobody knows, a state that was measured behind it.
     pub unseen: [f64; 2],
+    /// Covariance of the part of `fresh` that one voltage makes of both.
+    pub together: f64,
 }
 
 /// What a sample corrects, one scalar after the other: current, then speed.
@@ -331,10 +333,19 @@ impl<'a> Filter<'a> {
         let first = holes.partition_point(|hole| hole.to_s <= from_s);
         (holes[first..].iter())
             .take_while(|hole| hole.from_s < to_s)
-            .fold(0.0, |sum, hole| {
-                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
-                sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
-            })
+            .map(|hole| unknown_v2([hole.from_s, hole.to_s], hole.variance, [from_s, to_s]))
+            .sum()
+    }
+
+    /// The same of how long the whole command acted before the drive's current limit held it: the current there is what was
+    /// measured, and tells nothing of how fast it came to be.
+    fn limits_v2(&self, from_s: f64, to_s: f64) -> f64 {
+        let limits = &self.scenario.limits;
+        let first = limits.partition_point(|limit| limit.to_s <= from_s);
+        (limits[first..].iter())
+            .take_while(|limit| limit.from_s < to_s)
+            .map(|limit| unknown_v2([limit.from_s, limit.to_s], limit.variance, [from_s, to_s]))
+            .sum()
     }
 
     /// Variance of what rings, of which there is so much now: where it passes zero another phase of it is all error. How a
@@ -378,17 +389,18 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
-        let (fresh, unseen) = if begins_again {
+        let (fresh, unseen, together) = if begins_again {
             // A signal whose noise is not known is not looked at.
             let levels = [self.noise.current_a, self.noise.speed_rad_s];
             let known = levels.map(|level| if level.is_finite() { level } else { 0.0 });
             let measured = known.map(|level| level * level);
-            (measured, measured)
+            (measured, measured, 0.0)
         } else {
             let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
             let holes_v2 = self.holes_v2(time_s - interval_s, time_s);
+            let one_v2 = holes_v2 + self.limits_v2(time_s - interval_s, time_s);
             let unseen = moved.map(|moved| moved * moved * holes_v2);
-            let [current, speed] = moved.map(|moved| moved * moved * (holes_v2 + edges_v2));
+            let [current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
             let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
             let held_s = time_s - self.scenario.events[self.event].0;
             let is_blind = time_s - self.seen_s > self.longest_blind_s;
@@ -397,7 +409,8 @@ impl<'a> Filter<'a> {
                 (_, true) => self.slow_rad_s,
                 _ => 0.0,
             };
-            ([current, speed + anew * anew], unseen)
+            let together = moved[0] * moved[1] * one_v2;
+            ([current, speed + anew * anew], unseen, together)
         };
         if begins_again {
             self.ringing = self.most_ringing;
@@ -411,6 +424,7 @@ impl<'a> Filter<'a> {
             fresh,
             begins_again,
             unseen,
+            together,
             interval_s,
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
@@ -461,6 +475,12 @@ impl<'a> Filter<'a> {
         self.p = corrected(p, &k, measured);
         [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()]
     }
+}
+
+/// Mean square of what an interval of this variance leaves unknown of the mean voltage over another, V2.
+fn unknown_v2(own: [f64; 2], variance: f64, over: [f64; 2]) -> f64 {
+    let shared_s = own[1].min(over[1]) - own[0].max(over[0]);
+    variance * (shared_s / (over[1] - over[0])).powi(2)
 }
 
 /// Follows `scenario` with `model` and finds the gains on the way.
@@ -589,12 +609,8 @@ pub(super) fn predicted(
         }
     }
     out[0][0] += passage.fresh[0];
-    if !passage.begins_again {
-        // One voltage moves both.
-        let together = (passage.unseen[0] * passage.unseen[1]).sqrt() * moving;
-        out[0][1] += together;
-        out[1][0] += together;
-    }
+    out[0][1] += passage.together * moving;
+    out[1][0] += passage.together * moving;
     let ringing = passage.form[2] * RINGING_S * passage.interval_s;
     out[1][1] += (passage.fresh[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);

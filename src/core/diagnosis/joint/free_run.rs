@@ -50,6 +50,11 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
             form: [0.0; 3],
             fresh,
             unseen: fresh,
+            together: if passage.begins_again {
+                0.0
+            } else {
+                (fresh[0] * fresh[1]).sqrt()
+            },
             ..*passage
         };
         if passage.begins_again {

@@ -121,6 +121,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     let mut direction = 0.0;
     let mut fresh = [0.0; 2];
     let mut unseen = [0.0; 2];
+    let mut together = 0.0;
     let mut begins_again = false;
     for sample in samples {
         let passage = &run.follower.passages[sample];
@@ -133,7 +134,9 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
             begins_again = true;
             fresh = [0.0; 2];
             unseen = [0.0; 2];
+            together = 0.0;
         }
+        together += passage.together;
         for (sum, part) in fresh.iter_mut().zip(passage.fresh) {
             *sum += part;
         }
@@ -151,6 +154,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
     let passage = Passage {
         unseen,
+        together,
         propagator: if begins_again {
             Propagator::default()
         } else {

@@ -501,6 +501,7 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
         unknown_input: vec![],
+        limits: vec![],
         scored: 0..rows,
         sample_time_s: times,
     })

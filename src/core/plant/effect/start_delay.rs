@@ -7,7 +7,7 @@ pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
     "delay_s",
     "s",
     (1e-4, 5.0),
-    &[0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7],
+    &[0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0],
 );
 
 pub(super) const EFFECT: Card = Card {
