@@ -18,6 +18,8 @@ const FOLLOWS_SPEED_S: f64 = 2.0;
 /// share of it.
 const STAYS_V: f64 = 0.06;
 const STAYS_SHARE: f64 = 0.25;
+/// One that changes by more than this, in rated voltages, moves.
+const MOVES_V: f64 = 0.01;
 /// Factors by which a voltage may be off whose scale was seen to be right.
 const KNOWN_SCALE: Range = Range::new(0.85, 1.15);
 /// What of it is no doubt, in rated values.
@@ -204,8 +206,15 @@ impl Plausibility {
         let last = *self.history.last()?;
         let read = Range::at(value);
         if asked.wider(self.drop_v()).gap(read) <= 0.0 {
-            // Of the set-points that it may answer to, the nearest.
-            self.agreed = Some((value.clamp(asked.low, asked.high), value));
+            // Of the set-points that it may answer to, the nearest; while it stays where it was also of those before.
+            let nearest = value.clamp(asked.low, asked.high);
+            let agrees = self.agreed.is_none_or(|(asked_v, value_v)| {
+                let moves = (value - value_v).abs() > MOVES_V * self.scale.volts;
+                moves || (nearest - value).abs() <= (asked_v - value_v).abs()
+            });
+            if agrees {
+                self.agreed = Some((nearest, value));
+            }
             let is_steady = asked.high - asked.low < self.drop_v();
             let tells = KNOWN_SCALE.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
             self.scale_seen |= is_steady && tells;

@@ -350,8 +350,8 @@ fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Opti
         return None;
     }
     let steps = errors.windows(2).enumerate().skip(1);
-    let short = steps.filter(|(_, pair)| pair[1] > pair[0]);
-    short.map(|(step, _)| inference.named[step]).last()
+    let raised = steps.filter(|(_, pair)| pair[1] > pair[0]);
+    raised.map(|(step, _)| inference.named[step]).next_back()
 }
 
 /// The steps down a ladder that are no longer than chance makes them.
