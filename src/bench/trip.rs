@@ -207,9 +207,13 @@ impl Trip {
         }
     }
 
-    /// A drive that goes on running although its output is to be off.
-    pub(super) fn unstopped(at_s: f64, waited_s: f64) -> Self {
-        let what = "it still runs although its output is to be off";
+    /// A drive that goes on running although its output is to be off, or of which nothing is heard meanwhile.
+    pub(super) fn unstopped(at_s: f64, waited_s: f64, is_heard: bool) -> Self {
+        let what = if is_heard {
+            "it still runs although its output is to be off"
+        } else {
+            "no reply says that its output is off"
+        };
         Self::after(TripKind::NotRunning, at_s, (waited_s, waited_s), what)
     }
 }

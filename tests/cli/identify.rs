@@ -193,7 +193,16 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
     let remove = format!("remove {id} --model {{}} --run {{}} --holdout {{}}");
     let of_remove = card(&remove, &[&better, fit, holdout]);
     assert_eq!(of_diagnose, format!("- {of_add}"));
-    // The value may differ in its last place, the deviation and the verdict do not.
-    let behind = |text: &str| text.split_once(" ± ").expect("a deviation").1.to_owned();
-    assert_eq!(behind(&of_add), behind(&of_remove));
+    // Value and deviation may differ in their last places, the verdict does not.
+    let behind = |text: &str| -> (f64, String) {
+        let (_, rest) = text.split_once(" ± ").expect("a deviation");
+        let (std, verdict) = rest.split_once(' ').expect("a verdict");
+        (std.parse().expect("a number"), verdict.to_owned())
+    };
+    let (added, removed) = (behind(&of_add), behind(&of_remove));
+    assert!(
+        (added.0 / removed.0 - 1.0).abs() < 0.1,
+        "{added:?} {removed:?}"
+    );
+    assert_eq!(added.1, removed.1);
 }

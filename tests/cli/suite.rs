@@ -437,7 +437,7 @@ fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_t
         (
             "inertia_kg_m2 = 0.0045",
             "inertia_kg_m2 = 0.0048",
-            "inertia_kg_m2: 0.0048",
+            "inertia_kg_m2: 0.004",
         ),
         (
             "hidden = []",

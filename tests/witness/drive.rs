@@ -32,7 +32,7 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 /// what brushes and bridge may drop, 3 % to 5 % of the rated voltage, through resistance and back-EMF constant.
 const SEEN_RPM: f64 = 100.0;
 const SEEN_CENTIAMPERES: f64 = 500.0;
-const SEEN_V: f64 = 5.5;
+const SEEN_V: f64 = 5.0;
 /// By so much another master wants less, 0.1 V.
 const OTHER_DECIVOLTS: i16 = 60;
 /// Torque of somebody who drives the shaft, N.m.

@@ -259,12 +259,16 @@ impl<'c, 'a> Mover<'c, 'a> {
         if let Some(brake) = self.brake {
             self.hold_for(brake.apply_s)?;
         }
-        let stands = |state| state != DriveState::Running;
+        let mut is_heard = false;
+        let stands = |state| {
+            is_heard = true;
+            state != DriveState::Running
+        };
         if self.checker.until(Demand::Disable, stands)? {
             return Ok(());
         }
         let waited_s = self.checker.times().stop_s;
-        Err(Cut::Trip(Trip::unstopped(self.next_s, waited_s)))
+        Err(Cut::Trip(Trip::unstopped(self.next_s, waited_s, is_heard)))
     }
 
     /// Output on with the torque that holds a load, under the guard from the first cycle on: the drive opens its brake
