@@ -19,7 +19,7 @@ use super::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, Scenario, State, effect};
+use crate::plant::{Model, ParameterRole, Scenario, State, effect};
 use crate::text::number::probability;
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -341,7 +341,7 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
 }
 
 /// The last named effect that raises the held-out error, where that stays above the floor with all of them: it takes of the
-/// fitted run what has another cause.
+/// fitted run what has another cause. What happens once need not happen in the hold-out.
 fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let floor = inference.floor(&bench.evidence);
     let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
@@ -351,7 +351,15 @@ fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Opti
     }
     let steps = errors.windows(2).enumerate().skip(1);
     let raised = steps.filter(|(_, pair)| pair[1] > pair[0]);
-    raised.map(|(step, _)| inference.named[step]).next_back()
+    let mut raised = raised.map(|(step, _)| inference.named[step]).rev();
+    raised.find(|id| !happens_once(id))
+}
+
+/// Whether an effect begins at an instant of a run.
+fn happens_once(id: &str) -> bool {
+    let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
+    let mut roles = parameters.iter().map(|own| own.role);
+    roles.any(|role| role == ParameterRole::EventTime)
 }
 
 /// The steps down a ladder that are no longer than chance makes them.
