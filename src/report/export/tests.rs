@@ -132,6 +132,11 @@ fn all() -> Vec<(String, Model)> {
 
 /// Compares columns of current and speed, for one model after the other, with our own simulation.
 fn check(models: &[(String, Model)], printed: &str) {
+    check_rows(models, printed, ROWS);
+}
+
+/// The same for its first rows only.
+fn check_rows(models: &[(String, Model)], printed: &str, rows: usize) {
     let numbers: Vec<f64> = printed
         .split_whitespace()
         .map(|word| {
@@ -139,8 +144,8 @@ fn check(models: &[(String, Model)], printed: &str) {
                 .unwrap_or_else(|_| panic!("{word:?} in {printed:.300}"))
         })
         .collect();
-    assert_eq!(numbers.len(), models.len() * ROWS * 2, "{printed:.300}");
-    for ((name, model), theirs) in models.iter().zip(numbers.chunks(2 * ROWS)) {
+    assert_eq!(numbers.len(), models.len() * rows * 2, "{printed:.300}");
+    for ((name, model), theirs) in models.iter().zip(numbers.chunks(2 * rows)) {
         let mut plant = Plant::new(model, Input::Voltage).unwrap();
         let Trajectory {
             current_a,
@@ -155,6 +160,7 @@ fn check(models: &[(String, Model)], printed: &str) {
             let off = ours
                 .iter()
                 .step_by(FINE)
+                .take(rows)
                 .enumerate()
                 .map(|(row, value)| (value - theirs[2 * row + column]).abs())
                 .fold(0.0, f64::max);
@@ -493,6 +499,8 @@ fn octave_gives_what_the_simulation_gives() {
     if !is_there("octave-cli", &["--version"]) {
         return;
     }
+    // It is slow: as far as the shaft stands still in its first reversal.
+    let rows = ROWS / 2;
     let folder = tempfile::tempdir().unwrap();
     let models = few();
     let mut main = String::new();
@@ -504,7 +512,7 @@ fn octave_gives_what_the_simulation_gives() {
         write(folder.path(), &format!("{name}.m"), &text);
         let _ = writeln!(
             main,
-            "m = {name}(); [i, w] = m.simulate(m.parameters, time_s, voltage_v); printf(\"%.17g %.17g\\n\", [i, w]');"
+            "m = {name}(); [i, w] = m.simulate(m.parameters, time_s(1:{rows}), voltage_v(1:{rows})); printf(\"%.17g %.17g\\n\", [i, w]');"
         );
     }
     let _ = writeln!(
@@ -520,7 +528,7 @@ fn octave_gives_what_the_simulation_gives() {
     assert!(output.status.success(), "{said}");
     let out = String::from_utf8(output.stdout).unwrap();
     let (simulated, regulated) = out.split_once("regulator").unwrap();
-    check(&models, simulated);
+    check_rows(&models, simulated, rows);
     check_regulator(regulated);
 }
 

@@ -7,21 +7,24 @@ use rayon::iter::{IntoParallelIterator as _, ParallelIterator as _};
 use super::*;
 use crate::numerics::count::whole;
 
-/// How long a level of the reference stands, s, and how many pairs of levels there are.
+/// How long a level of the reference stands, s, how many pairs of levels there are, and on how many motors.
 #[derive(Clone, Copy)]
 struct Course {
     level_s: f64,
     pairs: u32,
+    motors: u64,
 }
 
 /// One step up, one down, each as long as it takes to be sure; and the embedded bench's six.
 const SHORT: Course = Course {
     level_s: 1.6,
     pairs: 1,
+    motors: MOTORS / 2,
 };
 const WHOLE: Course = Course {
     level_s: 2.0,
     pairs: 3,
+    motors: MOTORS,
 };
 
 /// A ring is a swing of more than this share of the step, beside the noise of the sensor: peak to peak.
@@ -185,7 +188,7 @@ fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64, course: Cours
 
 /// Every controller on every motor, in the order of the controllers.
 fn heard_on_all(config: impl Fn(u64) -> EmulatorConfig + Sync, course: Course) -> Vec<Heard> {
-    let on = |kind: ControllerKind| (1..=MOTORS).map(move |seed| (kind, seed));
+    let on = |kind: ControllerKind| (1..=course.motors).map(move |seed| (kind, seed));
     let runs: Vec<(ControllerKind, u64)> = ControllerKind::ALL.into_iter().flat_map(on).collect();
     let all: Vec<Heard> = runs
         .into_par_iter()
@@ -264,7 +267,7 @@ fn no_controller_rings_unnoticed(course: Course) {
     }
     // pi and mrac are too slow for any of these couplings.
     let told = all.iter().filter(|heard| !heard.watch.is_empty());
-    assert!(told.count() > 100);
+    assert!(told.count() > all.len() / 10);
 }
 
 fn no_controller_is_suspected(course: Course) {
@@ -274,17 +277,17 @@ fn no_controller_is_suspected(course: Course) {
 }
 
 #[test]
-fn no_controller_rings_unnoticed_for_a_second_behind_a_coupling_on_two_hundred_motors() {
+fn no_controller_rings_unnoticed_for_a_second_behind_a_coupling() {
     no_controller_rings_unnoticed(SHORT);
 }
 
 #[test]
-fn no_controller_is_suspected_on_two_hundred_motors_that_are_what_their_model_says() {
+fn no_controller_is_suspected_on_motors_that_are_what_their_model_says() {
     no_controller_is_suspected(SHORT);
 }
 
 #[test]
-#[ignore = "the two above over the whole reference: minutes"]
+#[ignore = "the two above over the whole reference, on twice as many motors: minutes"]
 fn no_controller_rings_unnoticed_or_is_suspected_over_the_whole_reference() {
     no_controller_rings_unnoticed(WHOLE);
     no_controller_is_suspected(WHOLE);
