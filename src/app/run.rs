@@ -200,7 +200,12 @@ fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
         let start = Model::baseline(nameplate.clone());
         let start = start::complete(&start, &run)?;
         let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start)?;
-        let error = Score::of(&fit.model, &evidence.training, &evidence.noise)?.nrms;
+        // A model that holds where the excitation is slow may not hold where it is fast.
+        let parts = [&evidence.training, &evidence.holdout];
+        let errors =
+            parts.map(|part| Score::of(&fit.model, part, &evidence.noise).map(|score| score.nrms));
+        let [fitted, held_out] = errors;
+        let error = fitted?.max(held_out?);
         let is_explained = evidence.noise.is_at_the_floor(error);
         Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))
     };

@@ -340,19 +340,34 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
     named.find(|id| left == 0 || !is_shown(id))
 }
 
-/// The last named effect that raises the held-out error, where that stays above the floor with all of them: it takes of the
-/// fitted run what has another cause. What happens once need not happen in the hold-out.
+/// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
+/// what has another cause. It raises the held-out error; what happens once need not happen there, and explains little of
+/// either run.
 fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let floor = inference.floor(&bench.evidence);
-    let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
-    let last = *errors.last()?;
+    let last = rungs.last()?.score.nrms;
     if bench.fits_at_once() || floor.is_reached(last) {
         return None;
     }
-    let steps = errors.windows(2).enumerate().skip(1);
-    let raised = steps.filter(|(_, pair)| pair[1] > pair[0]);
-    let mut raised = raised.map(|(step, _)| inference.named[step]).rev();
-    raised.find(|id| !happens_once(id))
+    let is_of_no_use = |id: &str, pair: &[Standing]| {
+        let [held_out, fitted] = [
+            [pair[0].score.nrms, pair[1].score.nrms],
+            [pair[0].fit.nrms, pair[1].fit.nrms],
+        ];
+        if happens_once(id) {
+            let explains = |[before, after]: [f64; 2]| {
+                !floor.is_reached(before) && floor.is_explained_in_part(before, after)
+            };
+            !explains(held_out) && !explains(fitted)
+        } else {
+            held_out[1] > held_out[0]
+        }
+    };
+    let steps = rungs.windows(2).enumerate().skip(1).rev();
+    let mut named = steps.map(|(step, pair)| (inference.named[step], pair));
+    named
+        .find(|(id, pair)| is_of_no_use(id, pair))
+        .map(|(id, _)| id)
 }
 
 /// Whether an effect begins at an instant of a run.

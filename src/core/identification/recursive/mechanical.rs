@@ -209,10 +209,15 @@ impl MechanicalBalance {
 
     /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
     pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
+        let (value, std) = self.acceleration_with_std()?;
+        (value > 0.0 && std < uncertainty * value).then_some(value)
+    }
+
+    /// Kt/J and its standard deviation as the rows have it now, rad/(A.s^2).
+    pub(super) fn acceleration_with_std(&self) -> Option<(f64, f64)> {
         let std = self.fits.estimator.standard_deviations()?[0];
         let value = self.fits.estimator.parameters()[0];
-        (self.fits.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < uncertainty * value)
-            .then_some(value)
+        (self.fits.estimator.rows() > FEWEST_ROWS).then_some((value, std))
     }
 
     /// Variance of one speed sample's error, (rad/s)^2.

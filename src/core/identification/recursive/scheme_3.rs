@@ -285,7 +285,14 @@ impl Scheme3 {
     }
 
     fn intervals(&self) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
-        let acceleration = self.acceleration.unwrap_or(0.0);
+        self.intervals_at(self.acceleration.unwrap_or(0.0))
+    }
+
+    /// With this Kt/J, rad/(A.s^2).
+    fn intervals_at(
+        &self,
+        acceleration: f64,
+    ) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
         self.readings.windows(2).map(move |pair| {
             let (a, b) = (&pair[0], &pair[1]);
             let moving = a.direction != 0 || b.direction != 0;
@@ -300,19 +307,38 @@ impl Scheme3 {
         })
     }
 
-    /// Current at the end of the block, predicted from its begin.
-    fn predict(&self, winding: &Winding, begin_a: f64, speed_errors: [f64; 2]) -> f64 {
+    /// Kt/J where it is off by as much as it is not known: by what the rows since would have it be, and by the uncertainty
+    /// of that. A load that does not follow leaves the rotor's own inertia, taken as half of all at least.
+    fn doubtful_acceleration(&self) -> f64 {
+        let Some(used) = self.acceleration else {
+            return 0.0;
+        };
+        let doubt = (self.balance)
+            .acceleration_with_std()
+            .map_or(used, |(now, std)| (now - used).hypot(std));
+        used + doubt.min(used)
+    }
+
+    /// Current at the end of the block, predicted from its begin with this Kt/J.
+    fn predict(
+        &self,
+        acceleration: f64,
+        winding: &Winding,
+        begin_a: f64,
+        speed_errors: [f64; 2],
+    ) -> f64 {
         let [mut first, last] = speed_errors;
         let end = self.readings.len().saturating_sub(2);
-        self.intervals()
-            .enumerate()
-            .fold(begin_a, |current, (index, (_, _, mut interval))| {
+        self.intervals_at(acceleration).enumerate().fold(
+            begin_a,
+            |current, (index, (_, _, mut interval))| {
                 interval.speed[0] -= std::mem::take(&mut first);
                 if index == end {
                     interval.speed[1] -= last;
                 }
                 winding::propagate(winding, current, &interval).0
-            })
+            },
+        )
     }
 
     fn take_block(&mut self, begin_s: f64, end_s: f64) {
@@ -464,9 +490,16 @@ impl Scheme3 {
     fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
         let noise = self.stamped_noise(length_s);
         let mut tracks = std::mem::take(&mut self.tracks);
+        let (known, doubtful) = (
+            self.acceleration.unwrap_or(0.0),
+            self.doubtful_acceleration(),
+        );
         let block = Block {
             predict: |winding: &Winding, begin_a, speed_errors| {
-                self.predict(winding, begin_a, speed_errors)
+                self.predict(known, winding, begin_a, speed_errors)
+            },
+            predict_doubtful: |winding: &Winding, begin_a, speed_errors| {
+                self.predict(doubtful, winding, begin_a, speed_errors)
             },
             first_current_a: self.readings[0].current_a,
             last_current_a: self.readings[self.readings.len() - 1].current_a,
@@ -664,9 +697,11 @@ impl Scheme3 {
         };
         let starting = self.tracks.is_empty();
         let values = estimator.parameters();
-        let stds = estimator
-            .standard_deviations()
-            .filter(|_| estimator.rows() >= START_ROWS);
+        let stds = match self.best() {
+            Some(track) => track.standard_deviations(),
+            None => estimator.standard_deviations(),
+        };
+        let stds = stds.filter(|_| estimator.rows() >= START_ROWS);
         let certain = |j: usize| {
             estimator.ignorance(j) < IGNORANT
                 && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])

@@ -35,9 +35,14 @@ pub(super) struct SampleNoise {
 }
 
 /// One block.
-pub(super) struct Block<F: Fn(&Winding, f64, [f64; 2]) -> f64> {
+pub(super) struct Block<
+    F: Fn(&Winding, f64, [f64; 2]) -> f64,
+    D: Fn(&Winding, f64, [f64; 2]) -> f64,
+> {
     /// Current at the end from the winding, the current at the begin and the errors of the first and the last speed.
     pub(super) predict: F,
+    /// The same if the speed between the samples has another shape, as far as that is not known.
+    pub(super) predict_doubtful: D,
     pub(super) first_current_a: f64,
     pub(super) last_current_a: f64,
     pub(super) length_s: f64,
@@ -73,6 +78,8 @@ fn inner_speed_gain([r, _, ke]: &Winding, share: f64, n: f64) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     estimator: RecursiveLeastSquares<3>,
+    /// The same with predictions off by what is not known of the speed between samples.
+    doubtful: RecursiveLeastSquares<3>,
     start: Winding,
     /// Where the model is linearised.
     anchor: Winding,
@@ -87,8 +94,10 @@ impl Track {
     /// `certain`: the start is near the truth, no early rows need be forgotten.
     pub(super) fn new(start: Winding, noise: SampleNoise, forgetting: f64, certain: bool) -> Self {
         let prior = (PRIOR / noise.current_a).powi(2);
+        let doubtful = RecursiveLeastSquares::new(start, start, prior, forgetting);
         Self {
-            estimator: RecursiveLeastSquares::new(start, start, prior, forgetting).clustered(),
+            estimator: doubtful.clone().clustered(),
+            doubtful,
             start,
             anchor: start,
             forgetting,
@@ -100,6 +109,13 @@ impl Track {
 
     pub(super) fn estimator(&self) -> &RecursiveLeastSquares<3> {
         &self.estimator
+    }
+
+    /// Standard deviations of R, L and Ke with what the shape of the speed between samples may make of them.
+    pub(super) fn standard_deviations(&self) -> Option<[f64; 3]> {
+        let (values, other) = (self.estimator.parameters(), self.doubtful.parameters());
+        let stds = self.estimator.standard_deviations()?;
+        Some(std::array::from_fn(|j| stds[j].hypot(other[j] - values[j])))
     }
 
     /// Relative distance of a parameter from the start.
@@ -117,11 +133,11 @@ impl Track {
     }
 
     /// Takes a block and returns the innovation, A.
-    pub(super) fn take<F: Fn(&Winding, f64, [f64; 2]) -> f64>(
-        &mut self,
-        block: &Block<F>,
-        noise: SampleNoise,
-    ) -> Option<f64> {
+    pub(super) fn take<F, D>(&mut self, block: &Block<F, D>, noise: SampleNoise) -> Option<f64>
+    where
+        F: Fn(&Winding, f64, [f64; 2]) -> f64,
+        D: Fn(&Winding, f64, [f64; 2]) -> f64,
+    {
         const STEP: f64 = 1e-4;
         let winding = self.anchor;
         let power = noise.current_a.powi(2);
@@ -187,6 +203,9 @@ impl Track {
         let age = f64::from(u32::try_from(self.estimator.rows()).unwrap_or(u32::MAX));
         let lack = (1.0 - self.forgetting).max(self.early_loss * (-age / EARLY_ROWS).exp());
         self.estimator.set_forgetting(1.0 - lack);
+        self.doubtful.set_forgetting(1.0 - lack);
+        let other = predicted - (block.predict_doubtful)(&winding, begin.current_a, errors);
+        (self.doubtful).update_row(&row, weight * (value + other), RowNoise::WHITE);
         let innovation = self
             .estimator
             .update_row(&row, weight * value, RowNoise::WHITE)?
