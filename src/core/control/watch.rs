@@ -20,8 +20,10 @@ const ALIKE: f64 = 3.0;
 /// A swing against which something is done is at least so many times the noise, and this share of the reference.
 const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
-/// One that is told of, in the noise and in the last step of the reference.
+/// One that is told of, in the noise and in the last step of the reference; one that is as large all the time, by the
+/// amplitude of the sine of its root mean square. What noise does to a loop comes near the first, not near the second.
 const TOLD_NOISES: f64 = 8.0;
+const TOLD_STEADY_NOISES: f64 = 5.0;
 const TOLD_STEP_SHARE: f64 = 0.02;
 /// Of the watched time, after the reference was reached, for which it is looked at.
 const LOOKED_AT: f64 = 0.75;
@@ -229,11 +231,17 @@ impl LoopWatch {
             let all = self.second.iter().map(|cycle| cycle.0);
             all.skip(self.second.len() - looked_at)
         };
-        let (low, high) = ends(errors().skip(looked_at / 2));
+        let last = || errors().skip(looked_at / 2);
+        let (low, high) = ends(last());
         let swing_rad_s = 0.5 * (high - low);
         let before = ends(errors().take(looked_at / 2));
-        let told = (TOLD_NOISES * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
-        if swing_rad_s < told || swing_rad_s < GOES_ON * 0.5 * (before.1 - before.0) {
+        let is_large = |swing_rad_s: f64, noises: f64| {
+            let told = (noises * self.noise_rad_s).max(TOLD_STEP_SHARE * self.last_step_rad_s);
+            swing_rad_s >= told
+        };
+        let told = is_large(swing_rad_s, TOLD_NOISES)
+            || is_large(sine_amplitude(last()), TOLD_STEADY_NOISES);
+        if !told || swing_rad_s < GOES_ON * 0.5 * (before.1 - before.0) {
             return None;
         }
         let (low, high) = (low.min(before.0), high.max(before.1));
@@ -294,6 +302,17 @@ fn ends(errors: impl Iterator<Item = f64>) -> (f64, f64) {
     errors.fold((f64::MAX, f64::MIN), |(low, high), error| {
         (low.min(error), high.max(error))
     })
+}
+
+/// Amplitude of the sine that has the root mean square of these errors about their mean.
+fn sine_amplitude(errors: impl Iterator<Item = f64>) -> f64 {
+    let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for error in errors {
+        count += 1.0;
+        sum += error;
+        squares += error * error;
+    }
+    (2.0 * (squares / count - (sum / count).powi(2)).max(0.0)).sqrt()
 }
 
 /// Half-swings that are alike: their mean, the least of them, and whether the last ones are about as large as the first.

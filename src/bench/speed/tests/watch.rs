@@ -270,10 +270,17 @@ fn no_controller_rings_unnoticed(course: Course) {
     assert!(told.count() > all.len() / 10);
 }
 
+/// What the noise of the sensor makes of a quick loop may be told of, as a swing, once in a hundred runs; nothing is done
+/// against it.
 fn no_controller_is_suspected(course: Course) {
-    for heard in heard_on_all(as_the_model_says, course) {
-        assert!(heard.is_done() && heard.watch.is_empty(), "{heard:#?}");
+    let all = heard_on_all(as_the_model_says, course);
+    let told: Vec<&Heard> = all.iter().filter(|heard| !heard.watch.is_empty()).collect();
+    for heard in &all {
+        assert!(heard.is_done(), "{heard:#?}");
+        let is_only_told = heard.watch.iter().all(|one| one.found == "swings");
+        assert!(is_only_told, "{heard:#?}");
     }
+    assert!(told.len() * 100 <= all.len(), "{told:#?}");
 }
 
 #[test]
