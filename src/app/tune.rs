@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::failure::Failure;
 use super::files::{read_text, speed_command};
-use crate::control::tuning::{Request, Tuning, tune_over};
+use crate::control::tuning::{Request, Tuning, TuningError, tune_over};
 use crate::control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
     StepPoint, drawn,
@@ -26,6 +26,8 @@ pub(crate) struct TuneResult {
     step: Vec<StepPoint>,
     /// Inertia over the model's between which gains can follow it on line.
     adaptation_range: (f64, f64),
+    /// Why it ends below and above, where the rule refuses what lies beyond.
+    adaptation_ends: [Option<String>; 2],
     #[serde(skip)]
     history: FileHistory,
 }
@@ -40,9 +42,12 @@ impl TuneResult {
         let draws = drawn(&file.model, &file.history.fitted, plant);
         let mut tuning = tune_over(&own, &draws, timing, request)?;
         tuning.put_band(&draws);
+        let schedule = Schedule::new(&own, &draws, timing, request)?;
+        let why = |error: &Option<TuningError>| error.as_ref().map(ToString::to_string);
         Ok(Self {
             step: tuning.step.clone(),
-            adaptation_range: Schedule::new(&own, &draws, timing, request)?.range(),
+            adaptation_range: schedule.range(),
+            adaptation_ends: schedule.refused().each_ref().map(why),
             history: file.history.clone(),
             tuning,
         })
@@ -137,7 +142,9 @@ fn card(result: &TuneResult, model: &Path) -> Card {
     card.say("margins", margins.collect::<Vec<_>>(), 2);
     let (low, high) = result.adaptation_range;
     let range = format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
-    card.say("range", [range], 1);
+    let ends = ["below", "above"].into_iter().zip(&result.adaptation_ends);
+    let ends = ends.filter_map(|(side, why)| Some(format!("{side}: {}", why.as_ref()?)));
+    card.say("range", [range].into_iter().chain(ends), 2);
     let settling = match response.settling_s {
         None => "does not settle".to_owned(),
         Some(s) => format!("settles within 5 % in {s:.3} s"),

@@ -81,7 +81,31 @@ pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> O
     (distance <= name.len().max(given.len()).div_ceil(2)).then_some(name)
 }
 
-/// One help line for an unknown key: the conversion to our unit, the nearest key, or all of them.
+/// Keys that only one kind of file has at its top: who finds one elsewhere was given another file than was meant.
+const OF_A_KIND: [(&str, &str); 9] = [
+    ("capabilities", "drive profiles"),
+    ("case", "suites"),
+    ("drive", "bench files"),
+    ("effect", "model files"),
+    ("hidden", "software drives (--emulator)"),
+    ("history", "model files"),
+    ("link", "bench files"),
+    ("quantisation", "software drives (--emulator)"),
+    ("sequence", "bench files"),
+];
+
+/// One help line for an unknown key of a file: the kind of file that has it, else as for any name.
+pub fn help_for_unknown_key<'a>(
+    given: &str,
+    allowed: impl IntoIterator<Item = &'a str> + Clone,
+) -> String {
+    match OF_A_KIND.iter().find(|(key, _)| *key == given) {
+        Some((_, kind)) => format!("`{given}` is a key of {kind}: is it the right file?"),
+        None => help_for_unknown(given, allowed),
+    }
+}
+
+/// One help line for an unknown name: the conversion to our unit, the nearest name, or all of them.
 pub fn help_for_unknown<'a>(
     given: &str,
     allowed: impl IntoIterator<Item = &'a str> + Clone,
@@ -128,7 +152,7 @@ fn in_words(message: &str) -> String {
 fn help_for(message: &str) -> String {
     let mut quoted = message.split('`').skip(1).step_by(2);
     match (message.starts_with("unknown"), quoted.next()) {
-        (true, Some(given)) => help_for_unknown(given, quoted),
+        (true, Some(given)) => help_for_unknown_key(given, quoted),
         (false, Some(name)) if message.starts_with("missing field") => {
             format!("add `{name}`; bench-configs/ has commented examples")
         }
@@ -172,6 +196,14 @@ mod tests {
         assert_eq!((error.line, error.column), (2, 1));
         assert_eq!(error.message, "unknown field `speed_rads`");
         assert_eq!(error.help, "did you mean `speed_rad_s`?");
+    }
+
+    #[test]
+    fn a_key_of_another_kind_of_file_asks_for_the_right_file() {
+        let error = parse::<Limits>("m.toml", "current_a = 3.0\n[history]\n").unwrap_err();
+        assert_eq!(error.message, "unknown field `history`");
+        let help = "`history` is a key of model files: is it the right file?";
+        assert_eq!(error.help, help);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};
+use super::section::{ControllerKind, GainsSection, SpeedSection};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::timing::whole;
 use crate::control::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
@@ -404,9 +404,7 @@ impl Design<'_> {
                 };
                 let mut addc =
                     Addc::new(self.model, plant, &self.timing, &settings).map_err(refused)?;
-                // What is given forward is no part of the voltage that the regulator knows of.
-                let is_alone = self.section.feed_forward == ForwardUse::Off;
-                if self.actuator == Actuator::Voltage && is_alone {
+                if self.actuator == Actuator::Voltage {
                     let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
                     let adapting =
                         addc.clone()

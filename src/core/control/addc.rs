@@ -59,6 +59,8 @@ pub struct Addc {
     schedule: Schedule,
     estimator: LoadEstimator,
     electrical: Option<Electrical>,
+    /// What is given beside its output: the winding has both.
+    beside: f64,
     request: Request,
     draws: Vec<LinearPlant>,
     torque_n_m_per_a: f64,
@@ -71,6 +73,7 @@ pub struct Addc {
     /// The gains moved in this cycle.
     moved: bool,
     told_proportional: f64,
+    told_ratio: f64,
     told_jumps: u32,
 }
 
@@ -106,6 +109,7 @@ impl Addc {
             schedule,
             estimator,
             electrical: None,
+            beside: 0.0,
             request: Request {
                 notch: gains.notch.map_or(NotchUse::Off, NotchUse::Like),
                 ..settings.request
@@ -117,6 +121,7 @@ impl Addc {
             still: Some(NOT_SETTLED),
             moved: false,
             told_proportional: gains.proportional,
+            told_ratio: 1.0,
             told_jumps: 0,
         })
     }
@@ -229,10 +234,14 @@ impl SpeedController for Addc {
         self.pi.step(reference_rad_s, now, period_s)
     }
 
+    fn beside(&mut self, output: f64) {
+        self.beside = output;
+    }
+
     fn applied(&mut self, output: f64) {
         self.pi.applied(output);
         if let Some(electrical) = &mut self.electrical {
-            electrical.applied(output);
+            electrical.applied(output + self.beside);
         }
     }
 
@@ -263,10 +272,13 @@ impl SpeedController for Addc {
         if !arrived && !jumped {
             return None;
         }
+        let ratio = self.inertia_ratio();
         let because = if jumped {
             "the load changed: the memory of the estimate was dropped"
-        } else {
+        } else if (ratio / self.told_ratio - 1.0).abs() > NEWS {
             "the estimate moved"
+        } else {
+            "the gains have come to the estimate"
         };
         let line = format!(
             "Kp {:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
@@ -276,6 +288,7 @@ impl SpeedController for Addc {
             self.mechanical_text()
         );
         self.told_proportional = gains.proportional;
+        self.told_ratio = ratio;
         self.told_jumps = self.estimator.jumps();
         Some(line)
     }

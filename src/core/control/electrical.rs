@@ -154,8 +154,8 @@ mod tests {
     use super::*;
     use crate::control::testing::{assert_close, inertia, model, plant, timing};
     use crate::control::{
-        Actuator, Addc, AddcSettings, Course, Holding, Limiter, SpeedController as _, TrialMachine,
-        trial,
+        Actuator, Addc, AddcSettings, Compensated, Course, FeedForward, Holding, Limiter,
+        SpeedController, TrialMachine, trial,
     };
 
     #[test]
@@ -222,9 +222,15 @@ mod tests {
             output: 110.0,
             current: None,
         };
-        trial(&machine, &course, &mut addc, &limiter, 2000, 1);
-        let found = addc.adapted().and_then(|now| now.electrical_s).unwrap();
-        assert_close(found / 0.005, 1.0, 0.1);
+        // What is given forward is part of the voltage that the winding has.
+        let forward = FeedForward::new(&model, &[], Actuator::Voltage, &timing, 1e3).unwrap();
+        let mut compensated = Compensated::new(Box::new(addc.clone()), forward);
+        let both: [&mut dyn SpeedController; 2] = [&mut addc, &mut compensated];
+        for controller in both {
+            trial(&machine, &course, controller, &limiter, 2000, 1);
+            let found = controller.adapted().and_then(|now| now.electrical_s);
+            assert_close(found.unwrap() / 0.005, 1.0, 0.1);
+        }
         let fixed = Addc::new(&model, &plant, &timing, &settings).unwrap();
         let [fixed, adapted] = [&fixed, &addc].map(|addc| addc.pi().gains().proportional);
         assert!(adapted > 1.08 * fixed, "{fixed} {adapted}");

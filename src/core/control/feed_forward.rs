@@ -407,6 +407,7 @@ impl SpeedController for Compensated {
             let kept = (1.0 - short / self.pushes).max(0.0);
             self.plan[0] = self.plan[1] + kept * (self.plan[0] - self.plan[1]);
         }
+        self.inner.beside(self.given);
         self.inner.applied(output - self.given);
     }
 

@@ -122,7 +122,11 @@ pub trait SpeedController: Send {
     /// One cycle of `period_s`: the output that is wanted, in the unit of the actuator.
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64;
 
-    /// What really leaves after all limits; once after each [`Self::step`].
+    /// What another gives beside this controller's own output in this cycle, before [`Self::applied`] of it; zero where it
+    /// is never told.
+    fn beside(&mut self, _output: f64) {}
+
+    /// What really leaves of its output after all limits; once after each [`Self::step`].
     fn applied(&mut self, output: f64);
 
     /// Bumpless start: the shaft turns as measured, and `output` is what holds it there. No memory of before remains.

@@ -17,6 +17,8 @@ const LEAST_GAIN_MARGIN: f64 = 1.6;
 #[derive(Clone, Debug)]
 pub struct Schedule {
     points: Vec<Scheduled>,
+    /// What the rule refuses below the first and above the last of them; none where the grid's reach ends.
+    refused: [Option<TuningError>; 2],
     /// Logarithm of the lowest ratio and of the step.
     lowest: f64,
     step: f64,
@@ -81,19 +83,30 @@ impl Schedule {
             tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
         };
         let mut points = vec![point(&own)];
+        let mut refused = [None, None];
         let mut first = middle;
-        while first > 0
-            && let Ok(point) = at(first - 1)
-        {
-            points.insert(0, point);
-            first -= 1;
+        for index in (0..middle).rev() {
+            match at(index) {
+                Ok(point) => points.insert(0, point),
+                Err(error) => {
+                    refused[0] = Some(error);
+                    break;
+                }
+            }
+            first = index;
         }
         for index in middle + 1..POINTS {
-            let Ok(point) = at(index) else { break };
-            points.push(point);
+            match at(index) {
+                Ok(point) => points.push(point),
+                Err(error) => {
+                    refused[1] = Some(error);
+                    break;
+                }
+            }
         }
         Ok(Self {
             points,
+            refused,
             lowest: first as f64 * step - REACH.ln(),
             step,
         })
@@ -103,6 +116,11 @@ impl Schedule {
     pub fn range(&self) -> (f64, f64) {
         let highest = self.lowest + (self.points.len() - 1) as f64 * self.step;
         (self.lowest.exp(), highest.exp())
+    }
+
+    /// What the rule refuses below and above that range, where it is not the reach of the grid that ends it.
+    pub const fn refused(&self) -> &[Option<TuningError>; 2] {
+        &self.refused
     }
 
     /// Gains for a ratio; beyond the grid those of its end.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::effect::{self, DefinitionError, Layout};
 use super::model::{ActiveEffect, Model, Slot};
 use super::motor::{Motor, MotorKey};
-use crate::config_text::{ConfigError, help_for_unknown, nearest};
+use crate::config_text::{ConfigError, help_for_unknown_key, nearest};
 use crate::sample::ParameterEstimate;
 
 /// Key of an effect under which the motor's parameters stand that are fixed for its sake.
@@ -230,7 +230,7 @@ impl Reader<'_> {
     }
 
     fn unknown(&self, from: usize, key: &str, allowed: &[&str]) -> ConfigError {
-        let help = help_for_unknown(key, allowed.iter().copied());
+        let help = help_for_unknown_key(key, allowed.iter().copied());
         self.at(self.find(from, key), &format!("unknown key `{key}`"), help)
     }
 
