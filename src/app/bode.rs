@@ -336,7 +336,7 @@ impl Bode {
         }
         match model {
             Some(model) if !self.compared.missing_resonances().is_empty() => card.go_on(format!(
-                "drivebench add elastic_coupling --model {model} --run {run}{map_words}"
+                "drivebench add elastic_coupling --model {model} --run {run}{map_words} --output model2.toml"
             )),
             Some(model) if self.compared.departures.is_empty() => {
                 card.go_on(format!("drivebench tune --model {model}"));

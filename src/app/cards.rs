@@ -5,15 +5,20 @@ use super::identify::{Answer, is_usable};
 use super::output::{fitted, quoted};
 use super::run::Whole;
 use super::speed::SpeedResult;
-use crate::bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking};
-use crate::identification::nameplate::Comparison;
+use crate::bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched};
+use crate::identification::nameplate::{self, Comparison, Fits};
+use crate::identification::recursive::INERTIA_HAS_CHANGED;
 use crate::identification::repeat::Repeated;
-use crate::plant::Model;
+use crate::plant::{Model, Motor};
 use crate::recording::RunFile;
 use crate::report::page::Table;
 use crate::report::{Card, Tone, conventions, tables};
+use crate::sample::{ParameterEstimate, Verdict};
 use crate::text::number::{fixed, with_std};
 use crate::workflow::EscalationResult;
+
+/// Share of a run from which on it is worth a word that the drive's own limit held its output.
+const MUCH_LIMITED_SHARE: f64 = 0.1;
 
 /// The reasons of all verdicts, and how the motor was found.
 pub(crate) fn run_in_full(whole: &Whole, plate: Option<&Comparison>) -> Vec<String> {
@@ -49,9 +54,11 @@ pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Card {
     card.say("plate", plate.into_iter().flat_map(Comparison::in_short), 1);
     let folder = recorded.folder.path();
     let run = quoted(folder);
-    if recorded.summary.outcome == Outcome::Done {
-        card.go_on(format!("drivebench diagnose {run}"));
-    }
+    let word = match recorded.summary.outcome {
+        Outcome::Done => "diagnose",
+        _ => "view",
+    };
+    card.go_on(format!("drivebench {word} {run}"));
     end_of_run(&mut card, recorded);
     card
 }
@@ -60,6 +67,7 @@ pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Card {
 fn end_of_run(card: &mut Card, recorded: &Recorded) {
     let page = recorded.folder.file(RunFile::Report);
     let last = if page.exists() {
+        card.is_of_a_motion();
         page.as_path()
     } else {
         recorded.folder.path()
@@ -89,6 +97,16 @@ fn account(summary: &RunSummary, rate: &str) -> Card {
         format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
     });
     card.say("last 2 s", last, 1);
+    let frozen = &summary.frozen;
+    let is_much = frozen.rows as f64 > MUCH_LIMITED_SHARE * summary.rows as f64;
+    let limited = is_much.then(|| {
+        let (held, seconds) = (frozen.rows, frozen.seconds);
+        format!(
+            "a limit of the drive held its output in {held} of {rows} rows, {seconds:.1} s: nothing is learnt there; slower or smaller \
+             steps stay clear of it"
+        )
+    });
+    card.say("limited", limited, 1);
     card
 }
 
@@ -160,8 +178,17 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
     let summary = result.summary;
     let mut card = account(summary, "");
     if let Some(report) = &summary.speed {
+        let other = of_another_machine(result.motor, &summary.estimates);
+        card.say("machine", other, 2);
         card.say("tracking", report.tracking.iter().map(tracking_text), 2);
-        card.say("steps", steps_text(report), 2);
+        card.say("", softened_text(report), 1);
+        let mut steps = steps_text(report);
+        if summary.outcome != Outcome::Done
+            && let Some(last) = steps.last_mut()
+        {
+            last.push_str("; of whole steps: the last was cut short");
+        }
+        card.say("steps", steps, 2);
         let steps = Table::of(&report.steps)
             .column("at s", |step| fixed(step.step.at_s, 2))
             .column("from", |step| fixed(step.speed_rad_s, 1))
@@ -200,6 +227,11 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
             }
             _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
         });
+    } else {
+        card.go_on(format!(
+            "drivebench view {}",
+            quoted(recorded.folder.path())
+        ));
     }
     end_of_run(&mut card, recorded);
     card
@@ -227,6 +259,56 @@ pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
     let found = found.map(|one| format!("{:>8.2} s  {}", one.time_s, one.reason));
     rows.extend(found.flat_map(|text| fitted(&text)));
     rows
+}
+
+/// Values that are not those that the loop was tuned on, as far as they are known; of an inertia that changed what is known so far.
+fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
+    let compared = nameplate::compare(tuned_on, found);
+    let rows = compared.rows.iter().filter(|row| row.fits == Fits::No);
+    let sentences = rows.filter_map(|row| {
+        let estimate = ParameterEstimate::find(found, row.key)?;
+        let reason = estimate.reason.as_deref().unwrap_or_default();
+        let has_changed = reason.starts_with(INERTIA_HAS_CHANGED);
+        let is_known = estimate.verdict == Verdict::Settled || has_changed;
+        let (value, ratio) = (row.found.filter(|_| is_known)?, row.ratio?);
+        let number = with_std(value, row.std);
+        let why = if has_changed {
+            format!("; {reason}")
+        } else {
+            String::new()
+        };
+        Some(format!(
+            "{} is {number} {}, {ratio:.2} times what the loop was tuned on{why}",
+            row.key, row.unit
+        ))
+    });
+    sentences.collect()
+}
+
+/// Where a reference is followed twice and the watch lowered the gains, what the passes differ by is not only what is given
+/// forward.
+fn softened_text(report: &SpeedReport) -> Option<String> {
+    let softest = |pass: &Tracking| {
+        let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
+        let shares = report
+            .watch
+            .iter()
+            .filter(inside)
+            .map(|found| found.gain_share);
+        shares.fold(1.0, f64::min)
+    };
+    let shares: Vec<f64> = report.tracking.iter().map(softest).collect();
+    let is_softened = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);
+    is_softened.then(|| {
+        let each = report.tracking.iter().zip(&shares);
+        let each = each.map(|(pass, share)| {
+            format!("{:.0} % {} feed-forward", 100.0 * share, forward_word(pass))
+        });
+        format!(
+            "the loop swung and its gain fell to {}: the passes are those of two loops, not of feed-forward alone",
+            each.collect::<Vec<_>>().join(", ")
+        )
+    })
 }
 
 /// The worst step of the report, or where it was followed twice the means of each pass, so that both are seen.

@@ -24,7 +24,7 @@ use crate::bench::{
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
 use crate::drive::offer::Purpose;
-use crate::plant::{Model, ModelFile, TorqueMap};
+use crate::plant::{Model, ModelFile, Motor, TorqueMap};
 use crate::recording::RunFile;
 use crate::report::SpeedLoop;
 use crate::report::page::{Cell, Table};
@@ -55,6 +55,8 @@ pub struct SpeedResult<'a> {
     rule: Rule,
     /// The model's file, or `nameplate`.
     model: String,
+    #[serde(skip)]
+    pub(super) motor: &'a Motor,
     /// At rest, before the loop was tuned; null where the drive does not say when a command was applied.
     delay_at_rest: Option<LoopDelay>,
     #[serde(flatten)]
@@ -76,6 +78,8 @@ pub struct SpeedDone {
     pub recorded: Recorded,
     rule: Rule,
     model: String,
+    /// What the loop was tuned on.
+    motor: Motor,
     delay: Option<LoopDelay>,
 }
 
@@ -277,6 +281,7 @@ pub fn speed(
         recorded: rig.record_loop(&name, pilot, about, controls)?,
         rule,
         model,
+        motor: request.model.model.motor.clone(),
         delay,
     };
     whole
@@ -376,6 +381,7 @@ pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
         folder: whole.recorded.folder.path().display().to_string(),
         rule: whole.rule,
         model: whole.model.clone(),
+        motor: &whole.motor,
         delay_at_rest: whole.delay,
         summary: &whole.recorded.summary,
     }

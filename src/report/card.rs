@@ -34,6 +34,8 @@ pub struct Card {
     parts: Vec<Part>,
     commands: Vec<String>,
     page: Option<String>,
+    /// What has the rest of it.
+    rest: &'static str,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,6 +100,7 @@ impl Card {
             parts: Vec::new(),
             commands: Vec::new(),
             page: None,
+            rest: "--full",
         }
     }
 
@@ -163,6 +166,11 @@ impl Card {
         self.page = Some(page.into());
     }
 
+    /// To be told again it would turn the motor again: what is left out stands on the page.
+    pub fn is_of_a_motion(&mut self) {
+        self.rest = "the page below";
+    }
+
     /// All of it, in rows of this width.
     pub fn rows(&self, width: usize) -> Vec<String> {
         let shown: Vec<usize> = self.parts.iter().map(|part| part.body.entries()).collect();
@@ -213,9 +221,9 @@ impl Card {
         }
         let all: usize = self.parts.iter().map(|part| part.body.entries()).sum();
         let more = match all - shown.iter().sum::<usize>() {
-            0 if breaks_off => Some("--full has the rest of what ends in …".to_owned()),
+            0 if breaks_off => Some(format!("{} has the rest of what ends in …", self.rest)),
             0 => None,
-            left => Some(format!("--full has {left} more")),
+            left => Some(format!("{} has {left} more", self.rest)),
         };
         labelled(&mut rows, "more", more.into_iter().collect());
         let commands = self.commands.iter();

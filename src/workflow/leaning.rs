@@ -14,6 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::bench::{Snapshot, TracePoint};
 use crate::diagnosis::{Leaning, lean};
 use crate::identification::noise::NoiseFloor;
+use crate::identification::recursive::INERTIA_HAS_CHANGED;
 use crate::plant::{Input, Model, Motor, MotorKey, Scenario};
 use crate::sample::{Channel, ParameterEstimate};
 
@@ -104,11 +105,24 @@ impl LeaningWatch {
             self.push(point);
         }
         self.last_s = self.last_s.max(newest);
+        let inertia = ParameterEstimate::find(&snapshot.estimates, MotorKey::Inertia.key());
+        let reason = inertia.and_then(|inertia| inertia.reason.as_deref());
+        if reason.is_some_and(|reason| reason.starts_with(INERTIA_HAS_CHANGED)) {
+            // What came before was another machine, to which the values that are found now do not belong.
+            self.forget();
+        }
         for key in MotorKey::ALL {
             let found = ParameterEstimate::find(&snapshot.estimates, key.key());
             if let Some(value) = found.and_then(|estimate| estimate.value) {
                 self.motor.set(key, value);
             }
+        }
+    }
+
+    fn forget(&mut self) {
+        self.events.clear();
+        for values in [&mut self.times, &mut self.current_a, &mut self.speed_rad_s] {
+            values.clear();
         }
     }
 
@@ -225,6 +239,23 @@ mod tests {
         other.name = "another".to_owned();
         watch.take(&other);
         assert_eq!(watch.look(), None);
+    }
+
+    #[test]
+    fn what_came_before_another_inertia_is_not_looked_at() {
+        let run = with_a_fan(0);
+        let mut watch = LeaningWatch::default();
+        watch.take(&snapshot(&run, 600, 600));
+        assert!(watch.look().is_some());
+        let mut changed = snapshot(&run, 700, 200);
+        let estimates = Arc::make_mut(&mut changed.estimates);
+        let mut all = estimates.iter_mut();
+        let inertia = all.find(|own| own.key == MotorKey::Inertia.key()).unwrap();
+        inertia.unsettle(format!("{INERTIA_HAS_CHANGED}: begun again"));
+        watch.take(&changed);
+        assert_eq!(watch.look(), None);
+        watch.take(&snapshot(&run, 1000, 300));
+        assert!(watch.look().is_some_and(|found| found.seconds < 2.0));
     }
 
     #[test]

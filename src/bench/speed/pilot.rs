@@ -219,7 +219,7 @@ impl SpeedPilot {
                 most_rad_s,
             } => {
                 let reason = format!(
-                    "{} and goes on, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or play belongs into it), or a faster link",
+                    "{} and goes on, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or play belongs into it; addc follows an inertia that changed), or a faster link",
                     about(swing_rad_s)
                 );
                 ("swings_on", swing_rad_s, reason)

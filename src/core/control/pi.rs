@@ -197,7 +197,11 @@ impl SpeedController for Pi {
             AntiWindup::Hold => "follows what holds the present speed",
         };
         vec![
-            format!("{}, fixed", self.gains.text(&self.softened_text())),
+            if self.share < 1.0 {
+                self.gains.text(&self.softened_text())
+            } else {
+                format!("{}, fixed", self.gains.text(""))
+            },
             format!("while the output is limited the integral part {integral}"),
         ]
     }

@@ -157,10 +157,8 @@ impl LoopWatch {
         if self.second.len() > self.cycles {
             self.second.pop_front();
         }
-        // Softer gains do no harm to a loop whose swing would have died away; its end would.
-        let counts = |swing: &Alike| {
-            swing.least_rad_s > self.floor_rad_s() && (swing.lasts || self.can_soften())
-        };
+        // One that dies away is that of the machine behind a step, not the loop's.
+        let counts = |swing: &Alike| swing.least_rad_s > self.floor_rad_s() && swing.lasts;
         if let Some(swing) = swings.filter(counts) {
             return self.found(swing.mean_rad_s);
         }

@@ -59,6 +59,13 @@ pub struct Row {
     pub sentence: String,
 }
 
+impl Row {
+    /// The plate says it, and the data do not.
+    fn is_open(&self) -> bool {
+        self.fits == Fits::NotTold && self.nameplate.is_some()
+    }
+}
+
 /// The whole plate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
@@ -107,12 +114,20 @@ impl Comparison {
     pub fn text(&self) -> String {
         use std::fmt::Write as _;
         let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
+        let open: Vec<&str> = self
+            .rows
+            .iter()
+            .filter(|row| row.is_open())
+            .map(|row| row.key)
+            .collect();
+        let fits_in_part = format!("fits but for what was not told: {}", open.join(", "));
         let mut text = format!(
             "nameplate {} (within {:.0} % and the uncertainty)\n",
             match (&self.doubt, judged, self.fits) {
                 (Some(doubt), ..) => doubt,
                 (None, false, _) => "not judged: nothing was identified that it says",
-                (None, true, true) => "fits",
+                (None, true, true) if open.is_empty() => "fits",
+                (None, true, true) => &fits_in_part,
                 (None, true, false) => "does NOT fit",
             },
             100.0 * self.tolerance

@@ -205,7 +205,7 @@ impl SpeedController for LoadObserving {
                 self.iterations[1]
             ),
             format!(
-                "acts on the state predicted over {} cycles; the load of {:.3} N.m is fed forward",
+                "acts on the state predicted over {} cycles; the load that its observer sees, {:.3} N.m now, is fed forward",
                 self.delay_periods, self.x[2]
             ),
         ]

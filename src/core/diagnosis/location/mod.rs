@@ -125,6 +125,9 @@ pub enum ErrorOf {
 const FEWEST_WINDOWS: usize = 40;
 /// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
 const MATERIAL_SHARE: f64 = 0.03;
+/// A move of a resistance, a back-EMF constant or an inertia from this share on is another machine than the one that was
+/// fitted, which changed: without it what is left lies where it did not change.
+const ANOTHER_SHARE: f64 = 0.5;
 
 /// The equations that a run can be asked about: without a voltage there is no balance of it.
 const fn equations(input: Input) -> &'static [Balance] {
@@ -245,7 +248,16 @@ fn refit(
     let after = windows.balance(equation, noise);
     balance.nres_refitted = after.nres;
     let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;
-    balance.refitted = error_of == ErrorOf::Structure || balance.own_changes.iter().all(is_small);
+    let is_another = |change: &OwnChange| {
+        let is_sure = ![MotorKey::LoadTorque, MotorKey::Inductance]
+            .map(MotorKey::key)
+            .contains(&change.key);
+        is_sure && change.share.abs() > ANOTHER_SHARE
+    };
+    balance.refitted = match error_of {
+        ErrorOf::Structure => !balance.own_changes.iter().any(is_another),
+        ErrorOf::Model => balance.own_changes.iter().all(is_small),
+    };
     if balance.refitted {
         balance.fails = after.fails;
         balance.forward_share_of_error = after.forward_share_of_error;

@@ -26,6 +26,8 @@ const FEWEST_LINES: f64 = 22.0;
 const BRIDGED: usize = 2;
 /// Share of the magnitude, and angle in radians, below which a difference is of no consequence.
 const LEAST: f64 = 0.05;
+/// Logarithm of the ratio of two neighbouring frequencies up to which a response is looked up between them.
+const WIDEST_STEP: f64 = 0.06;
 /// Share of a frequency within which two modes are the same.
 const SAME_MODE: f64 = 0.1;
 
@@ -102,7 +104,8 @@ pub fn compared(
     scenarios: &[Scenario],
     model: Option<&[Scenario]>,
 ) -> Result<Compared, FrequencyResponseError> {
-    let measured = frequency_response(scenarios)?;
+    let mut measured = frequency_response(scenarios)?;
+    measured.cautions.extend(disagreements(scenarios)?);
     let model = model
         .map(|model| response_over(model, scenarios))
         .transpose()?;
@@ -141,6 +144,39 @@ impl Compared {
             .copied()
             .collect()
     }
+}
+
+/// Runs whose response is not that of the first of them: the mean of both would be that of no machine.
+fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyResponseError> {
+    let [first, others @ ..] = scenarios else {
+        return Ok(Vec::new());
+    };
+    if others.is_empty() {
+        return Ok(Vec::new());
+    }
+    let of_first = frequency_response(std::slice::from_ref(first))?;
+    let mut said = Vec::new();
+    for other in others {
+        let mut own = frequency_response(std::slice::from_ref(other))?;
+        for pathway in &mut own.pathways {
+            pathway.points.retain(|point| point.is_carried);
+        }
+        let differs = departures(&of_first, &own);
+        let widest = differs
+            .iter()
+            .max_by(|a, b| (a.to_hz / a.from_hz).total_cmp(&(b.to_hz / b.from_hz)));
+        said.extend(widest.map(|band| {
+            let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
+            format!(
+                "{} differs from {} by more than both intervals from {from} to {to} Hz ({}): are they of one machine in one state? \
+                 What is shown is between them",
+                other.name,
+                first.name,
+                band.pathway.name()
+            )
+        }));
+    }
+    Ok(said)
 }
 
 fn departures(measured: &FrequencyResponse, model: &FrequencyResponse) -> Vec<Departure> {
@@ -187,15 +223,42 @@ fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> 
     found.collect()
 }
 
+/// Half of a point's interval, in the logarithm of its magnitude.
+fn half_width(point: &ResponsePoint) -> f64 {
+    (point.magnitude_high / point.magnitude).ln()
+}
+
+/// Magnitude, phase in degrees and half width at a frequency, between the two points about it where none is at it: records of
+/// other lengths have other frequencies.
+fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)> {
+    let place = points.partition_point(|point| point.frequency_hz < hertz);
+    let above = points.get(place)?;
+    let below = match above.frequency_hz <= hertz {
+        true => above,
+        false => points.get(place.checked_sub(1)?)?,
+    };
+    let span = (above.frequency_hz / below.frequency_hz).ln();
+    if span > WIDEST_STEP {
+        return None;
+    }
+    let share = if span > 0.0 {
+        (hertz / below.frequency_hz).ln() / span
+    } else {
+        0.0
+    };
+    let between = |of: fn(&ResponsePoint) -> f64| of(below) + share * (of(above) - of(below));
+    Some((
+        between(|point| point.magnitude.ln()).exp(),
+        between(|point| point.phase_deg),
+        half_width(below).max(half_width(above)),
+    ))
+}
+
 fn off(at: usize, pathway: Pathway, own: &ResponsePoint, model: &[ResponsePoint]) -> Option<Off> {
-    let place = model.partition_point(|point| point.frequency_hz < own.frequency_hz);
-    let other = model
-        .get(place)
-        .filter(|other| other.frequency_hz <= own.frequency_hz)?;
-    let half = |point: &ResponsePoint| (point.magnitude_high / point.magnitude).ln();
-    let half_width = half(own).hypot(half(other));
-    let magnitude = (other.magnitude / own.magnitude).ln();
-    let phase_deg = other.phase_deg - own.phase_deg;
+    let (other_magnitude, other_phase_deg, other_half) = at_frequency(model, own.frequency_hz)?;
+    let half_width = half_width(own).hypot(other_half);
+    let magnitude = (other_magnitude / own.magnitude).ln();
+    let phase_deg = other_phase_deg - own.phase_deg;
     let phase_deg = phase_deg - 360.0 * (phase_deg / 360.0).round();
     let size = magnitude.abs().max(phase_deg.to_radians().abs());
     (size.is_finite() && size >= LEAST).then(|| Off {

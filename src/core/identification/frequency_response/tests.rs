@@ -291,3 +291,19 @@ fn a_true_model_departs_nowhere_and_one_without_the_coupling_where_it_swings() {
         assert!(band.magnitude_db.abs() > 6.0, "{band:?}");
     }
 }
+
+#[test]
+fn runs_of_one_machine_agree_and_those_of_two_are_told() {
+    let (coupled, rigid) = (model(Some(COUPLING)), model(None));
+    for (segment, seed) in [(prbs(20.0), 1), (chirp(20.0), 2)] {
+        let run = |model: &Model, seed| scenario(model, segment.clone(), 500.0, seed);
+        let cautions = |other: Scenario| {
+            let runs = [run(&coupled, seed), other];
+            compared(&runs, None).unwrap().measured.cautions
+        };
+        assert_eq!(cautions(run(&coupled, seed + 10)), Vec::<String>::new());
+        let said = cautions(run(&rigid, seed + 10));
+        assert_eq!(said.len(), 1, "{said:?}");
+        assert!(said[0].contains("of one machine"), "{said:?}");
+    }
+}

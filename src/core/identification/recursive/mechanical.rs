@@ -16,6 +16,8 @@ const FEWEST_ROWS: u64 = 4;
 /// Rows that must have spoken before a change is told, and rows after it before anything is settled again.
 const BELIEVED_ROWS: u64 = 40;
 const REOPENED_ROWS: u64 = 60;
+/// How a reason begins where the inertia is found anew.
+pub const INERTIA_HAS_CHANGED: &str = "the inertia has changed";
 /// Share of the moves of the last rows that their misses add up to where the inertia has changed: more than what a
 /// missing effect makes of them.
 const CHANGE_SHARE: f64 = 0.15;
@@ -167,7 +169,7 @@ impl MechanicalBalance {
     fn reopened(&self) -> Option<String> {
         (self.changes > 0 && self.fits.estimator.rows() < REOPENED_ROWS).then(|| {
             format!(
-                "the inertia has changed: begun again, {} of {REOPENED_ROWS} rows so far",
+                "{INERTIA_HAS_CHANGED}: begun again, {} of {REOPENED_ROWS} rows so far",
                 self.fits.estimator.rows()
             )
         })
