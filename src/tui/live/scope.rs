@@ -56,11 +56,11 @@ impl Chart {
     }
 }
 
-/// Draws the last `window_s` seconds; where there is little room, the speed comes first.
+/// Draws the last `window_s` seconds; where there is little room, the speed comes first. `stands`: why nothing new comes.
 pub(super) fn scope(
     snapshot: &Snapshot,
     window_s: f64,
-    frozen: bool,
+    stands: Option<&str>,
     area: Rect,
     buffer: &mut Buffer,
 ) {
@@ -97,7 +97,7 @@ pub(super) fn scope(
         draw(*chart, snapshot, points, (from_s, to_s), *place, buffer);
     }
     if let Some(place) = areas.last() {
-        time_axis(from_s, to_s, frozen, *place, buffer);
+        time_axis(from_s, to_s, stands, *place, buffer);
     }
 }
 
@@ -247,14 +247,17 @@ fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> (f64, f64) {
     round(low, high)
 }
 
-fn time_axis(from_s: f64, to_s: f64, frozen: bool, area: Rect, buffer: &mut Buffer) {
-    let middle = if frozen {
-        "FROZEN, f = go on".to_owned()
-    } else {
-        format!("{} s", seconds(f64::midpoint(from_s, to_s)))
-    };
+fn time_axis(from_s: f64, to_s: f64, stands: Option<&str>, area: Rect, buffer: &mut Buffer) {
+    let middle = stands.map_or_else(
+        || format!("{} s", seconds(f64::midpoint(from_s, to_s))),
+        str::to_owned,
+    );
     let [left, right] = [from_s, to_s].map(|time_s| format!("{} s", seconds(time_s)));
-    let style = if frozen { theme::CAREFUL } else { theme::DIM };
+    let style = if stands.is_some() {
+        theme::CAREFUL
+    } else {
+        theme::DIM
+    };
     across([&left, &middle, &right], style, area, buffer);
 }
 

@@ -250,7 +250,11 @@ const WITH_LEANING: u16 = 9;
 /// The scope, and beside it parameters and link where there is room.
 fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = model.viewed();
-    let frozen = model.frozen.is_some();
+    let stands = match (model.frozen.is_some(), model.is_finished()) {
+        (true, _) => Some("FROZEN, f = go on"),
+        (false, true) => Some("ENDED"),
+        (false, false) => None,
+    };
     let notice_rows = match area.height {
         0..=5 => 0,
         6..=14 => 1,
@@ -274,13 +278,13 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
-        scope(snapshot, model.window_s(), frozen, body, buffer);
+        scope(snapshot, model.window_s(), stands, body, buffer);
         return;
     }
     let side = if area.width >= 110 { WIDE } else { NARROW };
     let [left, right] =
         Layout::horizontal([Constraint::Fill(1), Constraint::Length(side)]).areas(body);
-    scope(snapshot, model.window_s(), frozen, left, buffer);
+    scope(snapshot, model.window_s(), stands, left, buffer);
     let count = (snapshot.estimates.len() as u16).min(300);
     let rows_of = |each: u16| count.saturating_mul(each).max(5) + 2;
     let has_room = |rows: &u16| rows + LINK_HEIGHT <= body.height;

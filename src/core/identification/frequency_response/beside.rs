@@ -233,9 +233,10 @@ fn half_width(point: &ResponsePoint) -> f64 {
 fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)> {
     let place = points.partition_point(|point| point.frequency_hz < hertz);
     let above = points.get(place)?;
-    let below = match above.frequency_hz <= hertz {
-        true => above,
-        false => points.get(place.checked_sub(1)?)?,
+    let below = if above.frequency_hz <= hertz {
+        above
+    } else {
+        points.get(place.checked_sub(1)?)?
     };
     let span = (above.frequency_hz / below.frequency_hz).ln();
     if span > WIDEST_STEP {
