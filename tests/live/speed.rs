@@ -80,9 +80,11 @@ fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_on
     the_record_is_whole(&desk, &found);
 }
 
-/// The first thing that the watch of the loop found is a swing, in this time, and the gains fell.
+/// The first thing that the watch of the loop does is to let the gains fall, in this time; a small swing may be told before.
 fn softened_within(found: &Value, times_s: std::ops::Range<f64>) {
-    let first = &found["loop"]["watch"][0];
+    let watch = found["loop"]["watch"].as_array().expect("a list");
+    let mut done = watch.iter().filter(|one| one["found"] != "swings");
+    let first = done.next().expect("something was done");
     assert_eq!(first["found"], "softened", "{first}");
     assert!(times_s.contains(&number(first, "time_s")), "{first}");
     assert!(number(first, "gain_share") < 1.0, "{first}");
