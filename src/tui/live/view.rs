@@ -5,7 +5,7 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Block, BorderType, Clear, Paragraph, Widget, Wrap};
+use ratatui::widgets::{Block, BorderType, Clear, Padding, Paragraph, Widget, Wrap};
 
 use super::model::{Model, Page};
 use super::scope::scope;
@@ -532,8 +532,8 @@ impl Banner {
 
     /// Rows that it takes, with its frame, in a screen of this width.
     fn height(&self, width: u16) -> u16 {
-        let inner = usize::from(width.saturating_sub(2)).max(1);
-        let (mut rows, mut used) = (1_usize, 1);
+        let inner = usize::from(width.saturating_sub(4)).max(1);
+        let (mut rows, mut used) = (1_usize, 0);
         for word in self.text.split(' ') {
             let length = word.chars().count();
             if used + length > inner {
@@ -542,7 +542,7 @@ impl Banner {
             }
             used += length + 1;
         }
-        2 + (rows.clamp(1, 4) as u16)
+        2 + (rows.clamp(1, 6) as u16)
     }
 
     fn render(&self, area: Rect, buffer: &mut Buffer) {
@@ -550,8 +550,9 @@ impl Banner {
         let block = Block::bordered()
             .border_type(BorderType::Double)
             .title(self.title.as_str())
+            .padding(Padding::horizontal(1))
             .style(self.style);
-        Paragraph::new(format!(" {}", self.text))
+        Paragraph::new(self.text.as_str())
             .wrap(Wrap { trim: false })
             .block(block)
             .render(area, buffer);

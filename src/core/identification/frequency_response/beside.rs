@@ -168,11 +168,11 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
         said.extend(widest.map(|band| {
             let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
             format!(
-                "{} differs from {} by more than both intervals from {from} to {to} Hz ({}): are they of one machine in one state? \
-                 What is shown is between them",
-                other.name,
+                "from {from} to {to} Hz ({}) two runs differ by more than their intervals: are they of one machine in one state? What \
+                 is shown lies between them ({} and {})",
+                band.pathway.name(),
                 first.name,
-                band.pathway.name()
+                other.name
             )
         }));
     }
