@@ -18,7 +18,7 @@ fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
 }
 
 const SPEED: &str = "[speed]\ncontroller = \"pi\"\ndrive_lag_s = 0.1\n\
-                     [[speed.reference]]\nconstant = { speed_rad_s = 40.0, seconds = 3.0 }";
+                     [[speed.reference]]\nconstant = { speed_rad_s = 40.0, seconds = 2.0 }";
 
 #[test]
 fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
@@ -62,7 +62,7 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
         "emulate zk-22fc-plain --profile epulse50-dc --pty {}",
         &[&pty],
     );
-    let bench = bench(&desk, "epulse50-dc", 6, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
     let done = call(
         "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
         &[&bench, &pty, &runs],
@@ -91,7 +91,7 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
 fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
     let desk = Desk::new();
     let runs = desk.path("runs");
-    let bench = bench(&desk, "epulse50-dc", 6, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
     call(
         "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}",
         &[&bench, &runs],
@@ -103,7 +103,7 @@ fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
 #[test]
 fn a_command_that_the_drive_does_not_take_leads_to_its_setpoints() {
     let desk = Desk::new();
-    let bench = bench(&desk, "epulse50-dc", 6, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
     call("speed {} --actuator voltage --headless", &[&bench])
         .fails(2, &["takes no voltage command", "[setpoints]"]);
 }
@@ -139,7 +139,7 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
         "emulate zk-22fc-plain --profile {} --pty {}",
         &[&profile, &pty],
     );
-    let bench = bench(&desk, profile.to_str().unwrap(), 6, "");
+    let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
     call(
         "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
         &[&bench, &pty, &runs],
