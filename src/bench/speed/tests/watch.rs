@@ -270,9 +270,8 @@ fn no_controller_rings_unnoticed(course: Course) {
     assert!(told.count() > all.len() / 10);
 }
 
-/// What the noise of the sensor makes of a quick loop may be told of, as a swing, once in a hundred runs; nothing is done
-/// against it.
-fn no_controller_is_suspected(course: Course) {
+/// What the noise of the sensor makes of a quick loop may be told of, as a swing, in so many runs; nothing is done against it.
+fn no_controller_is_suspected(course: Course, most_told: usize) {
     let all = heard_on_all(as_the_model_says, course);
     let told: Vec<&Heard> = all.iter().filter(|heard| !heard.watch.is_empty()).collect();
     for heard in &all {
@@ -280,7 +279,7 @@ fn no_controller_is_suspected(course: Course) {
         let is_only_told = heard.watch.iter().all(|one| one.found == "swings");
         assert!(is_only_told, "{heard:#?}");
     }
-    assert!(told.len() * 100 <= all.len(), "{told:#?}");
+    assert!(told.len() <= most_told, "{told:#?}");
 }
 
 #[test]
@@ -290,12 +289,12 @@ fn no_controller_rings_unnoticed_for_a_second_behind_a_coupling() {
 
 #[test]
 fn no_controller_is_suspected_on_motors_that_are_what_their_model_says() {
-    no_controller_is_suspected(SHORT);
+    no_controller_is_suspected(SHORT, 1);
 }
 
 #[test]
 #[ignore = "the two above over the whole reference, on twice as many motors: minutes"]
 fn no_controller_rings_unnoticed_or_is_suspected_over_the_whole_reference() {
     no_controller_rings_unnoticed(WHOLE);
-    no_controller_is_suspected(WHOLE);
+    no_controller_is_suspected(WHOLE, 2);
 }
