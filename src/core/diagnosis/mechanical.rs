@@ -9,6 +9,12 @@
 //! Here the free run is no judge: an axis in a closed loop is an integrator, and the least offset runs away. The torque
 //! balance is linear in every coefficient, has one row per window, and no start value. The weak form decides; the
 //! reference processing of the field stands beside it, because the two weigh frequencies differently.
+//!
+//! Terms that depend on the driving torque, as friction in a gear does, are evaluated at the torque that the model itself
+//! transmits, by fixed-point iteration. At the measured torque their column would be the left side of the balance wherever
+//! power flows forward, and would explain it whatever the machine is.
+
+use std::borrow::Cow;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -23,9 +29,10 @@ use crate::numerics::count::whole;
 use crate::numerics::{least_squares, statistics};
 use crate::plant::{
     Balance as Equation, Effect, Input, Instant, Model, ModelError, MotorKey, ParameterRole,
-    ParameterSpec, Scenario, Slot, State,
+    ParameterSpec, Scenario, ShaftAngle, Slot, State,
 };
 use crate::sample::{ParameterEstimate, Verdict};
+use crate::signal;
 
 /// Rows below which a balance is not fitted.
 const FEWEST_ROWS: usize = 30;
@@ -44,8 +51,10 @@ const FIRST_STEP: f64 = 0.35;
 const PARTS_OF_SPAN: f64 = 24.0;
 const HALVINGS: usize = 7;
 const HALVINGS_OF_A_TIME: usize = 8;
-/// Passes for coefficients that are only nearly proportional.
+/// Passes for coefficients that are only nearly proportional, and where terms depend on the transmitted torque: each of those
+/// leaves a share of the error as large as the ratio of friction to load, 0.5^24 of which is below [`PROPORTIONAL`].
 const PASSES: usize = 4;
+const PASSES_OF_TRANSMISSION: usize = 24;
 const PROPORTIONAL: f64 = 1e-6;
 /// Samples at which the direction of a term's power is looked at.
 const LOOKS: usize = 500;
@@ -221,13 +230,13 @@ fn is_fixed(model: &Model, slot: &Slot) -> bool {
     model.fixed.contains(&slot.key()) && model.get(slot).is_some()
 }
 
-/// What one unit of the unknown contributes to each row; of a coefficient at a size that it may have, because some effects
-/// are only nearly proportional.
-fn column(model: &Model, slot: &Slot, rows: &TorqueRows) -> Vec<f64> {
+/// What one unit of the unknown contributes to each row, where the machine was `at` each sample; of a coefficient at a size
+/// that it may have, because some effects are only nearly proportional.
+fn column(model: &Model, slot: &Slot, rows: &TorqueRows, at: &[Instant]) -> Vec<f64> {
     match *slot {
         Slot::Motor(MotorKey::Inertia) => rows.inertia.clone(),
         Slot::Motor(_) => {
-            let signs: Vec<f64> = rows.at.iter().map(|at| at.speed_rad_s.signum()).collect();
+            let signs: Vec<f64> = at.iter().map(|at| at.speed_rad_s.signum()).collect();
             rows.column(&signs)
         }
         Slot::Effect {
@@ -240,13 +249,74 @@ fn column(model: &Model, slot: &Slot, rows: &TorqueRows) -> Vec<f64> {
             let known = active.values[parameter].filter(|value| *value != 0.0);
             let probe = known.unwrap_or(spec.scale);
             let values = alone(active.effect, &active.values_or_guess(), parameter, probe);
-            let mut column = rows.column(&torque(active.effect, &values, &rows.at));
+            let mut column = rows.column(&torque(active.effect, &values, at));
             for cell in &mut column {
                 *cell /= probe;
             }
             column
         }
     }
+}
+
+/// Whether the effect's torque or friction depends on the torque that drives the machine.
+pub(super) fn depends_on_drive(effect: &dyn Effect) -> bool {
+    let specs = effect.parameters().iter();
+    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
+    let own = vec![0.0; terms.states()];
+    let driven = |current_a: f64| {
+        let at = Instant {
+            current_a,
+            speed_rad_s: 1.0,
+            torque_n_m_per_a: 1.0,
+            // No multiple of a quarter turn: a wave over the angle is not zero there.
+            angle: ShaftAngle::at(0.3),
+            ..Instant::default()
+        };
+        [terms.torque_n_m(&at, &own), terms.friction_n_m(&at)]
+    };
+    driven(1.0) != driven(2.0)
+}
+
+/// Whether an effect of the model depends on the transmitted torque.
+fn transmits(model: &Model) -> bool {
+    let mut effects = model.effects.iter();
+    effects.any(|active| depends_on_drive(active.effect))
+}
+
+/// Where the machine was at each sample, with the torque that the model transmits as what drives it.
+fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
+    if !transmits(model) {
+        return Cow::Borrowed(&rows.at);
+    }
+    let mut torque = vec![0.0; rows.rows()];
+    let mut at = transmitting(rows, &torque);
+    for _ in 0..PASSES_OF_TRANSMISSION {
+        let next = sum_of_terms(model, rows, &at);
+        let change = next.iter().zip(&torque).map(|(a, b)| (a - b).powi(2));
+        let change: f64 = change.sum();
+        let whole: f64 = next.iter().map(|value| value * value).sum();
+        torque = next;
+        at = transmitting(rows, &torque);
+        if change <= PROPORTIONAL * PROPORTIONAL * whole {
+            break;
+        }
+    }
+    Cow::Owned(at)
+}
+
+/// The instants of the samples under this torque, N.m in each row: between rows on the line from one to the next.
+fn transmitting(rows: &TorqueRows, torque_n_m: &[f64]) -> Vec<Instant> {
+    let points: Vec<(f64, f64)> = rows
+        .time_s
+        .iter()
+        .copied()
+        .zip(torque_n_m.iter().copied())
+        .collect();
+    let driven = |at: &Instant| Instant {
+        current_a: signal::line_with_ends(&points, at.time_s + rows.begin_s) / at.torque_n_m_per_a,
+        ..*at
+    };
+    rows.at.iter().map(driven).collect()
 }
 
 /// Torque of the effect with these parameter values at every sample, N.m.
@@ -296,10 +366,14 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
 
 /// What the model, as it stands, says of the torque in each row.
 pub(super) fn predicted(model: &Model, rows: &TorqueRows) -> Vec<f64> {
+    sum_of_terms(model, rows, &instants(model, rows))
+}
+
+fn sum_of_terms(model: &Model, rows: &TorqueRows, at: &[Instant]) -> Vec<f64> {
     let mut sum = vec![0.0; rows.rows()];
     for slot in unknowns(model) {
         let value = model.get(&slot).unwrap_or(0.0);
-        for (sum, cell) in sum.iter_mut().zip(column(model, &slot, rows)) {
+        for (sum, cell) in sum.iter_mut().zip(column(model, &slot, rows, at)) {
             *sum += value * cell;
         }
     }
@@ -360,6 +434,9 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
 /// or there are too few of them.
 pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
+    if transmits(&model) {
+        start_of_transmission(&mut model, rows)?;
+    }
     let is_form = |slot: &Slot| {
         let is_free = !is_coefficient(slot) && !model.fixed.contains(&slot.key());
         is_free && acts(&model, slot) && !slot.has_role(ParameterRole::Choice)
@@ -369,6 +446,34 @@ pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
         search(&mut model, &forms, rows);
     }
     finish(model, rows)
+}
+
+/// Gives the model the values that it has without what depends on the transmitted torque: from them that torque follows.
+fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
+    let mut plain = model.clone();
+    plain
+        .effects
+        .retain(|active| !depends_on_drive(active.effect));
+    let plain = fit(&plain, rows)?.model;
+    for slot in plain.slots() {
+        let key = slot.key();
+        let value = plain.get(&slot);
+        let mut own = model.slots().into_iter();
+        if let Some((own, value)) = own.find(|own| own.key() == key).zip(value) {
+            model.set(&own, value);
+        }
+    }
+    let coefficients: Vec<Slot> = model.slots().into_iter().filter(is_coefficient).collect();
+    for slot in coefficients {
+        let Slot::Effect { index, .. } = slot else {
+            continue;
+        };
+        let is_open = depends_on_drive(model.effects[index].effect) && !is_fixed(model, &slot);
+        if is_open {
+            model.set(&slot, 0.0);
+        }
+    }
+    Some(())
 }
 
 /// Sum of squares that the model leaves with its forms as they are.
@@ -420,7 +525,12 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
 fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut system = System::new(&model, rows)?;
     let mut x = system.solve_bounded()?;
-    for _ in 0..PASSES {
+    let passes = if transmits(&model) {
+        PASSES_OF_TRANSMISSION
+    } else {
+        PASSES
+    };
+    for _ in 0..passes {
         let before = system.matrix.clone();
         system.put(&mut model, &x);
         system = System::new(&model, rows)?;
@@ -530,8 +640,9 @@ impl System {
     fn new(model: &Model, rows: &TorqueRows) -> Option<Self> {
         let mut right = DVector::from_column_slice(&rows.left);
         let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
+        let at = instants(model, rows);
         for slot in unknowns(model) {
-            let column = column(model, &slot, rows);
+            let column = column(model, &slot, rows, &at);
             if is_fixed(model, &slot) {
                 let value = model.get(&slot).unwrap_or(0.0);
                 right.axpy(-value, &DVector::from_vec(column), 1.0);
@@ -583,6 +694,96 @@ impl System {
     fn put(&self, model: &mut Model, x: &DVector<f64>) {
         for (slot, value) in self.free.iter().zip(x.iter()) {
             model.set(slot, *value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::joint::asked::why_not;
+    use crate::identification::weak_form;
+    use crate::plant::{Motor, effect};
+    use crate::sample::Channel;
+
+    const FRICTION_N_M: f64 = 0.01;
+
+    /// A shaft that never reverses under `w = 30 + 20 sin 3t`, driven by the torque `X / (1 - m q)`: `X` of inertia, Coulomb
+    /// and viscous friction, `q` the direction of the power.
+    fn geared(inertia_kg_m2: f64, viscous: f64, ratio: f64) -> Scenario {
+        let times: Vec<f64> = (0..6000).map(|k| 1e-3 * f64::from(k)).collect();
+        let speed = |time_s: f64| 30.0 + 20.0 * (3.0 * time_s).sin();
+        let torque = |time_s: f64| {
+            // Held from one stamp to the next: the mean of the interval.
+            let middle_s = time_s + 5e-4;
+            let rate = 60.0 * (3.0 * middle_s).cos();
+            let sum = inertia_kg_m2 * rate + FRICTION_N_M + viscous * speed(middle_s);
+            sum / (1.0 - ratio * sum.signum())
+        };
+        let events = times.iter().map(|time_s| (*time_s, torque(*time_s)));
+        let speeds = times.iter().map(|time_s| speed(*time_s)).collect();
+        let events = events.collect();
+        let mut run = Scenario::planned(
+            "geared",
+            Input::Torque,
+            Channel::Torque,
+            events,
+            times.clone(),
+        );
+        run.current_a = vec![f64::NAN; times.len()];
+        run.speed_rad_s = speeds;
+        run
+    }
+
+    fn fitted(run: &Scenario) -> BalanceFit {
+        let plain = Model::baseline(Motor::new("geared"));
+        let model = plain.with_effect("load_dependent_friction").unwrap();
+        let rows = weak_form::torque_rows(&model, run).unwrap();
+        fit(&model, &rows).unwrap()
+    }
+
+    #[test]
+    fn load_dependent_friction_is_found_from_driving_and_braking() {
+        for ratio in [0.0, 0.1, 0.3] {
+            let run = geared(1e-3, 0.0, ratio);
+            let found = fitted(&run);
+            let value = |key: &str| {
+                let own = found.parameters.iter().find(|own| own.key == key);
+                own.and_then(|own| own.value).unwrap()
+            };
+            let off = value("load_dependent_friction.ratio") - ratio;
+            assert!(off.abs() < 0.01, "{ratio}: {off}");
+            let inertia = value("inertia_kg_m2");
+            assert!((inertia / 1e-3 - 1.0).abs() < 0.02, "{inertia}");
+            let effect = effect::find("load_dependent_friction").unwrap();
+            assert_eq!(why_not(effect, &run), None);
+        }
+    }
+
+    #[test]
+    fn where_power_flows_one_way_load_dependent_friction_explains_nothing() {
+        // The inertia is too small to drive the shaft against its friction.
+        let run = geared(1e-5, 4e-4, 0.0);
+        let effect = effect::find("load_dependent_friction").unwrap();
+        assert!(why_not(effect, &run).is_some());
+        // And its column does not hold the measured torque: the viscous part stays unexplained.
+        let found = fitted(&run);
+        assert!(found.rms_n_m > 1e-3, "{}", found.rms_n_m);
+    }
+
+    #[test]
+    fn only_effects_of_the_current_depend_on_the_drive() {
+        let of_drive = |id: &str| depends_on_drive(effect::find(id).unwrap());
+        for id in ["load_dependent_friction", "torque_ripple"] {
+            assert!(of_drive(id), "{id}");
+        }
+        for id in [
+            "viscous_friction",
+            "quadratic_load",
+            "cogging",
+            "stribeck_friction",
+        ] {
+            assert!(!of_drive(id), "{id}");
         }
     }
 }

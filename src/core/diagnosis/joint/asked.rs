@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::diagnosis::mechanical::start_of;
+use crate::diagnosis::mechanical::{depends_on_drive, start_of};
 use crate::identification::speed_from_angle;
 use crate::plant::{
     Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, starts_from_rest,
@@ -60,6 +60,12 @@ pub(in crate::diagnosis) fn why_not(
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");
     }
+    if is_friction_of_drive(effect) && !has_both_power_flows(scenario) {
+        return Some(
+            "power flows one way only in this run: friction in proportion to the load is then a common factor of inertia and \
+             friction; record braking too",
+        );
+    }
     if !effect.card().needs_angle {
         return None;
     }
@@ -70,6 +76,39 @@ pub(in crate::diagnosis) fn why_not(
     }
     let is_shown = orders.iter().any(|order| shows_wave(scenario, *order));
     (!is_shown).then_some("the shaft turns through it from one sample to the next")
+}
+
+/// Share of the exchanged energy that has to flow backward, from the load to the motor, before friction in proportion to the
+/// load is eligible: less is noise of the torque about zero, and a reversal is no braking.
+const LEAST_BACKWARD_SHARE: f64 = 0.03;
+
+/// Whether the effect is friction that grows with the driving torque.
+fn is_friction_of_drive(effect: &dyn Effect) -> bool {
+    let specs = effect.parameters().iter();
+    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
+    let at = Instant {
+        current_a: 1.0,
+        speed_rad_s: 1.0,
+        torque_n_m_per_a: 1.0,
+        ..Instant::default()
+    };
+    depends_on_drive(effect) && terms.friction_n_m(&at) != 0.0
+}
+
+/// Whether the motor both drives its load and is driven by it. With friction `m |T| sgn(w)` the balance is `T = X / (1 - m)`
+/// while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two alone tells nothing of m.
+fn has_both_power_flows(scenario: &Scenario) -> bool {
+    let (mut forward, mut backward) = (0.0, 0.0);
+    let samples = scenario.sample_time_s.windows(2).zip(&scenario.speed_rad_s);
+    for (times, speed) in samples {
+        let power = scenario.input_at(times[0]) * speed;
+        if power > 0.0 {
+            forward += power * (times[1] - times[0]);
+        } else if power < 0.0 {
+            backward -= power * (times[1] - times[0]);
+        }
+    }
+    backward > LEAST_BACKWARD_SHARE * (forward + backward)
 }
 
 /// Whether a run tells of a wave of so many periods per turn: all that a voltage drives is asked.

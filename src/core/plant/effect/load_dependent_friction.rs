@@ -20,7 +20,8 @@ pub(super) const EFFECT: Card = Card {
     remedy: "lubricant for the load, gear of better efficiency; feed forward m |Kt i| sgn(w); \
         count the gear's efficiency into the torque limit",
     takes_power: true,
-    parameters: &[ParameterSpec::coefficient("ratio", "-", 0.05)],
+    // From a ratio of one on the transmission locks: no torque moves it.
+    parameters: &[ParameterSpec::positive("ratio", "-", 0.05).up_to(0.95)],
     formula: &[(Place::Friction, "ratio*abs(Kt*i)")],
     terms: |values| {
         friction(values, |at, [ratio]| {
