@@ -17,7 +17,8 @@ use super::{output, progress};
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{
     Diagnosis, ErrorOf, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship,
-    NextExperiment, RecordedChannels, fingerprint, matches, recommend, shared_samples,
+    NextExperiment, RecordedChannels, fingerprint, fitted_baseline, matches, recommend,
+    shared_samples,
 };
 use crate::identification::sanity::{self, Finding, Kind};
 use crate::identification::{lost_rows, start};
@@ -154,10 +155,13 @@ impl Prepared {
             if let Some(aside) = aside {
                 note(&mut self.run.run.notes, aside);
             }
-            let (with_scale, fit) = evidence.with_baseline(&self.model.file.model)?;
-            (self.evidence, self.model.file.model) = (with_scale, fit.model);
+            (self.evidence, self.model.file.model) =
+                fitted_baseline(&self.model.file.model, evidence)?;
         }
-        self.model.file.model.require_complete()?;
+        // A balance of torques is judged without the inertia that a run does not show.
+        if !refitted || is_electrical {
+            self.model.file.model.require_complete()?;
+        }
         let from = &self.model.from;
         self.model.from = match (is_baseline, refitted) {
             (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),

@@ -98,6 +98,8 @@ pub(crate) fn diagnosis() -> Diagnosis {
         repeats: None,
         repeat_follows: Vec::new(),
         verdict: DiagnosisVerdict::Effect,
+        reason: None,
+        parameters: Vec::new(),
         effect: Some("stribeck_friction"),
         effects: vec!["stribeck_friction"],
         sufficient: true,

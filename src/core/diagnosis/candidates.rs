@@ -166,7 +166,12 @@ pub(super) fn candidates(
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
     let candidate = |(rank, inferred): (usize, &Inferred)| {
         let id = inferred.effect.card().id;
+        let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
+        let status = match (status, veto) {
+            (Status::Supported, Some(_)) => Status::Possible,
+            (status, _) => status,
+        };
         let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
         let onsets = inference.onsets(id);
         let happening = happening(inferred.effect, &onsets, evidence.holdout_from);
@@ -208,6 +213,10 @@ pub(super) fn candidates(
             evidence: evidence_sentence(inferred, status, rung, (times, run_s), happening),
             run_s,
         };
+        if let Some(reason) = veto {
+            candidate.evidence += "; not named: ";
+            candidate.evidence += reason;
+        }
         let mut pairs = inference.confusable.iter();
         if let Some([named, _]) = pairs.find(|pair| pair[1] == id) {
             candidate.is_as_good_as(named);

@@ -116,6 +116,11 @@ impl Comparison {
         self.noise.is_at_the_floor(self.holdout_rmse)
     }
 
+    /// Leaves out where it fails.
+    pub fn clear_places(&mut self) {
+        (self.locations, self.balances, self.map) = (Vec::new(), Vec::new(), None);
+    }
+
     /// The equation that fails worse; none where none fails.
     pub fn failing(&self) -> Option<&EquationBalance> {
         self.balances.first().filter(|balance| balance.fails)

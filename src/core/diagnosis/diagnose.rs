@@ -9,21 +9,21 @@ use super::joint::Noise;
 use super::joint::answer::{Inference, Unknown, asked};
 use super::joint::foresight::Grounds;
 use super::joint::free_run::likelier;
-use super::ladder::{A_SIZE_SIGMAS, Bench, Rung, Standing, climb};
+use super::ladder::{Bench, Rung, Standing, climb};
 use super::location::{
     AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
 };
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
-use super::score::{Fitted, Score, cannot_simulate, in_noise};
+use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
+use super::{trivial, vetoes};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, ParameterRole, Scenario, State, effect};
+use crate::plant::{Model, MotorKey, Scenario, State, effect};
+use crate::sample::ParameterEstimate;
 use crate::text::number::probability;
 
-/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
-const BY_CHANCE_DEVIANCE: f64 = 10.0;
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
 /// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
@@ -45,6 +45,8 @@ pub enum DiagnosisVerdict {
     Ambiguous,
     None,
     Unexplained,
+    /// The fitted model predicts the hold-out no better than a trivial prediction: nothing is named, bounded or ruled out.
+    NotFitted,
 }
 
 /// What an answer comes to, and how far it may be relied on: one table of words for page, screen and terminal.
@@ -63,6 +65,7 @@ pub enum Answer {
     NothingThatShows,
     NothingFound,
     Unexplained,
+    NotFitted,
 }
 
 impl Answer {
@@ -77,6 +80,7 @@ impl Answer {
             Self::NothingThatShows => "Nothing missing that these runs could show",
             Self::NothingFound => "Nothing found",
             Self::Unexplained => "Unexplained",
+            Self::NotFitted => "Not fitted",
         }
     }
 
@@ -90,6 +94,12 @@ impl Answer {
 #[derive(Clone, Debug, Serialize)]
 pub struct Diagnosis {
     pub verdict: DiagnosisVerdict,
+    /// What predicts the hold-out as well as the model does, where that is why nothing is concluded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Of the motor, with every effect of the answer beside them.
+    #[serde(serialize_with = "by_key")]
+    pub parameters: Vec<ParameterEstimate>,
     pub effect: Option<&'static str>,
     pub effects: Vec<&'static str>,
     pub sufficient: bool,
@@ -165,6 +175,7 @@ impl Diagnosis {
             DiagnosisVerdict::None if self.is_all_judged() => Answer::NothingMissing,
             DiagnosisVerdict::None => Answer::NothingThatShows,
             DiagnosisVerdict::Unexplained => Answer::Unexplained,
+            DiagnosisVerdict::NotFitted => Answer::NotFitted,
         }
     }
 
@@ -292,96 +303,14 @@ pub fn diagnose_with(
     if !rungs[0].score.nrms.is_finite() {
         return Err(nothing_judged(&bench.evidence.holdout));
     }
-    let doubtful = |inference: &Inference, rungs: &[Standing]| {
-        let without_size = without_size(inference, rungs);
-        let by_chance = || by_chance(&bench, inference, rungs);
-        without_size
-            .or_else(by_chance)
-            .or_else(|| without_use(&bench, inference, rungs))
-    };
-    while let Some(id) = doubtful(&inference, &rungs) {
-        inference.doubt(id);
+    while let Some(veto) = vetoes::first(&bench, &inference, &rungs) {
+        inference.veto(veto);
         rungs = climb(&bench, &baseline, &inference, progress)?;
     }
     if let Some(last) = rungs.pop() {
         rungs.push(last.with_deviations(&bench, &inference));
     }
     Ok(answer(&bench, &inference, &rungs))
-}
-
-/// The last named effect of which the fit with all of them does not tell whether it is there at all.
-fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
-    let fit = &rungs.last()?.fit;
-    let mut named = inference.named.iter().rev().copied();
-    named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))
-}
-
-/// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
-/// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
-fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
-    let evidence = &bench.evidence;
-    let floor = inference.floor(evidence);
-    let left = rungs
-        .iter()
-        .position(|rung| floor.is_reached(rung.score.nrms));
-    let left = left.filter(|left| !bench.fits_at_once() && left + 1 < rungs.len())?;
-    let on_both = |rung: &Standing| {
-        let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
-        let noise = &evidence.noise;
-        Some(fitted.deviance(noise) + rung.score.deviance(noise))
-    };
-    let deviances = rungs[left..].iter().map(on_both);
-    let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
-    let mut named = steps
-        .into_iter()
-        .rev()
-        .map(|step| inference.named[left + step]);
-    let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
-    named.find(|id| left == 0 || !is_shown(id))
-}
-
-/// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
-/// what has another cause. It raises the held-out error; what happens once need not happen there, and explains little of
-/// either run.
-fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
-    let floor = inference.floor(&bench.evidence);
-    let last = rungs.last()?.score.nrms;
-    if bench.fits_at_once() || floor.is_reached(last) {
-        return None;
-    }
-    let is_of_no_use = |id: &str, pair: &[Standing]| {
-        let [held_out, fitted] = [
-            [pair[0].score.nrms, pair[1].score.nrms],
-            [pair[0].fit.nrms, pair[1].fit.nrms],
-        ];
-        if happens_once(id) {
-            let explains = |[before, after]: [f64; 2]| {
-                !floor.is_reached(before) && floor.is_explained_in_part(before, after)
-            };
-            !explains(held_out) && !explains(fitted)
-        } else {
-            held_out[1] > held_out[0]
-        }
-    };
-    let steps = rungs.windows(2).enumerate().skip(1).rev();
-    let mut named = steps.map(|(step, pair)| (inference.named[step], pair));
-    named
-        .find(|(id, pair)| is_of_no_use(id, pair))
-        .map(|(id, _)| id)
-}
-
-/// Whether an effect begins at an instant of a run.
-fn happens_once(id: &str) -> bool {
-    let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
-    let mut roles = parameters.iter().map(|own| own.role);
-    roles.any(|role| role == ParameterRole::EventTime)
-}
-
-/// The steps down a ladder that are no longer than chance makes them.
-fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
-    let steps = deviances.windows(2).enumerate();
-    let short = steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE);
-    short.map(|(step, _)| step).collect()
 }
 
 /// Of an error that is not known nothing can be said.
@@ -409,8 +338,15 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
     let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
+    let of_motor = |fit: &Fitted| -> Vec<ParameterEstimate> {
+        let own = fit.parameters.iter();
+        let own = own.filter(|own| MotorKey::from_key(&own.key).is_some());
+        own.cloned().collect()
+    };
     let mut diagnosis = Diagnosis {
         verdict,
+        reason: None,
+        parameters: of_motor(&best.fit),
         effect: named.first().copied(),
         effects: named.clone(),
         sufficient: match verdict {
@@ -455,10 +391,48 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         )),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
+    if let Some(reason) = trivial::as_good(&best.score, evidence, bench.torques()) {
+        return not_fitted(diagnosis, reason, base);
+    }
     diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);
     diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
     diagnosis.sentence = sentence(&diagnosis) + &inference.superfluous_in_words();
     diagnosis
+}
+
+/// The answer where the fitted model beats no trivial prediction: without names, bounds and places, which would all be about a
+/// model that follows nothing.
+fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosis {
+    let sentence = format!(
+        "{reason}; a model that predicts no better shows nothing by what it leaves: no effect is named and none is ruled out"
+    );
+    let parameters = (diagnosis.parameters.into_iter())
+        .map(|own| ParameterEstimate::not_observable(&own.key, own.unit, reason.clone()))
+        .collect();
+    Diagnosis {
+        verdict: DiagnosisVerdict::NotFitted,
+        reason: Some(reason),
+        parameters,
+        effect: None,
+        effects: Vec::new(),
+        sufficient: false,
+        repeat_floor: None,
+        repeats: None,
+        repeat_follows: Vec::new(),
+        explained_percent: 0.0,
+        holdout_after: diagnosis.holdout_before,
+        candidates: Vec::new(),
+        unknown: Vec::new(),
+        confusable: Vec::new(),
+        ladder: vec![base.rung()],
+        axis_map: Vec::new(),
+        equivalences: Vec::new(),
+        model: base.fit.clone(),
+        grounds: None,
+        rivals: Vec::new(),
+        sentence,
+        ..diagnosis
+    }
 }
 
 /// Models with the second effect of each confusable pair in the place of the first.
@@ -595,6 +569,7 @@ fn confirmed(
                 };
                 (false, Some(!at_the_floor), found)
             }
+            DiagnosisVerdict::NotFitted => (false, None, "nothing is concluded".to_owned()),
         };
         let word = match confirmed {
             Some(true) => "confirmed",
@@ -678,6 +653,7 @@ fn sentence(diagnosis: &Diagnosis) -> String {
             let parts = diagnosis.unknown.iter().fold(String::new(), |parts, part| parts + "; " + &part.sentence);
             format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
+        DiagnosisVerdict::NotFitted => diagnosis.reason.clone().unwrap_or_default(),
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}{}{}",
             not_told(&diagnosis.confusable),
@@ -783,22 +759,6 @@ mod tests {
     use super::*;
     use crate::diagnosis::kit::{evidence, nameplate, record, truth};
     use crate::plant::Scenario;
-
-    #[test]
-    fn a_step_that_chance_makes_is_none() {
-        // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
-        let of = |nrms: f64| 2400.0 * nrms * nrms;
-        for (errors, expected) in [
-            (&[1.0007, 1.0005][..], &[0][..]),
-            (&[1.02, 1.0], &[]),
-            (&[1.05, 1.0499, 1.02, 1.0199], &[0, 2]),
-            (&[1.05, 1.06, 1.02], &[0]),
-            (&[1.0], &[]),
-        ] {
-            let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
-            assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
-        }
-    }
 
     #[test]
     fn each_name_has_its_own_rivals() {

@@ -16,6 +16,7 @@ use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
+use super::vetoes::Veto;
 use crate::identification::balance::Method;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
@@ -30,7 +31,7 @@ use crate::text::number::probability;
 pub(super) const A_SIZE_SIGMAS: f64 = 1.0;
 const A_SIZE_IN_THE_BALANCE_SIGMAS: f64 = 2.0;
 /// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
-const AS_GOOD: f64 = 1.02;
+pub(super) const AS_GOOD: f64 = 1.02;
 
 /// A model on the confirming run, with its events and its start where they are in it.
 pub(super) struct Confirming {
@@ -132,7 +133,8 @@ impl Bench {
             let Some(place) = order.iter().rposition(|id| told(id) != Some(true)) else {
                 break;
             };
-            inference.doubt(order.remove(place));
+            let reason = "the balance of torques does not tell its size from zero";
+            inference.veto(Veto::new(order.remove(place), reason));
         }
         inference.confusable.retain(|pair| order.contains(&pair[0]));
         inference.named = order;
@@ -160,6 +162,12 @@ impl Bench {
     /// Whether a fit costs no simulation.
     pub(super) const fn fits_at_once(&self) -> bool {
         self.balance.is_some()
+    }
+
+    /// Torques of the rows of a balance, fitted and held out.
+    pub(super) fn torques(&self) -> Option<[&[f64]; 2]> {
+        let sides = &self.balance.as_ref()?.sides;
+        Some([&sides.training.left, &sides.holdout.left])
     }
 
     /// A complete model on the hold-out.
@@ -220,6 +228,18 @@ impl Bench {
         }));
         limits
     }
+}
+
+/// `model` fitted to the run as [`diagnose`](super::diagnose()) and `identify` fit it, by its free run under a voltage and else by
+/// the balance of torques, and the evidence with the scale of its errors.
+pub fn fitted_baseline(model: &Model, evidence: Evidence) -> Result<(Evidence, Model), FitError> {
+    if evidence.training.input == Input::Voltage {
+        let (evidence, fit) = evidence.with_baseline(model)?;
+        return Ok((evidence, fit.model));
+    }
+    let (_, fit) = Balance::new(model, &evidence)?;
+    let fit = fit.ok_or_else(|| cannot_simulate(&evidence.training))?;
+    Ok((evidence, fit.model))
 }
 
 /// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.

@@ -33,7 +33,9 @@ mod reached;
 mod residual;
 mod score;
 mod traces;
+mod trivial;
 mod versus;
+mod vetoes;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};
@@ -42,7 +44,7 @@ pub use evidence::{Evidence, HoldoutFrom, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
 pub use joint::foresight::Grounds;
-pub use ladder::{AddResult, Rung, add, known_along, remove};
+pub use ladder::{AddResult, Rung, add, fitted_baseline, known_along, remove};
 pub use location::{
     AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
     Located, MapCell, MapDigits, MapError, MeasuredMap, Off, OwnChange, axis_map, effect_curve,

@@ -93,6 +93,14 @@ impl Score {
         }
     }
 
+    /// Readings that are judged: of the signal that has most of them.
+    pub(super) fn samples(&self) -> usize {
+        let signals = [self.current, self.speed, self.torque]
+            .into_iter()
+            .flatten();
+        signals.map(|own| own.samples).max().unwrap_or(0)
+    }
+
     /// Sum of the squares of a free run's errors in units of the noise, of the signals whose noise is known.
     pub(super) fn deviance(&self, noise: &NoiseFloor) -> f64 {
         let current = self.current.map(|own| (own, noise.current_a));

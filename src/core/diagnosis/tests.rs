@@ -43,6 +43,19 @@ fn nothing_is_named_when_nothing_is_missing() {
 }
 
 #[test]
+fn of_a_model_that_follows_nothing_nothing_is_concluded() {
+    // The hold-out has the voltage of another run.
+    let mut data = evidence(&nameplate(), 2);
+    data.holdout.events = record(&nameplate(), 4, 5).events;
+    let found = diagnose(&nameplate(), data).unwrap();
+    let said = &found.sentence;
+    assert_eq!(found.verdict, DiagnosisVerdict::NotFitted, "{said}");
+    assert!(found.effects.is_empty() && found.candidates.is_empty() && found.unknown.is_empty());
+    assert!(found.reason.is_some() && !found.sufficient, "{said}");
+    assert!(found.parameters.iter().all(|own| own.value.is_none()));
+}
+
+#[test]
 fn an_error_that_no_effect_explains_is_called_unexplained() {
     // A shaker at 5 Hz: nothing in the catalogue depends on time like that.
     let mut data = evidence(&nameplate(), 2);

@@ -80,6 +80,7 @@ fn answer(diagnosis: &Diagnosis) -> String {
     match diagnosis.verdict {
         DiagnosisVerdict::None if !diagnosis.sufficient => diagnosis.sentence.clone(),
         DiagnosisVerdict::None => diagnosis.answer().name().to_lowercase(),
+        DiagnosisVerdict::NotFitted => "the model does not fit the runs".to_owned(),
         DiagnosisVerdict::Unexplained => "no effect of the catalogue explains it".to_owned(),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => diagnosis.effects.join(" and "),
     }

@@ -306,7 +306,7 @@ fn word(diagnosis: &Diagnosis) -> (String, Style) {
     let answer = diagnosis.answer();
     let (mark, style) = match answer {
         answer if answer.is_whole() => ("✓", theme::GOOD),
-        Answer::Unexplained => ("✗", theme::BAD),
+        Answer::Unexplained | Answer::NotFitted => ("✗", theme::BAD),
         Answer::Ambiguous | Answer::NothingFound => ("?", theme::CAREFUL),
         _ => ("~", theme::CAREFUL),
     };

@@ -18,6 +18,7 @@ use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::{Fitted, Score, cannot_simulate, in_noise};
+use crate::diagnosis::vetoes::Veto;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
@@ -130,6 +131,8 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) unseen: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
+    /// What is not named for a reason of its own.
+    vetoes: Vec<Veto>,
     runs: Vec<Place>,
     found: SearchResult,
 }
@@ -201,7 +204,9 @@ impl Inference {
         let likely = self
             .of(id)
             .is_some_and(|found| found.probability > NAMED_PROBABILITY);
-        likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
+        likely && self.veto_of(id).is_none()
+            || self.named.contains(&id)
+            || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
     /// How many times as large as white noise what the best set leaves of the innovations is.
@@ -209,15 +214,17 @@ impl Inference {
         self.found.excess
     }
 
-    /// Names an effect no more: a fit with it leaves it no size.
-    pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
-        for effect in &mut self.effects {
-            if effect.id() == id {
-                effect.probability = effect.probability.min(NAMED_PROBABILITY);
-            }
-        }
-        self.named.retain(|named| *named != id);
-        self.confusable.retain(|pair| pair[0] != id);
+    /// Keeps an effect from being named; its probability stays what it is.
+    pub(in crate::diagnosis) fn veto(&mut self, veto: Veto) {
+        self.named.retain(|named| *named != veto.effect);
+        self.confusable.retain(|pair| pair[0] != veto.effect);
+        self.vetoes.push(veto);
+    }
+
+    /// Why an effect is not named whatever its probability is.
+    pub(in crate::diagnosis) fn veto_of(&self, id: &str) -> Option<&str> {
+        let own = self.vetoes.iter().find(|veto| veto.effect == id)?;
+        Some(&own.reason)
     }
 
     /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
@@ -367,6 +374,7 @@ pub(in crate::diagnosis) fn infer(
         unseen: in_noise(found.unseen.map(Some), &evidence.noise).unwrap_or(0.0),
         noise: found.noise,
         superfluous,
+        vetoes: Vec::new(),
         runs: runs_of(evidence, runs.len()),
         found,
     })

@@ -175,7 +175,10 @@ pub(super) fn reveal(
     limits: &ExperimentLimits,
 ) -> Option<NextExperiment> {
     let grounds = diagnosis.grounds?;
-    if diagnosis.verdict == DiagnosisVerdict::Unexplained {
+    if matches!(
+        diagnosis.verdict,
+        DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted
+    ) {
         return None;
     }
     let model = &diagnosis.model.model;

@@ -21,6 +21,7 @@ fn state() -> impl Strategy<Value = State> {
         DiagnosisVerdict::Ambiguous,
         DiagnosisVerdict::None,
         DiagnosisVerdict::Unexplained,
+        DiagnosisVerdict::NotFitted,
     ]);
     let numbers = prop::collection::vec(number(), 8);
     let (kind, down) = (0..8_usize, 0..40_i32);

@@ -208,7 +208,7 @@ pub(super) fn outcome(
                 Outcome::Abstained
             }
         }
-        DiagnosisVerdict::Unexplained => Outcome::Abstained,
+        DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted => Outcome::Abstained,
         DiagnosisVerdict::None => {
             let excused = |names: &Vec<&str>| names.iter().all(|id| said.not_excited.contains(id));
             if right.iter().all(excused) {

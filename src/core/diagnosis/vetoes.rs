@@ -1,0 +1,183 @@
+//! Vetoes: what keeps an effect from being named whatever its posterior probability is, each with its reason.
+//!
+//! A posterior compares sets of effects under a linearised model. Whether the refitted model with an effect is a better one is
+//! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
+//! chance, and to leave the machine an inertia. No veto changes a probability.
+
+use super::joint::answer::Inference;
+use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
+use super::score::Score;
+use crate::plant::{MotorKey, ParameterRole, effect};
+
+/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
+const BY_CHANCE_DEVIANCE: f64 = 10.0;
+
+/// An effect that is not named, and why.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Veto {
+    pub(super) effect: &'static str,
+    pub(super) reason: String,
+}
+
+impl Veto {
+    pub(super) fn new(effect: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            effect,
+            reason: reason.into(),
+        }
+    }
+}
+
+/// The first effect of the answer that may not be named; the last of the ladder first.
+pub(super) fn first(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+    let without_size = without_size(inference, rungs);
+    without_size
+        .or_else(|| without_inertia(bench, inference, rungs))
+        .or_else(|| by_chance(bench, inference, rungs))
+        .or_else(|| without_use(bench, inference, rungs))
+}
+
+/// The last named effect of which the fit with all of them does not tell whether it is there at all.
+fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+    let fit = &rungs.last()?.fit;
+    let mut named = inference.named.iter().rev().copied();
+    let id = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
+    let reason = "the fit with it does not tell its size from zero";
+    Some(Veto::new(id, reason))
+}
+
+/// The effect with which a balance of torques loses the inertia that it has without it: its column stands for the balance
+/// itself.
+fn without_inertia(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+    if !bench.fits_at_once() {
+        return None;
+    }
+    let has_inertia = |rung: &Standing| {
+        let key = MotorKey::Inertia.key();
+        let own = rung.fit.parameters.iter().find(|own| own.key == key);
+        own.and_then(|own| own.value)
+            .is_some_and(|value| value > 0.0)
+    };
+    let mut steps = rungs.windows(2).zip(&inference.named);
+    let (_, id) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
+    let reason = "an artefact: with it the balance of torques has no inertia any more";
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
+/// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
+fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+    let evidence = &bench.evidence;
+    let floor = inference.floor(evidence);
+    let left = rungs
+        .iter()
+        .position(|rung| floor.is_reached(rung.score.nrms));
+    let left = left.filter(|left| !bench.fits_at_once() && left + 1 < rungs.len())?;
+    let on_both = |rung: &Standing| {
+        let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
+        let noise = &evidence.noise;
+        Some(fitted.deviance(noise) + rung.score.deviance(noise))
+    };
+    let deviances = rungs[left..].iter().map(on_both);
+    let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
+    let mut named = steps
+        .into_iter()
+        .rev()
+        .map(|step| inference.named[left + step]);
+    let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
+    let id = named.find(|id| left == 0 || !is_shown(id))?;
+    let reason =
+        "it takes no more from the errors than chance does, which are at the noise without it";
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
+/// what has another cause. On its rung it does not lower the held-out error by more than chance. What happens once need not
+/// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
+fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+    let floor = inference.floor(&bench.evidence);
+    let last = rungs.last()?.score.nrms;
+    if floor.is_reached(last) {
+        return None;
+    }
+    let is_of_no_use = |id: &str, pair: &[Standing]| {
+        let held_out = [pair[0].score.nrms, pair[1].score.nrms];
+        if happens_once(id) {
+            let fitted = [pair[0].fit.nrms, pair[1].fit.nrms];
+            let explains = |[before, after]: [f64; 2]| {
+                !floor.is_reached(before) && floor.is_explained_in_part(before, after)
+            };
+            let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
+            !(explains(held_out) || explains(fitted) && is_as_good)
+        } else {
+            !lowers(held_out, pair[1].score.samples())
+        }
+    };
+    let steps = rungs.windows(2).enumerate().rev();
+    let mut named = steps.map(|(step, pair)| (inference.named[step], pair));
+    let (id, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
+    let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
+    let times = bench.evidence.noise.source.times();
+    let reason = format!(
+        "with it the held-out error goes from {before:.2} to {after:.2} {times}: it is not lower by more than chance"
+    );
+    Some(Veto::new(id, reason))
+}
+
+/// Whether an error of so many readings falls by more than chance: by the ratio of the likelihoods of normal errors of these
+/// deviations.
+fn lowers([before, after]: [f64; 2], samples: usize) -> bool {
+    let fall = (before * before - after * after) / (after * after).max(f64::MIN_POSITIVE);
+    samples as f64 * fall > BY_CHANCE_DEVIANCE
+}
+
+/// Whether an effect begins at an instant of a run.
+fn happens_once(id: &str) -> bool {
+    let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
+    let mut roles = parameters.iter().map(|own| own.role);
+    roles.any(|role| role == ParameterRole::EventTime)
+}
+
+/// The steps down a ladder that are no longer than chance makes them.
+fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
+    let steps = deviances.windows(2).enumerate();
+    let short = steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE);
+    short.map(|(step, _)| step).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_that_chance_makes_is_none() {
+        // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
+        let of = |nrms: f64| 2400.0 * nrms * nrms;
+        for (errors, expected) in [
+            (&[1.0007, 1.0005][..], &[0][..]),
+            (&[1.02, 1.0], &[]),
+            (&[1.05, 1.0499, 1.02, 1.0199], &[0, 2]),
+            (&[1.05, 1.06, 1.02], &[0]),
+            (&[1.0], &[]),
+        ] {
+            let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
+            assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
+        }
+    }
+
+    #[test]
+    fn an_error_falls_by_more_than_chance_or_not() {
+        for (errors, samples, falls) in [
+            ([1.88, 17.83], 60, false),
+            ([5.0, 5.0], 10_000, false),
+            ([5.0, 4.999], 10_000, false),
+            ([5.0, 4.99], 10_000, true),
+            ([5.0, 4.9], 20, false),
+            ([5.0, 2.0], 20, true),
+            ([5.0, 0.0], 20, true),
+            ([5.0, f64::NAN], 20, false),
+        ] {
+            assert_eq!(lowers(errors, samples), falls, "{errors:?} {samples}");
+        }
+    }
+}
