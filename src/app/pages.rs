@@ -215,7 +215,9 @@ pub(crate) fn diagnosis<T>(
     ];
     if found.verdict == DiagnosisVerdict::NotFitted {
         // Where a model that follows nothing fails is no place in the machine.
-        [&mut before, &mut after].map(Comparison::clear_places);
+        for side in [&mut before, &mut after] {
+            side.clear_places();
+        }
     }
     let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
     let shown = Some(shown).filter(|_| is_electrical);
