@@ -274,7 +274,8 @@ pub(super) fn depends_on_drive(effect: &dyn Effect) -> bool {
         };
         [terms.torque_n_m(&at, &own), terms.friction_n_m(&at)]
     };
-    driven(1.0) != driven(2.0)
+    let mut pairs = driven(1.0).into_iter().zip(driven(2.0));
+    pairs.any(|(once, twice)| (once - twice).abs() > 0.0)
 }
 
 /// Whether an effect of the model depends on the transmitted torque.

@@ -70,7 +70,9 @@ fn constant(
         ("mean of it", mean(&held_out)),
         ("last value of the fitted part", *fitted.last()?),
     ];
-    let as_good = constants.iter().find(|(_, value)| !(own < error(*value)))?;
+    let as_good = constants
+        .iter()
+        .find(|(_, value)| own.is_nan() || own >= error(*value))?;
     Some(format!(
         "the fitted model leaves {own:.3} {unit} of the {name} of the hold-out, the {} {:.3} {unit}",
         as_good.0,
