@@ -168,9 +168,11 @@ pub(super) fn candidates(
         let id = inferred.effect.card().id;
         let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
-        let status = match (status, veto) {
-            (Status::Supported, Some(_)) => Status::Possible,
-            (status, _) => status,
+        // What the ladder does not show is not shown by its probability either.
+        let status = match veto {
+            Some(_) if !inferred.excited => Status::NotExcited,
+            Some(_) if status == Status::Supported => Status::Possible,
+            _ => status,
         };
         let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
         let onsets = inference.onsets(id);
