@@ -21,7 +21,7 @@ use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
 use crate::plant::{Model, MotorKey, Scenario, State, effect};
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 use crate::text::number::probability;
 
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
@@ -338,11 +338,6 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
     let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
-    let of_motor = |fit: &Fitted| -> Vec<ParameterEstimate> {
-        let own = fit.parameters.iter();
-        let own = own.filter(|own| MotorKey::from_key(&own.key).is_some());
-        own.cloned().collect()
-    };
     let mut diagnosis = Diagnosis {
         verdict,
         reason: None,
@@ -400,19 +395,32 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     diagnosis
 }
 
+/// The motor's parameters of a fit.
+fn of_motor(fit: &Fitted) -> Vec<ParameterEstimate> {
+    let own = fit.parameters.iter();
+    let own = own.filter(|own| MotorKey::from_key(&own.key).is_some());
+    own.cloned().collect()
+}
+
 /// The answer where the fitted model beats no trivial prediction: without names, bounds and places, which would all be about a
 /// model that follows nothing.
 fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosis {
     let sentence = format!(
         "{reason}; a model that predicts no better shows nothing by what it leaves: no effect is named and none is ruled out"
     );
-    let parameters = (diagnosis.parameters.into_iter())
-        .map(|own| ParameterEstimate::not_observable(&own.key, own.unit, reason.clone()))
-        .collect();
+    let unknown = |own: &ParameterEstimate| match own.verdict {
+        Verdict::Fixed => own.clone(),
+        _ => ParameterEstimate::not_observable(&own.key, own.unit, reason.clone()),
+    };
+    // Of the baseline, which is the model too: every output gives the same.
+    let fit = Fitted {
+        parameters: base.fit.parameters.iter().map(unknown).collect(),
+        ..base.fit.clone()
+    };
     Diagnosis {
         verdict: DiagnosisVerdict::NotFitted,
         reason: Some(reason),
-        parameters,
+        parameters: of_motor(&fit),
         effect: None,
         effects: Vec::new(),
         sufficient: false,
@@ -427,7 +435,8 @@ fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosi
         ladder: vec![base.rung()],
         axis_map: Vec::new(),
         equivalences: Vec::new(),
-        model: base.fit.clone(),
+        baseline: fit.clone(),
+        model: fit,
         grounds: None,
         rivals: Vec::new(),
         sentence,

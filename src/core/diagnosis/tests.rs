@@ -47,12 +47,24 @@ fn of_a_model_that_follows_nothing_nothing_is_concluded() {
     // The hold-out has the voltage of another run.
     let mut data = evidence(&nameplate(), 2);
     data.holdout.events = record(&nameplate(), 4, 5).events;
-    let found = diagnose(&nameplate(), data).unwrap();
+    let mut model = nameplate();
+    model.fixed = vec!["resistance_ohm".to_owned()];
+    let found = diagnose(&model, data).unwrap();
     let said = &found.sentence;
     assert_eq!(found.verdict, DiagnosisVerdict::NotFitted, "{said}");
     assert!(found.effects.is_empty() && found.candidates.is_empty() && found.unknown.is_empty());
     assert!(found.reason.is_some() && !found.sufficient, "{said}");
-    assert!(found.parameters.iter().all(|own| own.value.is_none()));
+    // JSON, card and page give the same of each parameter, and what was given stays.
+    for parameters in [
+        &found.parameters,
+        &found.baseline.parameters,
+        &found.model.parameters,
+    ] {
+        for own in parameters {
+            let is_given = own.key == "resistance_ohm";
+            assert_eq!(own.value.is_some(), is_given, "{own:?}");
+        }
+    }
 }
 
 #[test]
