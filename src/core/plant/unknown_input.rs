@@ -50,6 +50,16 @@ const NEARLY_ALL: f64 = 0.95;
 const SHORT: f64 = 3.0;
 /// The same where rows are polled on a schedule, each a little late: share of a period by which a row may miss its place.
 const OFF_THE_SCHEDULE: f64 = 0.25;
+/// Share of a period by which stamps of one resolution scatter: the last figure of a binary number.
+const SCATTER: f64 = 1e-3;
+/// Share of the resolution by which rounding moves a stamp of a clock, and a little.
+const ROUNDED: f64 = 0.55;
+/// Periods of a hole over which an error of the period does not count, and standard deviations of the mean of what two rounded
+/// stamps miss a time by, `resolution / sqrt(6)` each.
+const SHORT_HOLE: f64 = 10.0;
+const CERTAIN: f64 = 5.0;
+/// Share of the rows behind which a loop pauses, each time as long.
+const PAUSES: f64 = 0.05;
 /// Share of rows that follow one period after the last one, at least.
 const MOST: f64 = 0.5;
 /// Share of rows that repeat the value before from which a record writes rows without a change.
@@ -176,9 +186,15 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
         .filter(|multiple| **multiple <= 1.0)
         .count();
     let own_rows = (told.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
-    let is_regular =
-        share(on_the_grid) >= NEARLY_ALL || share(on_schedule(input, &multiples)) >= NEARLY_ALL;
-    if single == steps.len() || own_rows || !is_regular || share(single) < MOST {
+    // Of whole milliseconds, each loop of some keeps to a grid; a clock keeps to its schedule, but for the rounding.
+    let rounded_s = coarse_resolution_s(&steps, period_s);
+    let late_s = rounded_s.map_or(OFF_THE_SCHEDULE * period_s, |rounded_s| ROUNDED * rounded_s);
+    let is_off =
+        rounded_s.is_some_and(|rounded_s| holes_are_off((&steps, &multiples), period_s, rounded_s));
+    let is_regular = share(on_the_grid) >= NEARLY_ALL && rounded_s.is_none()
+        || share(on_schedule(input, &multiples, late_s)) >= NEARLY_ALL && !is_off;
+    let pauses = share(most_frequent_pause(&multiples)) >= PAUSES;
+    if single == steps.len() || own_rows || !is_regular || share(single) < MOST || pauses {
         return None;
     }
     // A record that only writes what changes repeats nothing, and changes over two periods by as much as over one.
@@ -221,8 +237,53 @@ fn schedule(steps: &[f64]) -> (f64, Vec<f64>) {
     (period_s, rounded(period_s))
 }
 
-/// Rows that keep to the places of a schedule; `multiples` are the places between one row and the next.
-fn on_schedule(input: &[(f64, f64)], multiples: &[f64]) -> usize {
+/// The resolution of the stamps, s, where it is a good part of the period; `None` where it is fine, or the period itself.
+fn coarse_resolution_s(steps: &[f64], period_s: f64) -> Option<f64> {
+    // What divides all times between rows.
+    let divisor = |mut a: f64, mut b: f64| {
+        while b > SCATTER * period_s {
+            (a, b) = (b, (a - (a / b).round() * b).abs());
+        }
+        a
+    };
+    let resolution_s = steps.iter().copied().fold(0.0, divisor);
+    let coarse_s = OFF_THE_GRID * period_s..(1.0 - OFF_THE_GRID) * period_s;
+    coarse_s.contains(&resolution_s).then_some(resolution_s)
+}
+
+/// Whether the short holes are longer than whole periods, or shorter, by more than rounding makes them in the mean.
+fn holes_are_off((steps, multiples): (&[f64], &[f64]), period_s: f64, rounded_s: f64) -> bool {
+    let holes = steps.iter().zip(multiples);
+    let holes = holes.filter(|(_, multiple)| (2.0..=SHORT_HOLE).contains(*multiple));
+    let off: Vec<f64> = holes
+        .map(|(step, multiple)| step - multiple * period_s)
+        .collect();
+    let count = off.len().max(1) as f64;
+    let mean_s = off.iter().sum::<f64>() / count;
+    mean_s.abs() > CERTAIN * rounded_s / (6.0 * count).sqrt()
+}
+
+/// How often the longer times between rows are of one length, of several periods, that is more frequent than all others
+/// together: rows are lost one by one more often than so many together, and a loop that does something else now and then
+/// takes so long each time.
+fn most_frequent_pause(multiples: &[f64]) -> usize {
+    let mut pauses: Vec<usize> = multiples
+        .iter()
+        .filter(|multiple| **multiple > 1.0)
+        .map(|multiple| whole(*multiple))
+        .collect();
+    pauses.sort_unstable();
+    let same = pauses.chunk_by(|a, b| a == b);
+    let most = same.max_by_key(|same| same.len()).unwrap_or_default();
+    if most.first().is_some_and(|periods| *periods > 2) && 2 * most.len() > pauses.len() {
+        most.len()
+    } else {
+        0
+    }
+}
+
+/// Rows that keep to the places of a schedule within `within_s`; `multiples` are the places between one row and the next.
+fn on_schedule(input: &[(f64, f64)], multiples: &[f64], within_s: f64) -> usize {
     let mut place = 0.0;
     let mut rows = vec![(0.0, input[0].0)];
     for (row, multiple) in input[1..].iter().zip(multiples) {
@@ -240,7 +301,7 @@ fn on_schedule(input: &[(f64, f64)], multiples: &[f64]) -> usize {
     let period_s = products / squares;
     let late = |row: &&(f64, f64)| {
         let late_s = row.1 - mean_s - period_s * (row.0 - mean_place);
-        late_s.abs() <= OFF_THE_SCHEDULE * period_s
+        late_s.abs() <= within_s
     };
     rows.iter().filter(late).count()
 }
@@ -739,6 +800,43 @@ mod tests {
             holes_of(kept.map(|row| (stamps(row), values[row])), 9e-3),
             []
         );
+    }
+
+    #[test]
+    fn an_irregular_loop_of_whole_milliseconds_has_lost_nothing_and_a_rounded_clock_has() {
+        let values = switched(1, 3000);
+        // Times between rows in ms, and how often of a hundred.
+        for steps in [
+            &[(2, 89), (12, 10), (3, 1)][..],
+            &[(2, 89), (12, 11)],
+            &[(3, 96), (13, 4)],
+            &[(2, 80), (3, 10), (4, 6), (7, 4)],
+        ] {
+            let mut sequence: Vec<usize> = (0..3000).map(|row| row * 7919 % 100).collect();
+            for place in &mut sequence {
+                let mut left = *place;
+                let step = steps.iter().find(|(_, share)| {
+                    let is_here = left < *share;
+                    left = left.saturating_sub(*share);
+                    is_here
+                });
+                *place = step.unwrap().0;
+            }
+            let mut at_ms = 0;
+            let rows = sequence.iter().zip(&values).map(|(step, value)| {
+                at_ms += step;
+                (1e-3 * at_ms as f64, *value)
+            });
+            let rows: Vec<(f64, f64)> = rows.collect();
+            let spans: Vec<f64> = rows.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+            assert_eq!(holes_of(rows.into_iter(), median(&spans)), [], "{steps:?}");
+        }
+        // 300 Hz in whole milliseconds, one row in thirteen lost.
+        let stamp = |row: usize| (row as f64 / 0.3).round() * 1e-3;
+        let kept = (0..3000).filter(|row| row % 13 != 6);
+        let found = holes_of(kept.map(|row| (stamp(row), values[row])), 1.0 / 300.0);
+        let rows: usize = found.iter().map(|hole| hole.lost_rows).sum();
+        assert_eq!(rows, 231);
     }
 
     #[test]
