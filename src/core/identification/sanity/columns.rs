@@ -9,6 +9,10 @@ const EXPLAINS: f64 = 0.35;
 /// An assignment with possible signs is only doubted where another one leaves less than this share of its error.
 const FAR_BETTER: f64 = 0.4;
 
+/// Error of each balance up to which another assignment holds well enough to be proposed: exchanged columns of a sound record
+/// leave some per cent, and up to a sixth where it is sampled as slowly as the shaft moves.
+const HOLDS_WELL: f64 = 0.2;
+
 /// Parts of a record of which most speak for the given assignment where the machine changed between them.
 const PARTS: usize = 6;
 
@@ -29,10 +33,16 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
         return None;
     }
     let given = Balances::of(&Roles::of(table))?;
+    if table.voltage_is_of_a_supply() {
+        return Some(Assigned {
+            exchanged: None,
+            impossible: given.impossible().map(|found| of_a_supply(table, found)),
+        });
+    }
     let mut best: Option<(Assignment, Balances)> = None;
     for assignment in assignments() {
         let found = Balances::of(&assignment.roles(table));
-        if let Some(found) = found.filter(Balances::is_physical)
+        if let Some(found) = found.filter(|found| assignment.holds_well(found))
             && best
                 .as_ref()
                 .is_none_or(|(_, best)| found.error() < best.error())
@@ -48,7 +58,7 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
         } else {
             FAR_BETTER
         };
-        found.error() < EXPLAINS && found.error() < share * given.error()
+        found.error() < share * given.error()
     });
     Some(Assigned {
         exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
@@ -94,7 +104,8 @@ struct Assignment {
     speed_sign: f64,
 }
 
-/// Every assignment but the given one. The voltage's sign is the reference.
+/// Every assignment but the given one, with one mistake each: columns in each other's place, or signs. The voltage's sign is
+/// the reference.
 fn assignments() -> impl Iterator<Item = Assignment> {
     const PLACES: [[usize; 3]; 6] = [
         [0, 1, 2],
@@ -104,20 +115,40 @@ fn assignments() -> impl Iterator<Item = Assignment> {
         [1, 2, 0],
         [2, 0, 1],
     ];
-    const SIGNS: [[f64; 2]; 4] = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
-    PLACES
-        .into_iter()
-        .flat_map(|place| {
-            SIGNS.map(|[current_sign, speed_sign]| Assignment {
-                place,
-                current_sign,
-                speed_sign,
-            })
-        })
-        .skip(1)
+    const SIGNS: [[f64; 2]; 3] = [[1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+    let exchanged = PLACES.into_iter().skip(1).map(|place| (place, [1.0; 2]));
+    let reversed = SIGNS.into_iter().map(|signs| ([0, 1, 2], signs));
+    let all = exchanged.chain(reversed);
+    all.map(|(place, [current_sign, speed_sign])| Assignment {
+        place,
+        current_sign,
+        speed_sign,
+    })
+}
+
+/// What the balances give of the voltage of a supply, which the bridge chops: nothing of the winding.
+fn of_a_supply(table: &Table, (name, value): (&str, f64)) -> Finding {
+    let voltage = Activity::of(&table.voltage_v);
+    let sentence = format!(
+        "{} stays between {:.4} and {:.4} V whatever the motor does, as that of a supply, and with it the balances give {name} of \
+         {value:.3e}: it is not the voltage at the motor's terminals",
+        table.voltage_key, voltage.least, voltage.most
+    );
+    let help = "map duty times supply, as voltage_v=DUTY*BUS, or map torque_n_m and the speed alone; a current taken at the supply is \
+                declared by --origin current_a=supply";
+    Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
 }
 
 impl Assignment {
+    /// Whether an assignment explains what the given one may not. An exchange has to explain both balances; a sign shows in the
+    /// voltage's alone, also where a coarse speed leaves much of the torque's.
+    fn holds_well(&self, found: &Balances) -> bool {
+        let is_exchange = self.place != [0, 1, 2];
+        found.is_physical()
+            && found.voltage_error < HOLDS_WELL
+            && (!is_exchange || found.torque_error < HOLDS_WELL)
+    }
+
     fn roles<'a>(&self, table: &'a Table) -> Roles<'a> {
         let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
         Roles {

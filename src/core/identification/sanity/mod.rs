@@ -1,8 +1,10 @@
 //! Sanity of the data, judged before anything is identified from them.
 //!
 //! ```text
-//! Run, Scenario, Model -> Table -+-> record    single wild rows; nothing changes, or the shaft does not turn; one signal is
-//!                                |             frozen, clipped or has lost its sign
+//! Run -> mask                                  cells that are no measurement: codes, repeats, a telemetry that froze
+//! Run, Scenario, Model -> Table -+-> record    single wild rows, a counter that overflows; nothing changes, or the shaft does
+//!                                |             not turn; one signal has lost its sign
+//!                                +-> stretches one signal is frozen, clipped, or a command
 //!                                +-> columns   two columns swapped, a sign reversed  <- both equations, quickly
 //!                                +-> scale     r/min for rad/s, mA for A, ms for s: by name and factor
 //! Vec<Finding>: `refuses` -> nothing may be identified; else a caution that stands beside the result
@@ -12,12 +14,18 @@
 //! only against something else: the angle, a torque, a nameplate, or a size that no motor has.
 
 mod columns;
+mod mask;
 mod record;
 mod scale;
+mod sensor;
+#[cfg(test)]
+mod sensor_tests;
+mod stretches;
 mod table;
 #[cfg(test)]
 mod tests;
 
+pub use mask::mask;
 pub use scale::of_header;
 
 use serde::Serialize;
@@ -25,7 +33,7 @@ use serde::Serialize;
 use self::table::Table;
 use super::claims::lower;
 use crate::plant::{Model, MotorKey, Scenario};
-use crate::sample::{ParameterEstimate, Run, Verdict};
+use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
 /// What sort of trouble a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -39,6 +47,8 @@ pub enum Kind {
     OpenCircuit,
     /// Single values that no machine can have shown.
     Outlier,
+    /// A counter that overflows to the other sign.
+    Overflow,
     /// A signal does not move although it must.
     Frozen,
     /// A signal is cut off at a limit.
@@ -113,10 +123,14 @@ pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
 ///
 /// `model`: a nameplate or an earlier model, as far as there is one; its values are what units are judged by.
 pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
-    let table = Table::new(scenario);
+    let mut table = Table::new(scenario);
+    // A supply current enters no balance of the armature, and has no direction.
+    if run.side(Channel::Current) == Some(Side::Supply) {
+        table.current_a.fill(f64::NAN);
+    }
     // One wild value bends every range and balance below.
-    if let Some(outlier) = record::outlier(&table) {
-        return vec![outlier];
+    if let Some(wild) = record::overflow(&table).or_else(|| record::outlier(&table)) {
+        return vec![wild];
     }
     let mut findings = record::still(&table);
     // A record in which nothing moves has no balance to check.
@@ -136,5 +150,14 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
         }
     }
     findings.sort_by_key(|finding| !finding.refuses);
+    // What mends two findings is said once.
+    let mut said: Vec<String> = Vec::new();
+    for finding in &mut findings {
+        if said.contains(&finding.help) {
+            finding.help.clear();
+        } else {
+            said.push(finding.help.clone());
+        }
+    }
     findings
 }

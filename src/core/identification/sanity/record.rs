@@ -3,10 +3,12 @@
 
 use std::ops::Range;
 
+use super::sensor::{Signal, is_same, stretches};
+use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, voltage_at_rest};
 use super::{Finding, Kind};
 use crate::numerics::count::whole;
-use crate::numerics::statistics::{finite, median};
+use crate::numerics::statistics::{extent, finite, median};
 use crate::plant::MotorKey;
 
 /// Correlation of voltage and current above which the current answers the voltage.
@@ -61,8 +63,12 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
 const NO_VOLTAGE: f64 = 0.002;
 const CLEAR_SPEED: f64 = 0.2;
 const NO_CURRENT: f64 = 0.02;
-/// Rows from which such a stretch counts, and the share of the record that forbids an identification.
+/// Quanta of a speed that are a clear one: one is what a coarse sensor shows of a shaft at rest, two of one that creeps.
+const CLEAR_QUANTA: f64 = 3.0;
+/// Rows from which such a stretch counts, changes of the speed within it, and the share of the record that forbids an
+/// identification.
 const OPEN_ROWS: usize = 20;
+const COASTING_CHANGES: usize = 3;
 const OPEN_SHARE: f64 = 0.02;
 
 /// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
@@ -72,20 +78,27 @@ fn open_for_a_while(
     current: &Activity,
     speed: &Activity,
 ) -> Option<Finding> {
-    let coasts = |row: &usize| {
-        table.voltage_v[*row].abs() <= NO_VOLTAGE * voltage.largest()
-            && table.speed_rad_s[*row].abs() > CLEAR_SPEED * speed.largest()
-            && table.current_a[*row].is_finite()
+    // A coarse sensor shows a speed of some quanta at rest.
+    let clear = (CLEAR_SPEED * speed.largest()).max(CLEAR_QUANTA * table.speed.quantum);
+    let coasts = |row: usize| {
+        table.voltage_v[row].abs() <= NO_VOLTAGE * voltage.largest()
+            && table.speed_rad_s[row].abs() > clear
+            && table.current_a[row].is_finite()
     };
-    let rows: Vec<usize> = (0..table.time_s.len()).filter(coasts).collect();
-    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze.
-    let speeds: Vec<f64> = rows.iter().map(|row| table.speed_rad_s[*row]).collect();
-    if Activity::of(&speeds).is_constant() {
-        return None;
-    }
+    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze, or a late one.
+    let slows = |rows: &Range<usize>| {
+        let changes = rows.clone().skip(1);
+        let changes =
+            changes.filter(|row| !is_same(table.speed_rad_s[row - 1], table.speed_rad_s[*row]));
+        changes.count() >= COASTING_CHANGES
+    };
+    let stretches = stretches(table.time_s.len(), OPEN_ROWS, |row| {
+        coasts(row) && coasts(row - 1)
+    });
+    let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
     let level = median(&currents);
-    if rows.len() < OPEN_ROWS || level > NO_CURRENT * current.largest() {
+    if rows.is_empty() || level > NO_CURRENT * current.largest() {
         return None;
     }
     let sentence = format!(
@@ -240,18 +253,6 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
     ))
 }
 
-/// Rows of one and the same value from which a live signal counts as frozen.
-const FROZEN_ROWS: usize = 20;
-/// Share of equal neighbours up to which a signal counts as live (a coarse quantum repeats values too).
-const LIVE: f64 = 0.5;
-/// Share of its range by which another signal moves meanwhile.
-const MEANWHILE: f64 = 0.1;
-/// Rows at the very same extreme value that make a plateau, and the share of the range by which a clipped signal
-/// enters it in one row: a settling signal creeps.
-const PLATEAU_ROWS: usize = 3;
-const STEEP: f64 = 0.03;
-/// Share of the rows from which clipping forbids an identification.
-const CLIPPED: f64 = 0.01;
 /// Share of the largest value that is none.
 const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
@@ -265,23 +266,27 @@ const NEARLY_NONE: f64 = 0.05;
 pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
     let speed_moves = Activity::of(&table.speed_rad_s).moves;
-    let (u, i, w) = (&table.voltage_v, &table.current_a, &table.speed_rad_s);
-    for (key, values, others) in [("current_a", i, [w, u]), ("speed_rad_s", w, [i, u])] {
-        let activity = Activity::of(values);
-        if !activity.moves {
+    for signal in [Signal::Current, Signal::Speed] {
+        let watched = Watched::of(table, signal);
+        if !watched.activity.moves {
             continue;
         }
         // A winding at rest, sampled slowly and without noise, does follow the voltage in jumps.
-        if speed_moves && let Some(held) = held(key, values, &activity) {
+        if speed_moves && let Some(held) = watched.held() {
             findings.push(held);
             continue;
         }
         // A plateau at the limit is no freezing.
-        match clipped(key, values, &activity) {
+        match watched.clipped() {
             Some(clipped) => findings.push(clipped),
-            None => findings.extend(frozen(table, key, values, others)),
+            None => findings.extend(watched.frozen()),
         }
-        findings.extend(unsigned(table, key, &activity, values));
+        findings.extend(unsigned(
+            table,
+            watched.key,
+            &watched.activity,
+            watched.values,
+        ));
     }
     if speed_moves {
         findings.extend(dead_at_zero(table));
@@ -295,23 +300,17 @@ pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
 fn dead_at_zero(table: &Table) -> Option<Finding> {
     // A slope of equal angles is zero but for rounding.
     let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
-    let mut longest = 0..0;
-    let mut begin = 0;
-    for row in 0..=table.speed_rad_s.len() {
-        let speed = table.speed_rad_s.get(row);
-        if speed.is_none_or(|speed| speed.abs() > zero_rad_s || speed.is_nan()) {
-            if row - begin > longest.len() {
-                longest = begin..row;
-            }
-            begin = row + 1;
-        }
-    }
+    let is_zero = |row: usize| table.speed_rad_s[row].abs() <= zero_rad_s;
+    let rows = table.speed_rad_s.len();
+    let still = stretches(rows, FROZEN_ROWS, |row| is_zero(row) && is_zero(row - 1));
+    let longest = still.into_iter().max_by_key(Range::len)?;
     let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
     let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
-    let largest = |values: &[f64]| Activity::of(values).largest();
-    if longest.len() < FROZEN_ROWS
-        || largest(&table.voltage_v[longest.clone()]) < CLEARLY * largest(&table.voltage_v)
-    {
+    let clear_v = CLEARLY * Activity::of(&table.voltage_v).largest();
+    let driven = table.voltage_v[longest.clone()].iter();
+    let driven = driven.filter(|volts| volts.abs() > clear_v).count();
+    // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
+    if table.voltage_is_of_a_supply() || driven < FROZEN_ROWS {
         return None;
     }
     let roles = Roles {
@@ -330,122 +329,6 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
         ),
         "check the encoder and its cable; cut the stretch out of the file",
     ))
-}
-
-/// The longest stretch of one non-zero value in a signal that is live elsewhere, while another signal moves.
-fn frozen(table: &Table, key: &str, values: &[f64], others: [&Vec<f64>; 2]) -> Option<Finding> {
-    let (mut begin, mut equal, mut longest) = (0, 0_usize, 0..0);
-    for (row, value) in values.iter().enumerate() {
-        if row > 0 && values[row - 1].to_bits() == value.to_bits() {
-            equal += 1;
-        } else {
-            begin = row;
-        }
-        // At rest an encoder says exactly 0, rightly.
-        if value.abs() > 0.0 && row + 1 - begin > longest.len() {
-            longest = begin..row + 1;
-        }
-    }
-    let rows = longest.len();
-    let elsewhere = (values.len() - rows).max(1) as f64;
-    let equal_elsewhere = (equal + 1).saturating_sub(rows) as f64;
-    if rows < FROZEN_ROWS || equal_elsewhere > LIVE * elsewhere {
-        return None;
-    }
-    let moved = others.iter().any(|other| {
-        let part = Activity::of(&other[longest.clone()]);
-        part.moves && part.range() > MEANWHILE * Activity::of(other).range()
-    });
-    moved.then(|| {
-        Finding::refusal(
-            Kind::Frozen,
-            format!(
-                "{key} repeats {} for {rows} rows from {:.3} to {:.3} s while the other signals move: its source froze",
-                values[longest.start],
-                table.time_s[longest.start],
-                table.time_s[longest.end - 1]
-            ),
-            "leave such cells empty (a missing value is never a repeat), or cut the stretch out of the file",
-        )
-    })
-}
-
-/// Share of neighbours that are equal in a held signal, jumps that it has at least, and their size as a share of the range.
-const HELD: f64 = 0.8;
-const JUMPS: usize = 3;
-const JUMP: f64 = 0.1;
-
-/// A measured signal that stands still between jumps is a command: no shaft and no winding does that.
-fn held(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
-    let present = finite(values);
-    let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
-    // At rest any signal stands still.
-    let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
-    let equal = lively.clone().filter(|(a, b)| a.to_bits() == b.to_bits());
-    let equal = equal.count();
-    let jumps = pairs().map(|(a, b)| (b - a).abs());
-    let jumps: Vec<f64> = jumps.filter(|jump| *jump > 0.0).collect();
-    let is_large = |jump: &&f64| **jump > JUMP * activity.range();
-    let large = jumps.iter().filter(is_large).count();
-    let is_held =
-        equal as f64 > HELD * lively.count() as f64 && large >= JUMPS && 2 * large > jumps.len();
-    is_held.then(|| {
-        Finding::refusal(
-            Kind::Swapped,
-            format!(
-                "{key} stands exactly still between {large} jumps of up to {:.4}, as a command does and no measurement: is it \
-                 in another signal's column?",
-                jumps.iter().copied().fold(0.0, f64::max)
-            ),
-            "map the measured column; a commanded voltage is voltage_cmd_v, a commanded speed reference_rad_s",
-        )
-    })
-}
-
-/// Plateaus at the largest or smallest value that are entered at full slope.
-fn clipped(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
-    let at_limit = |value: f64| {
-        (value >= activity.most && activity.most > 0.0)
-            || (value <= activity.least && activity.least < 0.0)
-    };
-    let (mut rows, mut plateaus, mut steep) = (0_usize, 0_usize, 0_usize);
-    let mut row = 0;
-    while row < values.len() {
-        let begin = row;
-        while row < values.len() && at_limit(values[row]) {
-            row += 1;
-        }
-        if row - begin >= PLATEAU_ROWS {
-            rows += row - begin;
-            plateaus += 1;
-            let slope = |from: Option<&f64>, to: f64| from.map_or(0.0, |from| (to - from).abs());
-            let before = begin.checked_sub(1).and_then(|k| values.get(k));
-            let (entry, leave) = (
-                slope(before, values[begin]),
-                slope(values.get(row), values[row - 1]),
-            );
-            steep += usize::from(entry.max(leave) > STEEP * activity.range());
-        }
-        row = row.max(begin + 1);
-    }
-    // One plateau may be a stalled motor under one voltage; the very same value several times is a limit.
-    if plateaus < 2 || 2 * steep < plateaus {
-        return None;
-    }
-    let share = rows as f64 / activity.count as f64;
-    let sentence = format!(
-        "{key} stands at exactly {:.6} or {:.6} in {rows} rows ({:.1} %) on {plateaus} plateaus that it enters at full slope: \
-         it is cut off there",
-        activity.least,
-        activity.most,
-        100.0 * share
-    );
-    let help = "raise the range of the instrument or excite less; or leave the cut-off cells empty";
-    Some(if share > CLIPPED {
-        Finding::refusal(Kind::Clipped, sentence, help)
-    } else {
-        Finding::caution(Kind::Clipped, &MotorKey::ALL, sentence, help)
-    })
 }
 
 /// A signal that is never negative although the voltage clearly reverses and it is large there.
@@ -517,4 +400,96 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
             "map the voltage with its sign (a duty or bus voltage alone has none)",
         )
     })
+}
+
+/// Share of its range by which a counter jumps that overflows, and quanta that this is at least.
+const OVERFLOW: f64 = 0.7;
+const OVERFLOW_QUANTA: f64 = 20.0;
+/// Share of the range within which such a jump begins and ends at the two ends.
+const AT_THE_END: f64 = 0.2;
+/// Usual step, as a share of a jump, below which a jump is none of the signal's own.
+const SMOOTH: f64 = 0.05;
+/// Share of the jumps in whose midst the input stands.
+const UNCAUSED: f64 = 0.6;
+
+/// Jumps from which they are no accident.
+const FEWEST_OVERFLOWS: usize = 3;
+/// Deviation from a whole number of bits: the step and the jump are known to some per cent.
+const BITS: f64 = 0.05;
+
+/// A signal that jumps from one end of its range to the other where nothing drives it: a counter that overflows to the other
+/// sign.
+pub(super) fn overflow(table: &Table) -> Option<Finding> {
+    [
+        ("speed_rad_s", &table.speed_rad_s, table.speed),
+        ("current_a", &table.current_a, table.current),
+    ]
+    .into_iter()
+    .find_map(|(key, values, sensor)| overflow_of(table, key, values, sensor.quantum))
+}
+
+fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option<Finding> {
+    let (least, most) = extent(&finite(values));
+    let range = most - least;
+    let sizes: Vec<f64> = values
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).abs())
+        .collect();
+    let is_end = |value: f64| (value - least).min(most - value) < AT_THE_END * range;
+    let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
+    let jumps: Vec<usize> = (1..values.len())
+        .filter(|row| sizes[row - 1] > OVERFLOW * range && ends(row))
+        .collect();
+    let is_coarse = quantum <= 0.0 || range < OVERFLOW_QUANTA * quantum;
+    if jumps.len() < FEWEST_OVERFLOWS || is_coarse || median(&sizes) > SMOOTH * range {
+        return None;
+    }
+    let span = |values: &[f64]| {
+        let (least, most) = extent(&finite(values));
+        most - least
+    };
+    let voltage = &table.voltage_v;
+    let stands = |row: &&usize| {
+        let beside = row.saturating_sub(2)..(**row + 2).min(voltage.len());
+        let moved = span(&voltage[beside]);
+        moved.is_infinite() || moved <= AT_THE_END * span(voltage)
+    };
+    let uncaused = jumps.iter().filter(stands).count();
+    if (uncaused as f64) < UNCAUSED * jumps.len() as f64 {
+        return None;
+    }
+    // The signal goes on beyond its end as it did before.
+    let period = jumps.iter().map(|row| {
+        let own = [row.checked_sub(2), Some(*row)].into_iter().flatten();
+        let own = own.filter_map(|step| sizes.get(step)).copied();
+        sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(SMOOTH * range)
+    });
+    let period = median(&period.collect::<Vec<f64>>());
+    // What the steps tell exactly goes before what the jumps tell.
+    let steps = sizes.iter().filter(|size| **size > ROUNDING * range);
+    let step = steps.fold(f64::INFINITY, |least, size| least.min(*size));
+    let bits = (period / step).log2();
+    let is_whole = (bits - bits.round()).abs() < BITS && (8.0..=32.0).contains(&bits.round());
+    let (period, counts) = if is_whole {
+        let counts = bits.round().exp2();
+        (counts * step, format!(" ({counts} counts of its step)"))
+    } else {
+        (period, " (65536 counts, if it has 16 bits)".to_owned())
+    };
+    let first = jumps[0];
+    Some(Finding::refusal(
+        Kind::Overflow,
+        format!(
+            "{key} jumps by {period:.4} from one end of its range to the other{counts} in {} rows, first at {:.4} s from {:.4} to \
+             {:.4}, while nothing drives it there: a counter that overflows to the other sign",
+            jumps.len(),
+            table.time_s[first],
+            values[first - 1],
+            values[first],
+        ),
+        format!(
+            "add or subtract {period:.4} in the rows behind each jump until the next one, or log the signal with more bits or in a \
+             coarser unit"
+        ),
+    ))
 }

@@ -176,10 +176,14 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
 const BACK_EMF: f64 = 0.15;
 /// Resistances within this ratio are the same winding, hot or cold, with its cable.
 const SAME_WINDING: f64 = 1.8;
+/// Ratio of back-EMF constants up to which two motors of the same winding are one, more or less magnetised.
+const SAME_MACHINE: f64 = 1.5;
 /// Electrical time constant that no armature reaches, s.
 const LONGEST_ARMATURE_S: f64 = 1.0;
 /// Speed above which r/min are suspected, rad/s: 9,549 r/min.
 const FAST_RAD_S: f64 = 1000.0;
+/// Voltage above which millivolts are suspected: low voltage ends there, and few motors that are recorded have more.
+const MANY_VOLTS: f64 = 1000.0;
 /// Current above which, below such a voltage, milliamperes are suspected; and the power that settles it, W.
 const MANY_AMPERES: f64 = 1000.0;
 const LOW_VOLTAGE_V: f64 = 200.0;
@@ -222,10 +226,10 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
     }
     if findings.is_empty() {
         // Who says where the speed comes from has looked at it: a drive's profile, or the user with --origin.
-        let confirmed = nameplate.is_some()
-            || run.origin(Channel::Speed) != Origin::Unknown
-            || speed_over_angle(run).is_some_and(|ratio| near(ratio, 1.0, ANGLE_AGREES));
-        findings.extend(sizes(table, confirmed, back_emf));
+        let confirmed = nameplate.is_some() || run.origin(Channel::Speed) != Origin::Unknown;
+        let by_angle = speed_over_angle(run).is_some();
+        findings.extend(electrical_sizes(table, nameplate.is_some()));
+        findings.extend(fast(table, confirmed, by_angle, back_emf));
     }
     findings
 }
@@ -262,7 +266,8 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
             return Some(confused(factor, "voltage_v", voltage, "V").refusal(&seen));
         }
     }
-    // Phase against line, peak against r.m.s., electrical against mechanical speed: near one, so only a hint.
+    // Phase against line, peak against r.m.s., electrical against mechanical speed, edges against lines, a gear: each is a
+    // plain number, so only a hint.
     let hints = [
         (3f64.sqrt(), "line for phase values (sqrt 3)"),
         (1.0 / 3f64.sqrt(), "phase for line values (sqrt 3)"),
@@ -270,17 +275,27 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         (1.0 / 2f64.sqrt(), "r.m.s. for peak values (sqrt 2)"),
         (0.5, "electrical speed of two pole pairs (2)"),
         (1.0 / 3.0, "electrical speed of three pole pairs (3)"),
-        (0.25, "electrical speed of four pole pairs (4)"),
+        (
+            0.25,
+            "quadrature edges counted as lines, or electrical speed of four pole pairs (4)",
+        ),
+        (4.0, "lines counted as quadrature edges (4)"),
     ];
-    let hint = hints
-        .iter()
-        .find(|(factor, _)| near(ratio, *factor, 0.03))?;
-    Some(Finding::caution(
-        Kind::Unit,
-        &OF_SPEED,
-        format!("{seen}: has the column {}?", hint.1),
-        "check on which basis the nameplate and the columns are given",
-    ))
+    if let Some(hint) = hints.iter().find(|(factor, _)| near(ratio, *factor, 0.03)) {
+        let sentence = format!("{seen}: has the column {}?", hint.1);
+        let help = "check on which basis the nameplate and the columns are given";
+        return Some(Finding::caution(Kind::Unit, &OF_SPEED, sentence, help));
+    }
+    let is_far = !(1.0 / SAME_MACHINE..SAME_MACHINE).contains(&ratio);
+    (is_far && winding.is_some() && like(1.0)).then(|| {
+        let gear = if ratio > 1.0 { ratio } else { 1.0 / ratio };
+        let side = if ratio > 1.0 { "slow" } else { "fast" };
+        let sentence = format!(
+            "{seen}, the same winding: does the encoder stand on the {side} side of a gear of {gear:.3}?"
+        );
+        let help = format!("if so, convert it with --map speed_rad_s=COLUMN*{ratio:.6}");
+        Finding::caution(Kind::Unit, &OF_SPEED, sentence, help)
+    })
 }
 
 /// Kt = Ke in SI: with a torque and a current the factor between them is a unit.
@@ -304,54 +319,111 @@ fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     Some(unit.refusal(&seen))
 }
 
-/// Sizes that hardly any motor has; `confirmed`: the unit of the speed is known otherwise.
-fn sizes(table: &Table, confirmed: bool, back_emf: Option<f64>) -> Vec<Finding> {
-    let [voltage, current, speed] =
-        [&table.voltage_v, &table.current_a, &table.speed_rad_s].map(|values| Activity::of(values));
-    let mut findings = Vec::new();
-    let many = current.is_there() && current.largest() > MANY_AMPERES;
-    if many && voltage.is_there() && voltage.largest() < LOW_VOLTAGE_V {
-        let sentence = format!(
-            "current_a reaches {:.0} A at {:.1} V: if it is in mA, it is 1000 times too large",
-            current.largest(),
-            voltage.largest()
-        );
-        let help = "convert it with --map current_a=COLUMN*0.001";
-        let peak_w = current.largest() * voltage.largest();
-        findings.push(if peak_w > LARGEST_POWER_W {
-            Finding::refusal(Kind::Unit, sentence, help)
+/// Voltages and currents that hardly any motor has; `confirmed`: by a nameplate.
+fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
+    let [voltage, current] =
+        [&table.voltage_v, &table.current_a].map(|values| Activity::of(values));
+    let peak = |signal: &Activity| {
+        if signal.is_there() {
+            signal.largest()
         } else {
-            let touched = [
-                MotorKey::Resistance,
-                MotorKey::Inductance,
-                MotorKey::TorqueConstant,
-                MotorKey::Inertia,
-                MotorKey::LoadTorque,
-            ];
+            0.0
+        }
+    };
+    let (volts, amperes) = (peak(&voltage), peak(&current));
+    let many_volts = volts > MANY_VOLTS && !confirmed;
+    let milliamperes =
+        amperes > MANY_AMPERES && voltage.is_there() && (volts < LOW_VOLTAGE_V || many_volts);
+    let is_absurd = amperes * volts > LARGEST_POWER_W && milliamperes;
+    let judged = |sentence: String, help: &str| {
+        let touched = [
+            MotorKey::Resistance,
+            MotorKey::Inductance,
+            MotorKey::TorqueConstant,
+            MotorKey::Inertia,
+            MotorKey::LoadTorque,
+        ];
+        if is_absurd {
+            Finding::refusal(Kind::Unit, sentence, help)
+        } else if many_volts {
+            Finding::caution(Kind::Magnitude, &MotorKey::ALL, sentence, help)
+        } else {
             Finding::caution(Kind::Magnitude, &touched, sentence, help)
-        });
+        }
+    };
+    let mut findings = Vec::new();
+    if many_volts {
+        let key = table.voltage_key;
+        findings.push(judged(
+            format!("{key} reaches {volts:.0} V: if it is in mV, it is 1000 times too large"),
+            &format!("convert it with --map {key}=COLUMN*0.001"),
+        ));
     }
-    if speed.is_there() && speed.largest() > FAST_RAD_S && !confirmed {
-        let fast = speed.largest();
-        let constant = back_emf.map_or_else(String::new, |found| {
+    if milliamperes {
+        findings.push(judged(
             format!(
-                ", and the back-EMF constant {:.4} instead of {found:.4} V.s/rad",
-                found / rad_s_from_rpm(1.0)
-            )
-        });
-        findings.push(Finding::caution(
-            Kind::Magnitude,
-            &OF_SPEED,
-            format!(
-                "speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min; if the column is in r/min (a factor 9.5493), it is \
-                 {:.0} rad/s{constant}",
-                rpm_from_rad_s(fast),
-                rad_s_from_rpm(fast)
+                "current_a reaches {amperes:.0} A at {volts:.1} V: if it is in mA, it is 1000 times too large"
             ),
-            "convert it with --map speed_rad_s=COLUMN*0.104719755, or confirm it with --origin speed_rad_s=measured",
+            "convert it with --map current_a=COLUMN*0.001",
         ));
     }
     findings
+}
+
+/// Speeds that hardly any motor has; `confirmed`: the unit is known otherwise, `by_angle`: an angle is its integral, so that
+/// both may be in degrees, and not in r/min.
+fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -> Option<Finding> {
+    let speed = Activity::of(&table.speed_rad_s);
+    let fast = speed.largest();
+    let suspected = if by_angle {
+        FAST_RAD_S * DEGREES / rpm_from_rad_s(1.0)
+    } else {
+        FAST_RAD_S
+    };
+    if !speed.is_there() || fast <= suspected || confirmed {
+        return None;
+    }
+    let constant = |factor: f64| {
+        back_emf.map_or_else(String::new, |found| {
+            format!(
+                ", and the back-EMF constant {:.4} instead of {found:.4} V.s/rad",
+                found * factor
+            )
+        })
+    };
+    let per_minute = rpm_from_rad_s(1.0);
+    let reaches = format!(
+        "speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min",
+        rpm_from_rad_s(fast)
+    );
+    let degrees = format!(
+        "in deg/s (a factor {DEGREES:.4}), it is {:.0} rad/s{}",
+        fast / DEGREES,
+        constant(DEGREES)
+    );
+    let confirm = "or confirm it with --origin speed_rad_s=measured";
+    let (sentence, help) = if by_angle {
+        (
+            format!(
+                "{reaches}, and angle_rad is its integral; if the columns are in degrees and {degrees}"
+            ),
+            format!(
+                "convert them with --map speed_rad_s=COLUMN*0.017453293,angle_rad=COLUMN*0.017453293, {confirm}"
+            ),
+        )
+    } else {
+        (
+            format!(
+                "{reaches}; if the column is in r/min (a factor {per_minute:.4}), it is {:.0} rad/s{}; if it is {degrees}",
+                rad_s_from_rpm(fast),
+                constant(per_minute)
+            ),
+            format!(
+                "convert it with --map speed_rad_s=COLUMN*0.104719755 (r/min) or speed_rad_s=COLUMN*0.017453293 (deg/s), {confirm}"
+            ),
+        )
+    };
+    Some(Finding::caution(Kind::Magnitude, &OF_SPEED, sentence, help))
 }
 
 // What the header of a mapped column says about its unit.

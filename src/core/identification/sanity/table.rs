@@ -5,7 +5,9 @@
 
 use std::ops::Range;
 
+use super::sensor::Sensor;
 use crate::identification::window_sums::{Sums, trapezoid, windows};
+use crate::numerics::count;
 use crate::numerics::least_squares::{NormalFit, fit_normal};
 use crate::numerics::statistics::{extent, finite, largest, median_step};
 use crate::plant::{Input, Scenario};
@@ -17,6 +19,9 @@ pub(super) struct Table {
     pub(super) voltage_v: Vec<f64>,
     pub(super) current_a: Vec<f64>,
     pub(super) speed_rad_s: Vec<f64>,
+    /// Sensors of current and speed.
+    pub(super) current: Sensor,
+    pub(super) speed: Sensor,
     /// Short stretches of rows over which both balances are looked at.
     pub(super) windows: Vec<Range<usize>>,
     /// Column that gave the voltage.
@@ -29,15 +34,20 @@ impl Table {
             Input::Voltage => signal::held(&scenario.events, *time_s).unwrap_or(f64::NAN),
             Input::Current | Input::Torque => f64::NAN,
         };
-        let voltage_v = scenario.sample_time_s.iter().map(voltage).collect();
-        let windows = windows(&scenario.sample_time_s);
+        let rows = whole_rows(scenario);
+        let of = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
+        let time_s = of(&scenario.sample_time_s);
+        let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
+        let windows = windows(&time_s);
         let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
         Self {
             windows: windows.into_iter().step_by(stride).collect(),
-            time_s: scenario.sample_time_s.clone(),
-            voltage_v,
-            current_a: scenario.current_a.clone(),
-            speed_rad_s: scenario.speed_rad_s.clone(),
+            voltage_v: time_s.iter().map(voltage).collect(),
+            current: Sensor::of(&current_a),
+            speed: Sensor::of(&speed_rad_s),
+            time_s,
+            current_a,
+            speed_rad_s,
             voltage_key: scenario.input_channel.key(),
         }
     }
@@ -49,9 +59,43 @@ impl Table {
         }
     }
 
+    /// Whether the voltage only sags: that of a supply, which says nothing of what the winding had.
+    pub(super) fn voltage_is_of_a_supply(&self) -> bool {
+        let voltage = Activity::of(&self.voltage_v);
+        let least = voltage.least.abs().min(voltage.most.abs());
+        voltage.is_there()
+            && voltage.least * voltage.most > 0.0
+            && least > SAGGED * voltage.largest()
+            && !voltage.is_constant()
+    }
+
     /// Median distance of the samples, s.
     pub(super) fn period_s(&self) -> f64 {
         median_step(&self.time_s)
+    }
+}
+
+/// Share of its largest value above which a voltage that changes stays where it is a supply's: a battery that sags by more
+/// is empty, and an excitation that changes by less excites hardly anything.
+const SAGGED: f64 = 0.7;
+/// Share of the rows that have every signal from which the others are left out: a signal that is sampled more slowly than the
+/// rest is there in one of some ten.
+const WHOLE: f64 = 0.02;
+/// The same in rows.
+const FEWEST_WHOLE: usize = 100;
+
+/// Rows in which each signal that is measured has a value; all, where such rows are few.
+fn whole_rows(scenario: &Scenario) -> Vec<usize> {
+    let columns = [&scenario.current_a, &scenario.speed_rad_s];
+    let mut measured = columns.to_vec();
+    measured.retain(|values| values.iter().any(|value| value.is_finite()));
+    let all = 0..scenario.samples();
+    let is_whole = |row: &usize| measured.iter().all(|values| values[*row].is_finite());
+    let whole: Vec<usize> = all.clone().filter(is_whole).collect();
+    if whole.len() < FEWEST_WHOLE.max(count::whole(WHOLE * all.len() as f64)) {
+        all.collect()
+    } else {
+        whole
     }
 }
 

@@ -5,7 +5,7 @@ use crate::identification::testing::{put, record, run_of};
 use crate::plant::Motor;
 use crate::sample::{Channel, Origin};
 
-const LEVELS: [(f64, f64); 9] = [
+pub(super) const LEVELS: [(f64, f64); 9] = [
     (0.0, 0.0),
     (0.5, 20.0),
     (1.0, -25.0),
@@ -18,15 +18,15 @@ const LEVELS: [(f64, f64); 9] = [
 ];
 
 /// Columns of a bench record: voltage, current, speed, angle.
-struct Columns {
-    time_s: Vec<f64>,
-    voltage: Vec<f64>,
-    current: Vec<f64>,
-    speed: Vec<f64>,
-    angle: Vec<f64>,
+pub(super) struct Columns {
+    pub(super) time_s: Vec<f64>,
+    pub(super) voltage: Vec<f64>,
+    pub(super) current: Vec<f64>,
+    pub(super) speed: Vec<f64>,
+    pub(super) angle: Vec<f64>,
 }
 
-fn columns(period_s: f64, seed: u64) -> Columns {
+pub(super) fn columns(period_s: f64, seed: u64) -> Columns {
     let model = Model::baseline(Motor::zk_22fc());
     let mut columns = Columns::of(record(&model, LEVELS.to_vec(), period_s, 4.5, seed));
     let (mut turned, mut before) = (0.0, None);
@@ -40,7 +40,7 @@ fn columns(period_s: f64, seed: u64) -> Columns {
 
 impl Columns {
     /// Those of a scenario, without an angle.
-    fn of(scenario: Scenario) -> Self {
+    pub(super) fn of(scenario: Scenario) -> Self {
         Self {
             voltage: Table::new(&scenario).voltage_v,
             time_s: scenario.sample_time_s,
@@ -50,7 +50,7 @@ impl Columns {
         }
     }
 
-    fn run(&self) -> Run {
+    pub(super) fn run(&self) -> Run {
         let columns = [
             (Channel::Voltage, self.voltage.clone()),
             (Channel::Current, self.current.clone()),
@@ -63,7 +63,7 @@ impl Columns {
         run
     }
 
-    fn with_angle(&self) -> Run {
+    pub(super) fn with_angle(&self) -> Run {
         let mut run = self.run();
         put(&mut run, Channel::Angle, self.angle.clone());
         run.set_origin(Channel::Angle, Origin::Unknown);
@@ -71,7 +71,7 @@ impl Columns {
     }
 
     /// Voltage, current, speed.
-    fn signal(&mut self, index: usize) -> &mut Vec<f64> {
+    pub(super) fn signal(&mut self, index: usize) -> &mut Vec<f64> {
         [&mut self.voltage, &mut self.current, &mut self.speed]
             .into_iter()
             .nth(index)
@@ -79,7 +79,7 @@ impl Columns {
     }
 }
 
-fn scaled(values: &[f64], factor: f64) -> Vec<f64> {
+pub(super) fn scaled(values: &[f64], factor: f64) -> Vec<f64> {
     values.iter().map(|value| value * factor).collect()
 }
 
@@ -99,7 +99,7 @@ fn refused(run: &Run, motor: Motor, kind: Kind, parts: &[&str]) {
     }
 }
 
-fn unknown() -> Motor {
+pub(super) fn unknown() -> Motor {
     Motor::new("?")
 }
 
