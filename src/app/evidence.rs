@@ -709,7 +709,12 @@ fn notes(run: &Run, findings: &[Finding]) -> Vec<String> {
 
 fn caution(run: &mut Run, findings: &[Finding]) {
     for finding in findings {
-        output::warn(&[format!("{}; {}", finding.sentence, finding.help)]);
+        let help = if finding.help.is_empty() {
+            String::new()
+        } else {
+            format!("; {}", finding.help)
+        };
+        output::warn(&[format!("{}{help}", finding.sentence)]);
     }
     run.notes = notes(run, findings);
 }

@@ -13,7 +13,7 @@ use crate::bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use crate::diagnosis::{Fitted, Rung};
 use crate::emulator::mystery::Mystery;
 use crate::identification::noise::FloorSource;
-use crate::identification::speed_from_angle;
+use crate::identification::{sanity, speed_from_angle};
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 use crate::recording::{
     self, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError, RunFile,
@@ -26,9 +26,17 @@ pub(crate) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Fa
     complete(open_run(path, map)?)
 }
 
-/// Derives the speed from the angle where there is none, and prints the warnings of a run.
+/// Makes missing what is no measurement, derives the speed from the angle where there is none, and prints the warnings of a
+/// run. A run folder's own recorder left empty what it did not receive, and is replayed as it is.
 pub(crate) fn complete(mut loaded: LoadedRun) -> Result<LoadedRun, Failure> {
     let before = loaded.run.notes.len();
+    if loaded.manifest.is_none() {
+        let masked = sanity::mask(&mut loaded.run);
+        let name = &loaded.run.name;
+        let masked = masked.iter().map(|sentence| format!("{name}: {sentence}"));
+        let masked: Vec<String> = masked.collect();
+        loaded.run.notes.extend(masked);
+    }
     let complete = speed_from_angle::complete(&loaded.run);
     loaded.run = complete.map_err(|error| Failure::new(USAGE, error.to_string()))?;
     let derived = &loaded.run.notes[before..];
