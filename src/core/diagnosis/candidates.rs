@@ -168,8 +168,10 @@ pub(super) fn candidates(
         let id = inferred.effect.card().id;
         let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
+        let open = inference.why_open().filter(|_| status == Status::RuledOut);
         // What the ladder does not show is not shown by its probability either.
         let status = match veto {
+            _ if open.is_some() => Status::NotExcited,
             Some(_) if !inferred.excited => Status::NotExcited,
             Some(_) if status == Status::Supported => Status::Possible,
             _ => status,
@@ -210,9 +212,14 @@ pub(super) fn candidates(
             explained_percent,
             as_good_as: None,
             // The size of what is named has an interval, and one bound is enough.
-            upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
-            detectable: inferred.detectable,
-            evidence: evidence_sentence(inferred, status, rung, (times, run_s), happening),
+            upper_bound: inferred
+                .upper_bound
+                .filter(|_| rung.is_none() && open.is_none()),
+            detectable: inferred.detectable.filter(|_| open.is_none()),
+            evidence: match open {
+                Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
+                None => evidence_sentence(inferred, status, rung, (times, run_s), happening),
+            },
             run_s,
         };
         if let Some(reason) = veto {

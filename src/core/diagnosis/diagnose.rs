@@ -299,18 +299,28 @@ pub fn diagnose_with(
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let mut rungs = climb(&bench, &baseline, &inference, progress)?;
+    let mut rungs = climb(&bench, &baseline, &inference, vec![], progress)?;
     if !rungs[0].score.nrms.is_finite() {
         return Err(nothing_judged(&bench.evidence.holdout));
     }
     while let Some(veto) = vetoes::first(&bench, &inference, &rungs) {
+        let before = inference.named.clone();
         inference.veto(veto);
-        rungs = climb(&bench, &baseline, &inference, progress)?;
+        let known = passed(rungs, &before, &inference.named);
+        rungs = climb(&bench, &baseline, &inference, known, progress)?;
     }
     if let Some(last) = rungs.pop() {
         rungs.push(last.with_deviations(&bench, &inference));
     }
     Ok(answer(&bench, &inference, &rungs))
+}
+
+/// The rungs of a ladder of the effects `before` that one of the effects `now` passes too, without the baseline and without the
+/// last one of either, which is fitted to the end.
+fn passed(rungs: Vec<Standing>, before: &[&'static str], now: &[&'static str]) -> Vec<Standing> {
+    let same = before.iter().zip(now).take_while(|(a, b)| a == b).count();
+    let in_passing = same.min(now.len().saturating_sub(1));
+    rungs.into_iter().skip(1).take(in_passing).collect()
 }
 
 /// Of an error that is not known nothing can be said.
@@ -370,6 +380,11 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .limits()
             .into_iter()
             .chain(inference.lost_rows(floor))
+            .chain(
+                inference
+                    .why_open()
+                    .map(|reason| format!("nothing is ruled out: {reason}")),
+            )
             .chain(repeatability.why_not)
             .collect(),
         equivalences: (named.iter())

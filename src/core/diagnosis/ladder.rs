@@ -314,11 +314,12 @@ impl Standing {
 }
 
 /// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
-/// are handed on.
+/// are handed on. `known` are the rungs behind the baseline that a ladder before had, of the same effects and passed like these.
 pub(super) fn climb(
     bench: &Bench,
     baseline: &Fitted,
     inference: &Inference,
+    known: Vec<Standing>,
     progress: Progress<'_>,
 ) -> Result<Vec<Standing>, FitError> {
     let last = inference.named.len();
@@ -338,7 +339,7 @@ pub(super) fn climb(
         most_iterations: 0,
         ..Options::thrifty()
     };
-    let climbed: Vec<Standing> = (0..last)
+    let climbed: Vec<Standing> = (known.len()..last)
         .into_par_iter()
         .with_max_len(1)
         .map(|place| {
@@ -356,7 +357,7 @@ pub(super) fn climb(
         })
         .collect::<Result<_, FitError>>()?;
     let mut rungs = vec![on_rung(0, baseline.clone())?];
-    for (effect, rung) in inference.named.iter().zip(climbed) {
+    for (effect, rung) in inference.named.iter().zip(known.into_iter().chain(climbed)) {
         let (error, holdout) = (rung.fit.nrms, rung.score.nrms);
         progress(Event::Refitted { effect, error });
         progress(Event::Accepted { effect, holdout });

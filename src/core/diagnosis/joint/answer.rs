@@ -14,6 +14,7 @@ use super::shown::{
     size_in, spread_slabs, whenever, without,
 };
 use super::solution::{self, Happened};
+use super::work::Work;
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
 use crate::diagnosis::progress::Progress;
@@ -99,6 +100,10 @@ impl Inferred {
         self.effect.card().id
     }
 }
+
+/// Excess of what the best set leaves over white noise beyond which it refutes nothing: eight ninths of it are then the model's,
+/// not the noise's.
+const MOST_BELIEVED_EXCESS: f64 = 9.0;
 
 /// What a run is, and where it is in what is fitted.
 #[derive(Clone, Copy)]
@@ -214,6 +219,17 @@ impl Inference {
         self.found.excess
     }
 
+    /// Why nothing is ruled out, where no linear solution of the search is believed.
+    pub(in crate::diagnosis) fn why_open(&self) -> Option<&'static str> {
+        if self.found.is_cut {
+            Some("the search was ended by its budget of work before a set of effects stood")
+        } else if self.found.excess > MOST_BELIEVED_EXCESS {
+            Some("the best model leaves several times the noise, so that bounds by it do not hold")
+        } else {
+            None
+        }
+    }
+
     /// Keeps an effect from being named; its probability stays what it is.
     pub(in crate::diagnosis) fn veto(&mut self, veto: Veto) {
         self.named.retain(|named| *named != veto.effect);
@@ -320,10 +336,13 @@ pub(in crate::diagnosis) fn infer(
     }
     let given = model.effect_ids();
     let models = [&model, before];
+    let work = Work::default();
     let together = search::Runs {
         scenarios: &scenarios,
         starts: &starts,
         held_out,
+        has_floor: known,
+        work: &work,
     };
     let found = search::search(models, asked, together, noise, progress);
     let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;

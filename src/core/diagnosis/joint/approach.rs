@@ -1,13 +1,18 @@
 //! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
-//! one after the other.
+//! one after the other. Times in the path from command to reading are scanned: what one of several time constants of the motor
+//! does is linear in no step from zero.
 
+use rayon::prelude::*;
+
+use super::asked::why_not;
 use super::columns::{Around, Candidate, FAR_MEAN_SQUARE, Linear, Variant, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
+use super::search::Runs;
 use super::select::{Reduced, Set};
-use super::solution::{around, placed, present};
-use crate::plant::{Effect, Model, Scenario, State};
+use super::solution::{placed, present};
+use crate::plant::{ActiveEffect, Effect, Enters, Model};
 
 /// The same above which a fitted model may be no machine.
 const ASTRAY_MEAN_SQUARE: f64 = 100.0;
@@ -21,11 +26,19 @@ const WORTH_A_REFIT_SHARE: f64 = 0.2;
 /// Forms of what is there wholly or not at all from which a refit starts.
 const STARTS: usize = 3;
 
+/// Longest time in the path that is looked for, as a share of the run: a longer one leaves too little of it to be told by.
+const LONGEST_SHARE: f64 = 0.1;
+/// How many times as long as the last one each time is; a fit finds what lies between.
+const LONGER: f64 = 2.0;
+/// Growth of the squares over their least from which longer times are not tried.
+const PAST_RATIO: f64 = 4.0;
+/// Samples of the run by which times are scanned.
+const MOST_SCANNED: usize = 5000;
+
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
     hypothesis: Hypothesis,
     squares: f64,
-    candidate: usize,
 }
 
 /// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
@@ -34,27 +47,42 @@ struct Step {
 pub(super) fn approach(
     mut hypothesis: Hypothesis,
     asked: &[&'static dyn Effect],
-    scenarios: &[&Scenario],
-    starts: &[State],
+    all: Runs<'_>,
     noise: Noise,
 ) -> Option<Hypothesis> {
-    for _ in 0..MOST_STEPS {
-        let runs = around(&hypothesis, &scenarios[..1], &starts[..1], noise)?;
-        let rows = runs[0].follower.rows as f64;
-        let now = squares(&runs);
-        if now < FAR_MEAN_SQUARE * rows {
+    for step in 0..MOST_STEPS {
+        if all.work.is_spent() {
             break;
         }
-        match best_step(&hypothesis, asked, &runs, FAR_MEAN_SQUARE * rows) {
+        let runs = all.first().around(&hypothesis, noise)?;
+        let now = squares(&runs);
+        let near = FAR_MEAN_SQUARE * runs[0].follower.rows as f64;
+        let is_far = now >= near;
+        let is_first = step == 0;
+        // In units of its own residual a fit is never far from the data.
+        if !is_far && (all.has_floor || !is_first) {
+            break;
+        }
+        let mut found = if is_far {
+            best_step(&hypothesis, asked, &runs, near)
+        } else {
+            None
+        };
+        let is_there = |step: &Step| step.squares < near;
+        if is_first && !(is_far && found.as_ref().is_some_and(is_there)) {
+            let steps = found.into_iter().chain(late(&hypothesis, asked, &runs[0]));
+            found = steps.min_by(|a, b| a.squares.total_cmp(&b.squares));
+        }
+        match found {
             Some(step)
                 if step.squares < WORTH_A_STEP_SHARE * now
-                    && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
+                    && all.around(&step.hypothesis, noise).is_some() =>
             {
                 hypothesis = step.hypothesis;
                 // Led by what was measured a play is found at once; led without its ringing it ends in a hollow of impacts.
                 if has_coupling(&hypothesis.model)
                     && let Some(own) = fit(&hypothesis, &runs)
-                    && around(&own.hypothesis, scenarios, starts, noise).is_some()
+                    && all.around(&own.hypothesis, noise).is_some()
                 {
                     hypothesis = own.hypothesis;
                 }
@@ -115,20 +143,20 @@ fn best_step(
         }
     }
     singles.retain(|single| single.0 >= WORTH_A_REFIT_SHARE * most);
-    let mut best: Option<Step> = None;
+    let mut best: Option<(usize, Step)> = None;
     let mut take = |candidate: usize, variant: usize| {
         let set = with(candidate, variant);
         let start = placed(hypothesis, &reduced, &set, runs)?;
         // Far from the data a wider error of form would be the likelier: all are held against the same noise.
         let (hypothesis, squares) = fit_as_followed(&start, runs)?;
-        if best.as_ref().is_none_or(|best| squares < best.squares) {
-            best = Some(Step {
+        if best.as_ref().is_none_or(|best| squares < best.1.squares) {
+            let step = Step {
                 hypothesis,
                 squares,
-                candidate,
-            });
+            };
+            best = Some((candidate, step));
         }
-        best.as_ref().map(|best| (best.candidate, best.squares))
+        best.as_ref().map(|best| (best.0, best.1.squares))
     };
     let mut leads = None;
     for (_, candidate, variant) in &singles {
@@ -146,6 +174,75 @@ fn best_step(
             if !singles.iter().any(|single| (single.1, single.2) == tried) {
                 squares = take(candidate, variant).map_or(squares, |leads| leads.1);
             }
+        }
+    }
+    best.map(|best| best.1)
+}
+
+/// The best single time in the path from command to reading, of all effects that have one, found by the beginning of the run
+/// and refitted to all of it.
+fn late(hypothesis: &Hypothesis, asked: &[&'static dyn Effect], run: &Around<'_>) -> Option<Step> {
+    let scanned = run.scenario.samples().min(MOST_SCANNED);
+    let scenario = run.scenario.stretch(0..scanned);
+    let beginning =
+        [Around::new(&hypothesis.model, &scenario, run.start, run.noise)?.counted(run.work)];
+    let is_a_time = |effect: &&&'static dyn Effect| {
+        let card = effect.card();
+        let [spec] = effect.parameters() else {
+            return false;
+        };
+        let mut known = card.alternatives.iter().chain([&card.id]);
+        card.enters == Enters::Path
+            && spec.unit == "s"
+            && why_not(**effect, &scenario).is_none()
+            && !known.any(|id| hypothesis.has(id))
+    };
+    let effects: Vec<&'static dyn Effect> = asked.iter().filter(is_a_time).copied().collect();
+    let steps = effects.into_par_iter().with_max_len(1);
+    let steps = steps.filter_map(|effect| late_by(hypothesis, effect, &beginning));
+    let best = steps.collect::<Vec<Step>>().into_iter();
+    let best = best.min_by(|a, b| a.squares.total_cmp(&b.squares))?;
+    let whole = Around::new(&hypothesis.model, run.scenario, run.start, run.noise)?;
+    let whole = whole.counted(run.work);
+    let (hypothesis, squares) = fit_as_followed(&best.hypothesis, &[whole])?;
+    Some(Step {
+        hypothesis,
+        squares,
+    })
+}
+
+/// The best of the times of one effect: from one period of the sampling on, each twice the last, refitted from the motor that
+/// was found with the last.
+fn late_by(
+    hypothesis: &Hypothesis,
+    effect: &'static dyn Effect,
+    runs: &[Around<'_>],
+) -> Option<Step> {
+    let times = &runs[0].scenario.sample_time_s;
+    let length_s = times.last()? - times.first()?;
+    let longest_s = (LONGEST_SHARE * length_s).min(effect.parameters()[0].max);
+    let mut time_s = runs[0].scenario.mean_period_s();
+    let mut start = hypothesis.clone();
+    let mut best: Option<Step> = None;
+    while time_s <= longest_s {
+        let id = effect.card().id;
+        start.model.effects.retain(|own| own.id() != id);
+        let active = ActiveEffect::with(effect, &[time_s]);
+        start.model.effects.push(active);
+        time_s *= LONGER;
+        let Some((hypothesis, squares)) = fit_as_followed(&start, runs) else {
+            continue;
+        };
+        let least = best.as_ref().map_or(f64::INFINITY, |best| best.squares);
+        if squares > PAST_RATIO * least {
+            break;
+        }
+        start.clone_from(&hypothesis);
+        if squares < least {
+            best = Some(Step {
+                hypothesis,
+                squares,
+            });
         }
     }
     best
@@ -181,13 +278,8 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
 
 /// Where a search begins: at the fitted model; or where that is far astray at the one that it was fitted from, refitted
 /// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
-pub(super) fn nearer(
-    [fitted, before]: [&Model; 2],
-    scenarios: &[&Scenario],
-    starts: &[State],
-    noise: Noise,
-) -> Hypothesis {
-    let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
+pub(super) fn nearer([fitted, before]: [&Model; 2], runs: Runs<'_>, noise: Noise) -> Hypothesis {
+    let led = |model: &Model| runs.first().around(&Hypothesis::of(model), noise);
     let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
     let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY_MEAN_SQUARE * rows as f64);
     let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));

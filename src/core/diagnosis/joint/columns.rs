@@ -13,6 +13,7 @@ use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances, unknown_curves};
 use super::tangent::{self, LANES, Step, Tangent, carry};
 use super::whitened::Whitened;
+use super::work::{Work, steps_of};
 use crate::plant::effect::Axis;
 use crate::plant::{
     ActiveEffect, Balance, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
@@ -199,6 +200,8 @@ pub(super) struct Around<'a> {
     pub(super) instants: Vec<Instant>,
     /// How deviations pass the interval.
     pub(super) steps: Vec<Step>,
+    /// Where simulations of it are counted.
+    pub(super) work: Option<&'a Work>,
 }
 
 impl<'a> Around<'a> {
@@ -209,6 +212,20 @@ impl<'a> Around<'a> {
         noise: Noise,
     ) -> Option<Self> {
         Self::beside(model, vec![], scenario, start, noise)
+    }
+
+    /// With its simulations counted.
+    #[must_use]
+    pub(super) const fn counted(mut self, work: Option<&'a Work>) -> Self {
+        self.work = work;
+        self
+    }
+
+    /// Counts so many simulations of `model` on it.
+    pub(super) fn count(&self, model: &Model, simulations: u64) {
+        if let Some(work) = self.work {
+            work.add(simulations * steps_of(model, self.scenario));
+        }
     }
 
     /// With events that other runs do not have.
@@ -247,6 +264,7 @@ impl<'a> Around<'a> {
             dynamics,
             instants,
             steps,
+            work: None,
         })
     }
 
@@ -268,7 +286,7 @@ impl<'a> Around<'a> {
         let over = 1.0 / step;
         let pairs = out.iter().zip(&self.followed.white);
         let change = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| single((b[k] - a[k]) * over));
-        pairs.flat_map(change).collect()
+        bounded(pairs.flat_map(change).collect())
     }
 
     /// Columns of as many tangents as there are lanes, or fewer.
@@ -280,12 +298,25 @@ impl<'a> Around<'a> {
                 column.extend(white.iter().map(|row| single(row[lane])));
             }
         });
-        columns
+        columns.into_iter().map(bounded).collect()
     }
 
     /// Two for each sample, whether measured or not.
     pub(super) fn rows(&self) -> usize {
         2 * self.scenario.samples()
+    }
+}
+
+/// Standard deviations of an innovation beyond which no column goes: the motor's own parameters reach a millionth of it.
+const MOST_DEVIATIONS: f32 = 1e12;
+
+/// A column, or nothing in its place where it grows without bound along the run, as the ringing of a stiff shaft in a form that
+/// the run is far from: no linear effect stands for that, and one such number spoils every solution.
+fn bounded(column: Vec<f32>) -> Vec<f32> {
+    if column.iter().all(|cell| cell.abs() < MOST_DEVIATIONS) {
+        column
+    } else {
+        vec![0.0; column.len()]
     }
 }
 
@@ -676,9 +707,11 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
         let run = &runs[number];
         let columns = match work {
             Work::Difference(k, model, step) => {
+                run.count(model, 1);
                 vec![(k, run.difference(model, run.scenario, step))]
             }
             Work::Tangents(some) => {
+                run.count(&run.model, 1);
                 let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
                 numbers.into_iter().zip(run.along(&tangents)).collect()
             }

@@ -75,7 +75,7 @@ impl Foresight {
     ) -> Option<Vec<(&'static str, f64)>> {
         let scenarios: Vec<&Scenario> = self.runs.iter().collect();
         let noise = self.grounds.noise;
-        let mut runs = around(&self.hypothesis, &scenarios, &self.starts, noise)?;
+        let mut runs = around(&self.hypothesis, &scenarios, &self.starts, noise, None)?;
         let finer = Noise {
             current_a: noise.current_a / stands_for.sqrt(),
             speed_rad_s: noise.speed_rad_s / stands_for.sqrt(),

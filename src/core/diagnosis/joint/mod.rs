@@ -39,5 +39,6 @@ mod shown;
 mod solution;
 mod tangent;
 mod whitened;
+mod work;
 
 pub(super) use follow::Noise;

@@ -11,6 +11,7 @@ use super::free_run::excess;
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
+use super::work::{iterations_of, steps_of};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{
@@ -275,6 +276,19 @@ impl<'a> Innovations<'a> {
         }
     }
 
+    /// As few iterations as the budget of a search holds.
+    fn quick(&self) -> Options {
+        let model = &self.hypothesis.model;
+        let each: u64 = (self.runs.iter())
+            .map(|run| steps_of(model, run.scenario))
+            .sum();
+        let simulations = if self.along { 2 } else { self.free.len() + 1 };
+        Options {
+            most_iterations: iterations_of(each * simulations as u64, QUICK.most_iterations),
+            ..QUICK
+        }
+    }
+
     fn units(&self) -> impl Iterator<Item = Coordinate> {
         let free = self.free.iter().map(|(_, unit)| *unit);
         free.chain(self.sizes.iter().copied())
@@ -352,6 +366,7 @@ impl Problem for Innovations<'_> {
                 ..
             } = run;
             let mut white = Vec::with_capacity(scenario.samples());
+            run.count(&model, 1);
             follow(follower, &model, scenario, *start, noise, &mut white).then_some(white)
         };
         let each = self.runs.par_iter().enumerate().with_max_len(1);
@@ -457,7 +472,7 @@ pub(super) fn fit_as_followed(
     runs: &[Around<'_>],
 ) -> Option<(Hypothesis, f64)> {
     let problem = Innovations::new(start, runs);
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), QUICK)?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
     Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }
 
@@ -470,12 +485,13 @@ pub(super) fn fit(start: &Hypothesis, runs: &[Around<'_>]) -> Option<Refit> {
         .enumerate()
         .map(|(number, run)| {
             let events = start.events_of(number);
-            Around::beside(&start.model, events, run.scenario, run.start, run.noise)
+            let own = Around::beside(&start.model, events, run.scenario, run.start, run.noise)?;
+            Some(own.counted(run.work))
         })
         .collect::<Option<_>>()?;
     let mut problem = Innovations::new(start, &own);
     problem.vague = Some(Vague::of(&start.model, &own));
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), QUICK)?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
     let over_sd = own.iter().flat_map(|run| &run.follower.updates);
     let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
     let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();

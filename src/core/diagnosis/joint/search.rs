@@ -18,6 +18,7 @@ use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::solution::{Happened, around, happened, placed, present};
 use super::tangent::{Deviations, Lane};
+use super::work::Work;
 use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
 use crate::plant::{Effect, Input, Model, Scenario, State};
@@ -55,6 +56,8 @@ pub(super) struct SearchResult {
     pub(super) unseen: [f64; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
+    /// Whether the budget was spent before set and noise stood.
+    pub(super) is_cut: bool,
 }
 
 /// Names of a set, each with the runs in which it is one that happens.
@@ -100,6 +103,26 @@ pub(super) struct Runs<'a> {
     pub(super) scenarios: &'a [&'a Scenario],
     pub(super) starts: &'a [State],
     pub(super) held_out: usize,
+    /// Whether the noise of the sensors is known, and not the residual of a fit.
+    pub(super) has_floor: bool,
+    pub(super) work: &'a Work,
+}
+
+impl<'a> Runs<'a> {
+    /// All of them around a hypothesis.
+    pub(super) fn around(&self, hypothesis: &Hypothesis, noise: Noise) -> Option<Vec<Around<'a>>> {
+        let work = Some(self.work);
+        around(hypothesis, self.scenarios, self.starts, noise, work)
+    }
+
+    /// The first of them.
+    pub(super) fn first(&self) -> Self {
+        Self {
+            scenarios: &self.scenarios[..1],
+            starts: &self.starts[..1],
+            ..*self
+        }
+    }
 }
 
 /// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
@@ -109,19 +132,13 @@ pub(super) struct Runs<'a> {
 pub(super) fn search(
     models: [&Model; 2],
     asked: &[&'static dyn Effect],
-    Runs {
-        scenarios,
-        starts,
-        held_out,
-    }: Runs<'_>,
+    runs: Runs<'_>,
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<SearchResult> {
     let mut search = Search {
         asked,
-        scenarios,
-        starts,
-        held_out,
+        runs,
         floor,
         noise: floor,
         is_near: false,
@@ -137,9 +154,7 @@ pub(super) fn search(
 /// A search on its way.
 struct Search<'a> {
     asked: &'a [&'static dyn Effect],
-    scenarios: &'a [&'a Scenario],
-    starts: &'a [State],
-    held_out: usize,
+    runs: Runs<'a>,
     floor: Noise,
     /// What is random as far as it is known, and whether little was missing to begin with.
     noise: Noise,
@@ -153,7 +168,7 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn around(&self, hypothesis: &Hypothesis) -> Option<Vec<Around<'a>>> {
-        around(hypothesis, self.scenarios, self.starts, self.noise)
+        self.runs.around(hypothesis, self.noise)
     }
 
     /// Far from the data neither what follows an axis is asked for, nor anything new that rings: no linear solution is true of
@@ -180,23 +195,22 @@ impl<'a> Search<'a> {
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let reduced = Reduced::new(linear, 1.0, true)?;
         let posterior = select(&reduced, &sets);
-        self.ended(hypothesis, reduced, posterior, &runs)
+        self.ended(hypothesis, (reduced, posterior), &runs, false)
     }
 
     /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
     /// the balance is linear, however much is missing.
     fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<SearchResult> {
-        let (asked, scenarios, starts, floor) =
-            (self.asked, self.scenarios, self.starts, self.floor);
+        let (asked, floor) = (self.asked, self.floor);
+        let scenarios = self.runs.scenarios;
         let by_voltage = scenarios[0].input == Input::Voltage;
         let given = models[0].effect_ids();
         let mut hypothesis = Hypothesis::of(models[0]);
         if by_voltage {
-            hypothesis = nearer(models, scenarios, starts, floor);
-            hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
+            hypothesis = nearer(models, self.runs, floor);
+            hypothesis = approach(hypothesis, asked, self.runs, floor)?;
         }
-        (self.noise, self.is_near) =
-            first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
+        (self.noise, self.is_near) = first_noise(&hypothesis, asked, self.runs, [floor; 2])?;
         let is_near = self.is_near;
         let (mut seen, mut moves): (Vec<Names>, usize) = (vec![], 0);
         let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
@@ -240,7 +254,8 @@ impl<'a> Search<'a> {
             let is_whole = seen.is_empty() && is_near && posterior.best == present(&reduced.linear);
             let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
             // Where a torque drives, the balance of torques has the last word instead.
-            if by_voltage && stands && round + 1 < rounds {
+            let is_last = round + 1 == rounds || self.runs.work.is_spent();
+            if by_voltage && stands && !is_last {
                 let weighed = Weighed {
                     hypothesis: &hypothesis,
                     reduced: &reduced,
@@ -253,8 +268,8 @@ impl<'a> Search<'a> {
                     continue;
                 }
             }
-            if stands || round + 1 == rounds {
-                return self.ended(hypothesis, reduced, posterior, &runs);
+            if stands || is_last {
+                return self.ended(hypothesis, (reduced, posterior), &runs, stands);
             }
             seen.push(set);
             if !is_settled {
@@ -269,7 +284,7 @@ impl<'a> Search<'a> {
                 // What is fitted no longer counts as random.
                 if is_near && (is_to_be_placed || !is_settled) {
                     let known = [floor, self.noise];
-                    self.noise = first_noise(&hypothesis, asked, scenarios, starts, known)
+                    self.noise = first_noise(&hypothesis, asked, self.runs, known)
                         .map_or(self.noise, |known| known.0);
                 }
             }
@@ -281,13 +296,13 @@ impl<'a> Search<'a> {
     fn ended(
         &self,
         hypothesis: Hypothesis,
-        mut reduced: Reduced,
-        mut posterior: Posterior,
+        (mut reduced, mut posterior): (Reduced, Posterior),
         runs: &[Around<'_>],
+        stands: bool,
     ) -> Option<SearchResult> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
-        let held_out = runs.get(self.held_out)?;
+        let held_out = runs.get(self.runs.held_out)?;
         let (wandering, unseen) = (wandering(held_out), unseen(held_out));
         if excess > 1.0 {
             reduced = Reduced::new(reduced.linear, excess, true)?;
@@ -306,6 +321,7 @@ impl<'a> Search<'a> {
             wandering,
             unseen,
             unknown_share,
+            is_cut: !stands && self.runs.work.is_spent(),
         })
     }
 
@@ -348,11 +364,10 @@ fn refitted(
 fn first_noise(
     hypothesis: &Hypothesis,
     asked: &[&'static dyn Effect],
-    scenarios: &[&Scenario],
-    starts: &[State],
+    runs: Runs<'_>,
     [floor, known]: [Noise; 2],
 ) -> Option<(Noise, bool)> {
-    let runs = around(hypothesis, scenarios, starts, known)?;
+    let runs = runs.around(hypothesis, known)?;
     let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
     if squares(&runs) > NEAR_MEAN_SQUARE * rows as f64 {
         return Some((known, false));

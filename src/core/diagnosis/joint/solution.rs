@@ -6,6 +6,7 @@ use super::columns::{Around, Candidate, Column, Linear};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::follow::Noise;
 use super::select::{Reduced, Set};
+use super::work::Work;
 use crate::plant::{ActiveEffect, Scenario, State};
 
 /// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
@@ -25,12 +26,14 @@ pub(super) fn around<'a>(
     scenarios: &[&'a Scenario],
     starts: &[State],
     noise: Noise,
+    work: Option<&'a Work>,
 ) -> Option<Vec<Around<'a>>> {
     let runs = scenarios.par_iter().zip(starts).enumerate();
     runs.with_max_len(1)
         .map(|(number, (scenario, start))| {
             let own = hypothesis.events_of(number);
-            Around::beside(&hypothesis.model, own, scenario, *start, noise)
+            let run = Around::beside(&hypothesis.model, own, scenario, *start, noise)?;
+            Some(run.counted(work))
         })
         .collect()
 }

@@ -1,0 +1,65 @@
+//! Budget of a search, in sub-steps of simulation, so that a run which no set of effects explains costs seconds.
+//!
+//! A clock would end the same search elsewhere on another machine. Sub-steps are counted as they are simulated, on whatever
+//! thread, and the count is read between steps of the search only, where it does not depend on the order of the threads.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::plant::{Model, Plant, Scenario};
+
+/// Sub-steps after which a search takes no further step. Two cores simulate some 10 million a second.
+const MOST_STEPS: u64 = 100_000_000;
+/// Share of the budget that one refit may take.
+const REFIT_SHARE: f64 = 0.1;
+/// Fewest iterations of a refit: fewer do not reach the valley that they begin in.
+const FEWEST_ITERATIONS: usize = 4;
+
+/// What a search has simulated.
+#[derive(Default)]
+pub(super) struct Work {
+    steps: AtomicU64,
+}
+
+impl Work {
+    pub(super) fn add(&self, steps: u64) {
+        self.steps.fetch_add(steps, Ordering::Relaxed);
+    }
+
+    pub(super) fn is_spent(&self) -> bool {
+        self.steps.load(Ordering::Relaxed) >= MOST_STEPS
+    }
+}
+
+/// Sub-steps of one simulation of `scenario`; none of a model that cannot be simulated.
+pub(super) fn steps_of(model: &Model, scenario: &Scenario) -> u64 {
+    Plant::new(model, scenario.input).map_or(0, |plant| plant.steps_of(scenario))
+}
+
+/// Iterations that a refit may take of `most`, each of so many sub-steps.
+pub(super) fn iterations_of(steps: u64, most: usize) -> usize {
+    let affordable = REFIT_SHARE * MOST_STEPS as f64 / steps.max(1) as f64;
+    (FEWEST_ITERATIONS..most)
+        .find(|count| *count as f64 >= affordable)
+        .unwrap_or(most)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refit_of_a_short_run_takes_all_iterations_and_one_of_a_long_run_some() {
+        assert_eq!(iterations_of(1000, 25), 25);
+        assert_eq!(iterations_of(1_000_000, 25), 10);
+        assert_eq!(iterations_of(u64::MAX, 25), FEWEST_ITERATIONS);
+    }
+
+    #[test]
+    fn a_budget_is_spent_by_what_is_added_to_it() {
+        let work = Work::default();
+        work.add(MOST_STEPS - 1);
+        assert!(!work.is_spent());
+        work.add(1);
+        assert!(work.is_spent());
+    }
+}
