@@ -17,12 +17,13 @@ use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
 use super::vetoes::Veto;
+use super::work::iterations_of;
 use crate::identification::balance::Method;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
 use crate::identification::scheme::Identified;
 use crate::numerics::levenberg_marquardt::Options;
-use crate::plant::{Effect, Input, Model, Scenario, State};
+use crate::plant::{Effect, Input, Model, Plant, Scenario, State};
 use crate::sample::{ParameterEstimate, Verdict};
 use crate::text::number::probability;
 
@@ -151,6 +152,10 @@ impl Bench {
             training, noise, ..
         } = &self.evidence;
         let Some(balance) = &self.balance else {
+            let options = Options {
+                most_iterations: affordable(start, training, options.most_iterations),
+                ..options
+            };
             let start = std::slice::from_ref(start);
             return Ok(output_error::fit_with(start, training, noise, options)?.into());
         };
@@ -242,6 +247,15 @@ pub fn fitted_baseline(model: &Model, evidence: Evidence) -> Result<(Evidence, M
     Ok((evidence, fit.model))
 }
 
+/// Iterations of `most` that a fit of a free run may take, whose slopes are differences.
+fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
+    let Ok(mut plant) = Plant::new(model, run.input) else {
+        return most;
+    };
+    plant.simulate(run, State::default());
+    iterations_of(plant.work() * (model.free_slots().len() as u64 + 1), most)
+}
+
 /// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
 fn beside(
     baseline: &Model,
@@ -324,7 +338,7 @@ pub(super) fn climb(
 ) -> Result<Vec<Standing>, FitError> {
     let last = inference.named.len();
     let on_rung = |place: usize, fit: Fitted| {
-        if place < last {
+        if place < last || inference.is_cut() {
             Standing::of(fit, bench)
         } else {
             Standing::handed_on(fit, bench, inference)
@@ -344,7 +358,8 @@ pub(super) fn climb(
         .with_max_len(1)
         .map(|place| {
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
-            let is_last = place + 1 == last;
+            // Where the budget is spent, no rung is fitted to the end.
+            let is_last = place + 1 == last && !inference.is_cut();
             let options = if is_last {
                 Options::default()
             } else {

@@ -36,6 +36,7 @@ mod traces;
 mod trivial;
 mod versus;
 mod vetoes;
+mod work;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, Signals, compare};

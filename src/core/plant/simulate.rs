@@ -42,8 +42,10 @@ const LONGEST_RINGING_STEP_S: f64 = 1e-3;
 /// thousandth of a per cent.
 const RUNGE_KUTTA_SHARE: f64 = 0.25;
 
-/// Cost of a sub-step with a second inertia over one without, measured on runs with cogging.
-const SECOND_INERTIA_COST: f64 = 4.0;
+/// Cost of a sub-step with effects, and of one with a second inertia, over that of an exact one of a linear machine: measured on
+/// runs with gaps of the current, cogging and a shaft that rings.
+const EFFECTS_COST: u64 = 10;
+const SECOND_INERTIA_COST: u64 = 20;
 
 /// Longest piece of a command that acts until the current is at a limit, s, and the share of that current that it misses it by.
 const LONGEST_RISE_S: f64 = 5e-4;
@@ -82,6 +84,7 @@ pub struct Plant {
     steep: Steep,
     /// Start of the run that is being simulated, s.
     begin_s: f64,
+    work: u64,
 }
 
 fn reading(time_s: f64, state: &State) -> Reading {
@@ -113,6 +116,7 @@ impl Plant {
             sensors: None,
             steep: Steep::default(),
             begin_s: 0.0,
+            work: 0,
             equations,
         })
     }
@@ -127,18 +131,9 @@ impl Plant {
         self
     }
 
-    /// Sub-steps that a run takes, those with a second inertia as many as they cost.
-    pub fn steps_of(&self, scenario: &Scenario) -> u64 {
-        let samples = scenario.samples() as f64;
-        let last = scenario.sample_time_s.last().copied();
-        let length_s = last.map_or(0.0, |last_s| last_s - scenario.begin_s());
-        let steps = samples.max(length_s / self.longest_step_s);
-        let each = if self.two_mass.is_some() {
-            SECOND_INERTIA_COST
-        } else {
-            1.0
-        };
-        whole(steps * each) as u64
+    /// What was simulated so far, in exact sub-steps of a linear machine.
+    pub const fn work(&self) -> u64 {
+        self.work
     }
 
     /// A step that the classical Runge-Kutta method follows every motion of this plant by, s: for programs that have no
@@ -435,6 +430,11 @@ impl Plant {
         if self.equations.input != Input::Voltage {
             state.current_a = at.voltage_v;
         }
+        self.work += match (&self.two_mass, self.equations.is_linear()) {
+            (Some(_), _) => SECOND_INERTIA_COST,
+            (None, false) => EFFECTS_COST,
+            (None, true) => 1,
+        };
         if let Some(two_mass) = &mut self.two_mass {
             two_mass.sub_step(&self.equations, state, at, h);
             return;

@@ -14,12 +14,12 @@ use super::shown::{
     size_in, spread_slabs, whenever, without,
 };
 use super::solution::{self, Happened};
-use super::work::Work;
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::diagnosis::vetoes::Veto;
+use crate::diagnosis::work::Work;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
@@ -219,9 +219,14 @@ impl Inference {
         self.found.excess
     }
 
+    /// Whether the search was ended by its budget.
+    pub(in crate::diagnosis) const fn is_cut(&self) -> bool {
+        self.found.is_cut
+    }
+
     /// Why nothing is ruled out, where no linear solution of the search is believed.
     pub(in crate::diagnosis) fn why_open(&self) -> Option<&'static str> {
-        if self.found.is_cut {
+        if self.is_cut() {
             Some("the search was ended by its budget of work before a set of effects stood")
         } else if self.found.excess > MOST_BELIEVED_EXCESS {
             Some("the best model leaves several times the noise, so that bounds by it do not hold")

@@ -13,7 +13,7 @@ use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances, unknown_curves};
 use super::tangent::{self, LANES, Step, Tangent, carry};
 use super::whitened::Whitened;
-use super::work::{Work, steps_of};
+use crate::diagnosis::work::Work;
 use crate::plant::effect::Axis;
 use crate::plant::{
     ActiveEffect, Balance, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
@@ -221,10 +221,10 @@ impl<'a> Around<'a> {
         self
     }
 
-    /// Counts so many simulations of `model` on it.
-    pub(super) fn count(&self, model: &Model, simulations: u64) {
+    /// Counts sub-steps that were simulated of it.
+    pub(super) fn count(&self, steps: u64) {
         if let Some(work) = self.work {
-            work.add(simulations * steps_of(model, self.scenario));
+            work.add(steps);
         }
     }
 
@@ -273,16 +273,18 @@ impl<'a> Around<'a> {
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
         let model = with_events(model, &self.events);
         let mut out = Vec::with_capacity(scenario.samples());
-        if !follow(
+        let steps = follow(
             &self.follower,
             &model,
             scenario,
             self.start,
             &self.noise,
             &mut out,
-        ) {
+        );
+        let Some(steps) = steps else {
             return vec![0.0; 2 * scenario.samples()];
-        }
+        };
+        self.count(steps);
         let over = 1.0 / step;
         let pairs = out.iter().zip(&self.followed.white);
         let change = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| single((b[k] - a[k]) * over));
@@ -672,6 +674,9 @@ pub(super) fn linearise(
     Some(linear)
 }
 
+/// Cost of carrying some tangents over a sample, in exact sub-steps.
+const TANGENTS_COST: u64 = 10;
+
 /// Columns with the numbers of their sources.
 type Numbered = Vec<(usize, Vec<f32>)>;
 
@@ -707,11 +712,10 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
         let run = &runs[number];
         let columns = match work {
             Work::Difference(k, model, step) => {
-                run.count(model, 1);
                 vec![(k, run.difference(model, run.scenario, step))]
             }
             Work::Tangents(some) => {
-                run.count(&run.model, 1);
+                run.count(TANGENTS_COST * run.scenario.samples() as u64);
                 let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
                 numbers.into_iter().zip(run.along(&tangents)).collect()
             }

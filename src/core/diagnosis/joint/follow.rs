@@ -166,6 +166,8 @@ pub(super) struct Follower {
     pub rows: usize,
     /// By how much the model's machine gets its commands later, s.
     pub late_s: f64,
+    /// Sub-steps of simulation that one pass costs.
+    pub work: u64,
 }
 
 /// A followed run.
@@ -499,6 +501,7 @@ pub(super) fn lead(
         passages: Vec::with_capacity(n),
         rows: 0,
         late_s: filter.late_s,
+        work: 0,
     };
     let mut out = Followed::with_capacity(n);
     let mut trajectory = Trajectory::default();
@@ -534,6 +537,7 @@ pub(super) fn lead(
         })
     };
     plant.follow_into(scenario, start, &mut trajectory, &mut step);
+    follower.work = plant.work();
     Some((follower, out))
 }
 
@@ -545,10 +549,8 @@ pub(super) fn follow(
     start: State,
     noise: &Noise,
     out: &mut Vec<[f64; 2]>,
-) -> bool {
-    let Ok(mut plant) = Plant::new(model, scenario.input) else {
-        return false;
-    };
+) -> Option<u64> {
+    let mut plant = Plant::new(model, scenario.input).ok()?;
     out.clear();
     let (mut load, mut input) = (0.0, 0.0);
     let mut trajectory = Trajectory::default();
@@ -567,8 +569,8 @@ pub(super) fn follow(
             voltage_v: input,
         })
     });
-    out.iter()
-        .all(|white| white[0].is_finite() && white[1].is_finite())
+    let is_finite = |white: &[f64; 2]| white[0].is_finite() && white[1].is_finite();
+    out.iter().all(is_finite).then(|| plant.work())
 }
 
 pub(super) fn predicted(
@@ -717,9 +719,8 @@ mod tests {
         }
         // The same model follows as it led.
         let (mut again, start) = (Vec::new(), State::default());
-        assert!(follow(
-            &follower, &model, &scenario, start, &QUIET, &mut again
-        ));
+        let steps = follow(&follower, &model, &scenario, start, &QUIET, &mut again);
+        assert_eq!(steps, Some(follower.work));
         for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
             assert!((a - b).abs() < 1e-9);
         }

@@ -39,6 +39,5 @@ mod shown;
 mod solution;
 mod tangent;
 mod whitened;
-mod work;
 
 pub(super) use follow::Noise;

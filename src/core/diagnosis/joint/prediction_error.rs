@@ -11,7 +11,7 @@ use super::free_run::excess;
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
-use super::work::{iterations_of, steps_of};
+use crate::diagnosis::work::iterations_of;
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{
@@ -278,10 +278,7 @@ impl<'a> Innovations<'a> {
 
     /// As few iterations as the budget of a search holds.
     fn quick(&self) -> Options {
-        let model = &self.hypothesis.model;
-        let each: u64 = (self.runs.iter())
-            .map(|run| steps_of(model, run.scenario))
-            .sum();
+        let each: u64 = self.runs.iter().map(|run| run.follower.work).sum();
         let simulations = if self.along { 2 } else { self.free.len() + 1 };
         Options {
             most_iterations: iterations_of(each * simulations as u64, QUICK.most_iterations),
@@ -366,8 +363,9 @@ impl Problem for Innovations<'_> {
                 ..
             } = run;
             let mut white = Vec::with_capacity(scenario.samples());
-            run.count(&model, 1);
-            follow(follower, &model, scenario, *start, noise, &mut white).then_some(white)
+            let steps = follow(follower, &model, scenario, *start, noise, &mut white)?;
+            run.count(steps);
+            Some(white)
         };
         let each = self.runs.par_iter().enumerate().with_max_len(1);
         let Some(white) = each.map(of_run).collect::<Option<Vec<_>>>() else {
@@ -520,7 +518,11 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
     let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
     // Values that took all of the misfit would be further off than values for which stamps and forms may be wrong.
     problem.vague = Some(Vague::of(&run.model, runs));
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), Options::default())?;
+    let options = Options {
+        most_iterations: problem.quick().most_iterations,
+        ..Options::default()
+    };
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
     let rows = problem.len - problem.free.len() - 1;
     let slopes = minimum.jacobian.rows(0, rows);
     let (covariance, determined) = inverse_of_normal(&slopes.tr_mul(&slopes));

@@ -18,8 +18,8 @@ use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::solution::{Happened, around, happened, placed, present};
 use super::tangent::{Deviations, Lane};
-use super::work::Work;
 use crate::diagnosis::progress::{Event as Notice, Progress};
+use crate::diagnosis::work::Work;
 use crate::numerics::count::whole;
 use crate::plant::{Effect, Input, Model, Scenario, State};
 

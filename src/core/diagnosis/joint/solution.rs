@@ -6,7 +6,7 @@ use super::columns::{Around, Candidate, Column, Linear};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::follow::Noise;
 use super::select::{Reduced, Set};
-use super::work::Work;
+use crate::diagnosis::work::Work;
 use crate::plant::{ActiveEffect, Scenario, State};
 
 /// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.

@@ -1,14 +1,12 @@
-//! Budget of a search, in sub-steps of simulation, so that a run which no set of effects explains costs seconds.
+//! Budget of a diagnosis, in sub-steps of simulation, so that a run which no set of effects explains costs seconds.
 //!
 //! A clock would end the same search elsewhere on another machine. Sub-steps are counted as they are simulated, on whatever
 //! thread, and the count is read between steps of the search only, where it does not depend on the order of the threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::plant::{Model, Plant, Scenario};
-
-/// Sub-steps after which a search takes no further step. Two cores simulate some 10 million a second.
-const MOST_STEPS: u64 = 100_000_000;
+/// Sub-steps after which a search takes no further step. Two cores simulate 50 to 100 million a second.
+const MOST_STEPS: u64 = 250_000_000;
 /// Share of the budget that one refit may take.
 const REFIT_SHARE: f64 = 0.1;
 /// Fewest iterations of a refit: fewer do not reach the valley that they begin in.
@@ -30,15 +28,10 @@ impl Work {
     }
 }
 
-/// Sub-steps of one simulation of `scenario`; none of a model that cannot be simulated.
-pub(super) fn steps_of(model: &Model, scenario: &Scenario) -> u64 {
-    Plant::new(model, scenario.input).map_or(0, |plant| plant.steps_of(scenario))
-}
-
 /// Iterations that a refit may take of `most`, each of so many sub-steps.
 pub(super) fn iterations_of(steps: u64, most: usize) -> usize {
     let affordable = REFIT_SHARE * MOST_STEPS as f64 / steps.max(1) as f64;
-    (FEWEST_ITERATIONS..most)
+    (FEWEST_ITERATIONS.min(most)..most)
         .find(|count| *count as f64 >= affordable)
         .unwrap_or(most)
 }
@@ -50,7 +43,7 @@ mod tests {
     #[test]
     fn a_refit_of_a_short_run_takes_all_iterations_and_one_of_a_long_run_some() {
         assert_eq!(iterations_of(1000, 25), 25);
-        assert_eq!(iterations_of(1_000_000, 25), 10);
+        assert_eq!(iterations_of(2_500_000, 25), 10);
         assert_eq!(iterations_of(u64::MAX, 25), FEWEST_ITERATIONS);
     }
 
