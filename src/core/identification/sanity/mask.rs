@@ -113,7 +113,7 @@ fn is_figure(value: f64) -> bool {
 /// The rows of a code in a column, and what is to be said of it.
 fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
     let cells = run.column(channel)?;
-    let (least, most) = extent(&finite(cells));
+    let (least, most) = extent(finite(cells));
     let found = [least, most]
         .into_iter()
         .filter(|value| value.is_finite())
@@ -122,20 +122,20 @@ fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
     let (value, rows) = found?;
     let first_s = run.time_s()[rows[0]];
     let others = (0..cells.len()).filter(|row| !is_same(cells[*row], value));
-    let (least, most) = extent(&finite(&others.map(|row| cells[row]).collect::<Vec<_>>()));
+    let (least, most) = extent(finite(&others.map(|row| cells[row]).collect::<Vec<_>>()));
     let count = rows.len();
-    let mut sentence = format!(
-        "{} reads exactly {value} in {count} {} of {} (first at {first_s:.4} s)",
-        channel.key(),
-        if count == 1 { "row" } else { "rows" },
-        cells.len()
-    );
-    sentence += &if value.abs() > 0.0 {
+    let why = if value.abs() > 0.0 {
         format!(", far from all others ({least:.4} to {most:.4})")
     } else {
         " between values that agree and are far from it: no machine moves like that".to_owned()
     };
-    sentence += ": it stands for a missing value, and the cells are taken as missing";
+    let sentence = format!(
+        "{} reads exactly {value} in {count} {} of {} (first at {first_s:.4} s){why}: it stands for a missing value, and the \
+         cells are taken as missing",
+        channel.key(),
+        if count == 1 { "row" } else { "rows" },
+        cells.len()
+    );
     Some((rows, sentence))
 }
 
@@ -223,9 +223,10 @@ fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
                 return true;
             };
             let beside = rows.start.saturating_sub(2)..(rows.end + 1).min(cells.len());
-            let (least, most) = extent(&finite(&cells[beside]));
-            let (lowest, highest) = extent(&finite(cells));
-            !(most - least > 0.1 * (highest - lowest))
+            let (least, most) = extent(finite(&cells[beside]));
+            let (lowest, highest) = extent(finite(cells));
+            let changes = most - least > 0.1 * (highest - lowest);
+            !changes
         })
 }
 

@@ -429,7 +429,7 @@ pub(super) fn overflow(table: &Table) -> Option<Finding> {
 }
 
 fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option<Finding> {
-    let (least, most) = extent(&finite(values));
+    let (least, most) = extent(finite(values));
     let range = most - least;
     let sizes: Vec<f64> = values
         .windows(2)
@@ -445,7 +445,7 @@ fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option
         return None;
     }
     let span = |values: &[f64]| {
-        let (least, most) = extent(&finite(values));
+        let (least, most) = extent(finite(values));
         most - least
     };
     let voltage = &table.voltage_v;

@@ -205,7 +205,7 @@ impl Expected {
         }
         left.sort_by(f64::total_cmp);
         let error = left[whole(COVERED * (left.len() - 1) as f64)];
-        let (least, most) = extent(&finite(own));
+        let (least, most) = extent(finite(own));
         (error < MOST_ERROR * (most - least)).then_some(Self { values, error })
     }
 

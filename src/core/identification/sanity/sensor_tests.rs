@@ -55,10 +55,11 @@ fn square(period_s: f64) -> Columns {
 }
 
 type Change = fn(&mut Columns);
+type Case = (&'static str, fn() -> Columns, Change);
 
 #[test]
 fn sound_records_of_coarse_and_slow_sensors_pass_without_a_word() {
-    let cases: [(&str, fn() -> Columns, Change); 12] = [
+    let cases: [Case; 12] = [
         (
             "eight bits",
             || columns(0.002, 21),
