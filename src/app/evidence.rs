@@ -27,8 +27,9 @@ use crate::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
-/// Shortest hold-out, s: twenty blocks that hold some transients of the current each.
-const SHORTEST_S: f64 = 1.0;
+/// Shortest hold-out, as a share of the run that is fitted, and fewest samples of it: the blocks by which errors are compared.
+const SHORTEST_SHARE: f64 = 0.1;
+const FEWEST_HELD_OUT: usize = 20;
 /// Share of a hold-out's samples that may be those of the fitted run.
 const MOST_SHARED: f64 = 0.5;
 /// One sample of so many without a value is worth a word.
@@ -172,7 +173,7 @@ impl Prepared {
         };
         Ok(Judged {
             refitted,
-            error_of: if refitted && !is_baseline {
+            error_of: if refitted {
                 ErrorOf::Structure
             } else {
                 ErrorOf::Model
@@ -191,13 +192,19 @@ impl Prepared {
 
 impl About {
     /// Of the run that is fitted with those behind it, and of those that are held out and confirm.
-    fn of(run: &Path, later: &[&PathBuf], holdout: Option<&Path>, confirm: Option<&Path>) -> Self {
+    fn of(
+        run: &Path,
+        later: &[&PathBuf],
+        holdout: Option<&Path>,
+        confirm: Option<&Path>,
+        part: &str,
+    ) -> Self {
         let name = |path: &Path| {
             let last = path.file_name().unwrap_or_default();
             last.to_string_lossy().into_owned()
         };
         let judged_by = holdout.map_or_else(
-            || "last 40 % held out".to_owned(),
+            || format!("{part} held out"),
             |holdout| format!("held out {}", name(holdout)),
         );
         let later = later.iter().map(|path| path.as_path());
@@ -269,7 +276,7 @@ pub(crate) fn prepare(
         fingerprint: OnceCell::new(),
         refuses_others: true,
     };
-    let instead = "the last 40 % of the run are held out instead";
+    let instead = "the last part of the run is held out instead";
     let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
     let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
     let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes));
@@ -301,7 +308,13 @@ pub(crate) fn prepare(
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
     let about = About {
         holdout_objected: objected && is_run,
-        ..About::of(files.run, &later, holdout, confirm)
+        ..About::of(
+            files.run,
+            &later,
+            holdout,
+            confirm,
+            &evidence.held_out_part(),
+        )
     };
     Ok(Prepared {
         run,
@@ -478,10 +491,14 @@ impl Judge<'_> {
             let same = "its samples are those of the run that is fitted, so that it tests nothing";
             return Some((same.to_owned(), true));
         }
-        let times = &scenario.sample_time_s;
-        let length_s = times[times.len() - 1] - times[0];
-        if length_s < SHORTEST_S {
-            let short = format!("it lasts {length_s:.3} s, and at least {SHORTEST_S} s are needed");
+        let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.sample_time_s[0];
+        let (own_s, least_s) = (length_s(scenario), SHORTEST_SHARE * length_s(self.fitted));
+        let samples = scenario.samples();
+        if own_s < least_s || samples < FEWEST_HELD_OUT {
+            let short = format!(
+                "it has {samples} samples in {own_s:.3} s, and at least {FEWEST_HELD_OUT} in {least_s:.3} s, a tenth of the run \
+                 that is fitted, are needed"
+            );
             return Some((short, true));
         }
         let findings = sanity::examine(run, scenario, self.model);
@@ -533,7 +550,7 @@ pub(crate) fn was_fitted_on(
         )
     } else {
         format!(
-            "the model was fitted on this run (its file names {name}): what is held out, its last 40 %, may have been fitted \
+            "the model was fitted on this run (its file names {name}): what is held out, its last part, may have been fitted \
              too; give another run with --holdout"
         )
     })

@@ -91,7 +91,7 @@ fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
         ("hold-out", &history, &select, Some(&fit), of_a_fit),
         ("its samples", &history, &select, Some(&samples), of_a_fit),
         ("moved", &moved, &select, Some(&fit), of_a_fit),
-        ("same run", &history, &fit, None, Some("its last 40 %")),
+        ("same run", &history, &fit, None, Some("its last part")),
         // The run that a model was fitted on may stand beside one that it was not.
         ("beside", &history, &fit, Some(&select), None),
         ("another", &history, &select, None, None),

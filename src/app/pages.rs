@@ -10,9 +10,7 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::bench::{self, BenchFile, Plan, Stop};
-use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, compare, error_curve,
-};
+use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
@@ -209,16 +207,10 @@ pub(crate) fn diagnosis<T>(
         // Without a floor of its own the first fit gave the scale.
         evidence.noise = found.baseline.noise;
     }
-    let [mut before, mut after] = [
+    let [before, after] = [
         compare(&found.baseline.model, &evidence, ErrorOf::Structure)?,
         compare(&found.model.model, &evidence, ErrorOf::Structure)?,
     ];
-    if found.verdict == DiagnosisVerdict::NotFitted {
-        // Where a model that follows nothing fails is no place in the machine.
-        for side in [&mut before, &mut after] {
-            side.clear_places();
-        }
-    }
     let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
     let shown = Some(shown).filter(|_| is_electrical);
     let free_runs = FreeRuns::of(found, shown, evidence.noise)?;

@@ -152,7 +152,7 @@ impl Provenance {
 /// Fit run, hold-out and confirming run of a command, and the model that they judge.
 #[derive(Args, Clone, Debug)]
 pub(super) struct EvidenceArguments {
-    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
+    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out, more where they stand still
     #[arg(long, value_name = "RUN2", value_parser = run_path())]
     holdout: Option<PathBuf>,
     /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there

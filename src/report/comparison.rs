@@ -53,6 +53,12 @@ impl ComparisonReport<'_> {
             HoldoutFrom::Run => "a run that the fit has not seen",
             HoldoutFrom::Split => "the last part of the run",
         };
+        if let Some(reason) = &found.not_fitted {
+            let sentence = format!(
+                "{reason}: the model follows {from} no better, and what it leaves says nothing of the machine."
+            );
+            return (Tone::Bad, "Not fitted", sentence);
+        }
         let fails = found.balances.iter().any(|balance| balance.fails);
         let (tone, word, rest) = if found.noise_floor_from == FloorSource::None {
             let rest = "its scale; without a noise floor nobody can say how good that is.";

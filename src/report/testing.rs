@@ -230,6 +230,7 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
             balance("torque", "N.m", 0.024, 0.919, 0.913),
             balance("voltage", "V", 0.0261, 0.914, 0.901),
         ],
+        not_fitted: None,
         limits: Vec::new(),
     }
 }

@@ -10,6 +10,7 @@ use super::location::{
 use super::mechanical::{self, Balance, Sides};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore, signal_score};
+use super::trivial;
 use crate::identification::balance::{Method, TorqueRows};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
@@ -106,6 +107,9 @@ pub struct Comparison {
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
+    /// What predicts the hold-out as well as the fitted model does: where such a model fails is no place in the machine.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_fitted: Option<String>,
     /// What could not be asked of these runs, and why.
     pub limits: Vec<String>,
 }
@@ -116,9 +120,12 @@ impl Comparison {
         self.noise.is_at_the_floor(self.holdout_rmse)
     }
 
-    /// Leaves out where it fails.
-    pub fn clear_places(&mut self) {
-        (self.locations, self.balances, self.map) = (Vec::new(), Vec::new(), None);
+    /// Of a fitted model that follows nothing of the machine: without the places where it fails.
+    fn without_places(mut self, not_fitted: Option<String>) -> Self {
+        if not_fitted.is_some() {
+            (self.locations, self.balances, self.map) = (Vec::new(), Vec::new(), None);
+        }
+        Self { not_fitted, ..self }
     }
 
     /// The equation that fails worse; none where none fails.
@@ -147,7 +154,9 @@ impl Comparison {
     fn no_place(&self) -> &'static str {
         let lights = &self.residual;
         let is_more_than_noise = lights.enough_samples && !lights.is_noise();
-        if self.balances.is_empty() {
+        if self.not_fitted.is_some() {
+            "not known: the model follows the run no better than a trivial prediction"
+        } else if self.balances.is_empty() {
             "these runs do not tell where it fails"
         } else if self.balances.iter().any(|own| own.fails) {
             "an equation fails, and its error follows no speed, current, angle or time"
@@ -162,7 +171,8 @@ impl Comparison {
     }
 }
 
-/// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.
+/// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of: a fitted
+/// model ([`ErrorOf::Structure`]) that predicts the hold-out no better than a trivial prediction has none.
 pub fn compare(
     model: &Model,
     evidence: &Evidence,
@@ -195,7 +205,9 @@ pub fn compare(
         with_input(residual, &evidence.holdout)
     };
     let located = locate(model, &evidence.holdout, noise, error_of)?;
-    Ok(Comparison {
+    let is_fitted = error_of == ErrorOf::Structure;
+    let not_fitted = is_fitted.then(|| trivial::as_good(&holdout, evidence, None));
+    let compared = Comparison {
         signals: Signals {
             speed_rad_s: signal(|score| score.speed, noise.speed_rad_s, speed_one_step),
             current_a: signal(|score| score.current, noise.current_a, current_one_step),
@@ -209,11 +221,13 @@ pub fn compare(
         noise: *noise,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
+        not_fitted: None,
         limits: limits(evidence, aside.into_iter().chain(located.notes).collect()),
         locations: located.locations,
         balances: located.balances,
         map: located.map,
-    })
+    };
+    Ok(compared.without_places(not_fitted.flatten()))
 }
 
 /// What these runs cannot answer.
@@ -225,8 +239,10 @@ fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
     }
     notes.extend(evidence.unjudged());
     if evidence.holdout_from == HoldoutFrom::Split {
-        let limit = "no other run is held out: the last 40 % of the run are, which share its day and its excitation";
-        notes.push(limit.to_owned());
+        notes.push(format!(
+            "no other run is held out: the {} of the run are, which share its day and its excitation",
+            evidence.held_out_part()
+        ));
     }
     notes
 }
@@ -307,7 +323,15 @@ impl Balance {
         let torques = self.sides.holdout.left.iter().copied();
         let left = holdout.torque_residual.iter().map(|point| point.1);
         let with_torque: Vec<(f64, f64)> = left.zip(torques).collect();
-        Comparison {
+        let is_fitted = error_of == ErrorOf::Structure;
+        let not_fitted = is_fitted.then(|| {
+            trivial::as_good(
+                &holdout,
+                evidence,
+                Some([&self.sides.training.left, &self.sides.holdout.left]),
+            )
+        });
+        let compared = Comparison {
             signals: Signals {
                 speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),
                 speed_rad_s,
@@ -323,6 +347,7 @@ impl Balance {
             locations,
             balances,
             map,
+            not_fitted: None,
             limits: notes,
             residual: ResidualLights::of_torque(&with_torque),
             noise_floor_from: self.source,
@@ -332,7 +357,8 @@ impl Balance {
             },
             holdout_from: evidence.holdout_from,
             holdout_rmse: holdout.nrms,
-        }
+        };
+        compared.without_places(not_fitted.flatten())
     }
 }
 

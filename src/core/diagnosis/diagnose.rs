@@ -303,7 +303,7 @@ pub fn diagnose_with(
     if !rungs[0].score.nrms.is_finite() {
         return Err(nothing_judged(&bench.evidence.holdout));
     }
-    while let Some(veto) = vetoes::first(&bench, &inference, &rungs) {
+    while let Some(veto) = vetoes::first(&bench, &inference, &inference.named, &rungs) {
         let before = inference.named.clone();
         inference.veto(veto);
         let known = passed(rungs, &before, &inference.named);

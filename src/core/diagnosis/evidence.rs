@@ -8,10 +8,17 @@ use super::score::{Score, SignalScore, varies};
 use crate::identification::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::{finite, variance};
 use crate::plant::{Effect, Input, Model, Scenario, effect};
 
-/// Share of a run that trains when there is no second run; the rest is held out as one block.
-const TRAINING_SHARE: f64 = 0.6;
+/// Shares of a run that train when there is no second run, the preferred one first; the rest is held out as one block, which
+/// has to move as well as what trains.
+const TRAINING_SHARES: [f64; 4] = [0.6, 0.5, 0.4, 0.3];
+/// Deviation of a signal in a part of a run, as a share of that in the whole of it, from which on the part moves: a step
+/// response has died down to it after three time constants.
+const MOVES_SHARE: f64 = 0.05;
+/// The same in units of the sensors' noise, where that is known.
+const MOVES_RATIO: f64 = 2.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -36,6 +43,31 @@ pub struct Evidence {
     pub begins_s: Vec<f64>,
 }
 
+/// What is said of a hold-out in which neither speed nor current changes.
+pub(super) const STILL: &str = "what is held out stands still or runs steadily";
+
+/// The part of a run that trains and the one that is held out: by the first share at which both move.
+fn split(run: &Scenario, noise: &NoiseFloor) -> (Scenario, Scenario) {
+    let parts = TRAINING_SHARES.map(|share| run.split(share));
+    let mut both = parts.iter();
+    let both =
+        both.find(|(fitted, held_out)| moves(fitted, run, noise) && moves(held_out, run, noise));
+    both.unwrap_or(&parts[0]).clone()
+}
+
+/// Whether a signal changes in the scored part of a run, compared with what it does in `all` of it and with its noise.
+fn moves(part: &Scenario, all: &Scenario, noise: &NoiseFloor) -> bool {
+    let is_known = noise.source != FloorSource::None;
+    let changes = |signal: Signal, level: f64| {
+        let deviation = |values: &[f64]| variance(&finite(values)).sqrt();
+        let own = deviation(&signal(part)[part.scored.clone()]);
+        let least = MOVES_SHARE * deviation(signal(all));
+        own > least && (!is_known || !level.is_finite() || own > MOVES_RATIO * level)
+    };
+    changes(|run| &run.speed_rad_s, noise.speed_rad_s)
+        || changes(|run| &run.current_a, noise.current_a)
+}
+
 impl Evidence {
     /// Takes the noise floor from the standstills of the fit run and the hold-out, else leaves the signals scaled by their
     /// spread until a baseline is fitted ([`Evidence::with_baseline`]). The confirming run has no part in anything that is
@@ -50,7 +82,7 @@ impl Evidence {
         let (training, holdout, holdout_from) = if let Some(holdout) = holdout {
             (fit_run, holdout, HoldoutFrom::Run)
         } else {
-            let (training, holdout) = fit_run.split(TRAINING_SHARE);
+            let (training, holdout) = split(&fit_run, &noise);
             (training, holdout, HoldoutFrom::Split)
         };
         Self {
@@ -165,7 +197,7 @@ impl Evidence {
             let most_of_first = match self.holdout_from {
                 HoldoutFrom::Run => most,
                 // So that what is fitted of it is its part.
-                HoldoutFrom::Split => whole(most as f64 / TRAINING_SHARE),
+                HoldoutFrom::Split => whole(most as f64 / TRAINING_SHARES[0]),
             };
             self.training = first.unwrap_or(self.training);
             match self.holdout_from {
@@ -233,16 +265,34 @@ impl Evidence {
         }
         let cut = shorten(&mut whole, most, "the run");
         if cut.is_some() {
-            (self.training, self.holdout) = whole.split(TRAINING_SHARE);
+            (self.training, self.holdout) = split(&whole, &self.noise);
         }
         cut
     }
 
-    /// Measured signals that the judgement does without, each with the reason. Only of runs that a voltage drives: the
-    /// others are judged by their torque balance.
+    /// Which part of a run is held out where no other run is.
+    pub fn held_out_part(&self) -> String {
+        let all = self.holdout.samples().max(1) as f64;
+        let share = self.holdout.scored.len() as f64 / all;
+        format!("last {:.0} %", 100.0 * share)
+    }
+
+    /// Whether a signal of the held-out part moves: a model that stays where it is predicts a steady one, and nothing can be
+    /// told by it.
+    pub(super) fn holdout_moves(&self) -> bool {
+        let all = match self.holdout_from {
+            HoldoutFrom::Run => &self.training,
+            HoldoutFrom::Split => &self.holdout,
+        };
+        moves(&self.holdout, all, &self.noise)
+    }
+
+    /// Measured signals that the judgement does without, each with the reason, of runs that a voltage drives (the others are
+    /// judged by their torque balance); and that the hold-out does not move.
     pub fn unjudged(&self) -> Vec<String> {
+        let still = (!self.holdout_moves()).then(|| format!("{STILL}: no effect is named by it"));
         if self.training.input != Input::Voltage {
-            return Vec::new();
+            return still.into_iter().collect();
         }
         let (current, speed): (Signal, Signal) = (|run| &run.current_a, |run| &run.speed_rad_s);
         let why = [
@@ -261,7 +311,7 @@ impl Evidence {
                  alone, and what shows only in the {name} would not be seen"
             ))
         });
-        words.collect()
+        words.chain(still).collect()
     }
 
     /// Of a signal whose noise is `level`, infinite where that is not known.

@@ -16,7 +16,8 @@ use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
-use super::vetoes::Veto;
+use super::trivial;
+use super::vetoes::{self, Veto};
 use super::work::iterations_of;
 use crate::identification::balance::Method;
 use crate::identification::noise::NoiseFloor;
@@ -471,12 +472,22 @@ fn change(
         Ok::<_, FitError>(standing.with_deviations(bench, inference))
     };
     let after = handed_on(after)?;
-    // The model before has the effect that is taken out, and tells its size.
+    // The model before has the effect that is taken out, and gives its size.
     let before = if adding {
         Standing::of(before, bench)?
     } else {
         handed_on(before)?
     };
+    let mut rungs = vec![before, after];
+    // Beside others that the runs show too, one alone need not lower the error.
+    let is_alone = adding && inference.named == [id];
+    let veto = is_alone.then(|| vetoes::first(bench, inference, &[id], &rungs));
+    let refused = veto.flatten().map(|veto| veto.reason).or_else(|| {
+        let as_good =
+            |last: &Standing| trivial::as_good(&last.score, &bench.evidence, bench.torques());
+        rungs.last().filter(|_| is_alone).and_then(as_good)
+    });
+    let (after, before) = (rungs.remove(1), rungs.remove(0));
     let confirm = match &bench.evidence.confirm {
         Some(run) => {
             let on = |standing: &Standing| -> Result<Rung, FitError> {
@@ -494,6 +505,9 @@ fn change(
     let times = bench.evidence.noise.source.times();
     let fall = fall([&before.score, &after.score], times) + &both_processings(&sides);
     let mut reason = reason(effect, inference, &fall, adding);
+    if let Some(refused) = &refused {
+        reason = format!("not added: {refused} ({reason})");
+    }
     if let Some(words) = &bench.aside {
         reason = format!("{reason}; {words}");
     }
@@ -501,7 +515,7 @@ fn change(
     let owner = if adding { &after } else { &before };
     Ok(AddResult {
         effect: id,
-        accepted: inference.names(id) == adding,
+        accepted: inference.names(id) == adding && refused.is_none(),
         forced: false,
         reason,
         before: compared_before,

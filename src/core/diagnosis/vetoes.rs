@@ -4,6 +4,7 @@
 //! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
 //! chance, and to leave the machine an inertia. No veto changes a probability.
 
+use super::evidence::STILL;
 use super::joint::answer::Inference;
 use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
 use super::score::Score;
@@ -28,19 +29,32 @@ impl Veto {
     }
 }
 
-/// The first effect of the answer that may not be named; the last of the ladder first.
-pub(super) fn first(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
-    let without_size = without_size(inference, rungs);
-    without_size
-        .or_else(|| without_inertia(bench, inference, rungs))
-        .or_else(|| by_chance(bench, inference, rungs))
-        .or_else(|| without_use(bench, inference, rungs))
+/// The first effect of those that `named` adds to the baseline, one on each of the further `rungs`, that may not be named; the
+/// last of the ladder first.
+pub(super) fn first(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    still(bench, named)
+        .or_else(|| without_size(named, rungs))
+        .or_else(|| without_inertia(bench, named, rungs))
+        .or_else(|| by_chance(bench, inference, named, rungs))
+        .or_else(|| without_use(bench, inference, named, rungs))
+}
+
+/// Any named effect where the hold-out does not move: an error that stays the same is a matter of a level alone, which every
+/// effect with a size can mend.
+fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
+    let last = *named.last()?;
+    (!bench.evidence.holdout_moves()).then(|| Veto::new(last, STILL))
 }
 
 /// The last named effect of which the fit with all of them does not tell whether it is there at all.
-fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
-    let mut named = inference.named.iter().rev().copied();
+    let mut named = named.iter().rev().copied();
     let id = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
     let reason = "the fit with it does not tell its size from zero";
     Some(Veto::new(id, reason))
@@ -48,7 +62,7 @@ fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
 
 /// The effect with which a balance of torques loses the inertia that it has without it: its column stands for the balance
 /// itself.
-fn without_inertia(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     if !bench.fits_at_once() {
         return None;
     }
@@ -58,7 +72,7 @@ fn without_inertia(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> 
         own.and_then(|own| own.value)
             .is_some_and(|value| value > 0.0)
     };
-    let mut steps = rungs.windows(2).zip(&inference.named);
+    let mut steps = rungs.windows(2).zip(named);
     let (_, id) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
     let reason = "an artefact: with it the balance of torques has no inertia any more";
     Some(Veto::new(id, reason))
@@ -66,7 +80,12 @@ fn without_inertia(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> 
 
 /// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
 /// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
-fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+fn by_chance(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
     let evidence = &bench.evidence;
     let floor = inference.floor(evidence);
     let left = rungs
@@ -80,10 +99,7 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
     };
     let deviances = rungs[left..].iter().map(on_both);
     let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
-    let mut named = steps
-        .into_iter()
-        .rev()
-        .map(|step| inference.named[left + step]);
+    let mut named = steps.into_iter().rev().map(|step| named[left + step]);
     let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
     let id = named.find(|id| left == 0 || !is_shown(id))?;
     let reason =
@@ -94,7 +110,12 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
 /// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
 /// what has another cause. On its rung it does not lower the held-out error by more than chance. What happens once need not
 /// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
-fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<Veto> {
+fn without_use(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
     let floor = inference.floor(&bench.evidence);
     let last = rungs.last()?.score.nrms;
     if floor.is_reached(last) {
@@ -114,7 +135,7 @@ fn without_use(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Opti
         }
     };
     let steps = rungs.windows(2).enumerate().rev();
-    let mut named = steps.map(|(step, pair)| (inference.named[step], pair));
+    let mut named = steps.map(|(step, pair)| (named[step], pair));
     let (id, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
     let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
     let times = bench.evidence.noise.source.times();

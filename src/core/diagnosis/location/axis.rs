@@ -8,8 +8,8 @@ use std::fmt::Display;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::FailureLocation;
 use super::windows::{Window, Windows, own_keys};
+use super::{ErrorOf, FailureLocation};
 use crate::numerics::count::whole;
 use crate::plant::effect::{Axis, table_weights};
 use crate::plant::{Balance, Model, MotorKey};
@@ -53,6 +53,7 @@ pub(super) fn ranked(
     equation: Balance,
     refitted: bool,
     model: &Model,
+    error_of: ErrorOf,
 ) -> Vec<FailureLocation> {
     let search = Search {
         windows,
@@ -65,7 +66,7 @@ pub(super) fn ranked(
     };
     let mut found = Vec::new();
     if !refitted {
-        found.extend(search.own_values(model));
+        found.extend(search.own_values(model, error_of));
     }
     found.extend(search.curve("speed_rad_s"));
     match equation {
@@ -338,8 +339,9 @@ impl Search<'_> {
         Some(self.ranked(variable, region, &fit, 1.0, sentence))
     }
 
-    /// Each of the equation's own parameters alone.
-    fn own_values(&self, model: &Model) -> Vec<Ranked> {
+    /// Each of the equation's own parameters alone. A value that was fitted to a whole run is no property of the machine where
+    /// short windows contradict it: both values are given, and neither is called wrong.
+    fn own_values(&self, model: &Model, error_of: ErrorOf) -> Vec<Ranked> {
         let variables: &[&'static str] = match self.equation {
             Balance::Voltage => &["current_a", "current_rate_a_s", "speed_rad_s"],
             Balance::Torque => &["acceleration_rad_s2", "direction"],
@@ -355,16 +357,26 @@ impl Search<'_> {
             } else {
                 self.region(&rows, &fit, value)?
             };
-            let part = by / model.motor.get(key).unwrap_or(f64::NAN);
-            let what = format!(
-                "follows the {}, as {} {} too {} in the model would make it ({} {})",
-                name_and_unit(variable).0,
-                name_of(key),
-                share(part.abs()),
-                if by > 0.0 { "low" } else { "high" },
-                figure(by.abs()),
-                key.unit()
-            );
+            let own = model.motor.get(key).filter(|own| own.is_finite());
+            let followed = name_and_unit(variable).0;
+            let (name, unit) = (name_of(key), key.unit());
+            let what = match (error_of, own) {
+                (ErrorOf::Model, Some(own)) => format!(
+                    "follows the {followed}, as {name} {} too {} in the model would make it ({} {unit})",
+                    share((by / own).abs()),
+                    if by > 0.0 { "low" } else { "high" },
+                    figure(by.abs()),
+                ),
+                (ErrorOf::Structure, Some(own)) => format!(
+                    "follows the {followed}: short windows ask for {name} {} {unit}, the fit to the whole run has {}",
+                    figure(own + by),
+                    figure(own)
+                ),
+                (_, None) => format!(
+                    "follows the {followed}, as {name} {} {unit} beside the model's would make it",
+                    figure(by)
+                ),
+            };
             let sentence = self.says(fit.follows, what);
             Some(self.ranked(variable, region, &fit, PARSIMONY, sentence))
         };

@@ -167,7 +167,7 @@ pub fn locate(
         let mut balance = windows.balance(equation, noise);
         refit(&mut windows, equation, &mut balance, noise, model, error_of);
         let axes = if balance.fails {
-            axis::ranked(&windows, equation, balance.refitted, model)
+            axis::ranked(&windows, equation, balance.refitted, model, error_of)
         } else {
             Vec::new()
         };
@@ -214,7 +214,7 @@ pub(super) fn locate_difference(
         }
         let balance = windows.balance(equation, noise);
         if balance.fails {
-            let axes = axis::ranked(&windows, equation, true, model);
+            let axes = axis::ranked(&windows, equation, true, model, ErrorOf::Structure);
             found.locations.extend(axes);
         }
         found.balances.push(balance);
