@@ -194,8 +194,8 @@ pub(crate) fn diagnosis(event: Event) {
         Event::Begun { stage, of } => match stage {
             Stage::Baseline => ("fits the model as it is", of),
             Stage::Screen => ("screens the effects", of),
-            Stage::Refit => ("refits the candidates", of),
-            Stage::Check => ("puts the best to the test", of),
+            Stage::Refit => ("adds the effects one by one", of),
+            Stage::Check => ("fits sets of effects together", of),
         },
         Event::Screened { .. } | Event::Refitted { .. } => {
             if let Some(work) = &mut lock().work {

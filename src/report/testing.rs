@@ -27,6 +27,7 @@ pub(crate) fn fitted(effects: &[&str]) -> Fitted {
             speed_rad_s: testing::SPEED_NOISE_RAD_S,
             source: FloorSource::Standstill,
             samples: 300,
+            memory: [0.0; 2],
         },
         interval_factor: 1.0,
         start: State::default(),

@@ -15,6 +15,7 @@ use crate::identification::balance::{Method, TorqueRows};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::{extent, finite};
 use crate::plant::{Input, Model, Plant, Scenario, State};
 
 /// Figures of one signal.
@@ -392,10 +393,15 @@ fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<Proces
     })
 }
 
-/// The speed simulated in windows, each started from the measurement; `None` where the model is not complete or runs away.
+/// The speed simulated in windows, each started from the measurement; `None` where the model is not complete or errs by more
+/// than the largest speed of the run, as with an inertia that the run does not show.
 fn speed(model: &Model, evidence: &Evidence) -> Option<SignalComparison> {
     let [training, one_step] = in_windows(model, &evidence.training)?;
     let [holdout, _] = in_windows(model, &evidence.holdout)?;
+    let (least, most) = extent(finite(&evidence.holdout.speed_rad_s));
+    if holdout.rmse > least.abs().max(most.abs()) {
+        return None;
+    }
     Some(SignalComparison {
         fit_percent: training.fit_percent,
         rmse: training.rmse,

@@ -295,6 +295,9 @@ pub fn diagnose_with(
         (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
         inference = bench.ask(&baseline, &asked, progress)?;
     }
+    for veto in vetoes::surplus(&inference) {
+        inference.veto(veto);
+    }
     progress(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -348,10 +351,15 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
     let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
+    let judged = |fit: &Fitted, rung: &Standing| {
+        fit.judged_by_what_is_left(rung.score.nrms, floor.expected())
+    };
+    let baseline = bench.with_deviations(base.fit.clone(), inference);
+    let (baseline, model) = (judged(&baseline, base), judged(&best.fit, best));
     let mut diagnosis = Diagnosis {
         verdict,
         reason: None,
-        parameters: of_motor(&best.fit),
+        parameters: of_motor(&model),
         effect: named.first().copied(),
         effects: named.clone(),
         sufficient: match verdict {
@@ -392,8 +400,8 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .copied()
             .collect(),
         next_experiment: None,
-        baseline: bench.with_deviations(base.fit.clone(), inference),
-        model: best.fit.clone(),
+        baseline,
+        model,
         grounds: Some(Grounds::new(
             inference.noise,
             inference.excess(),

@@ -380,6 +380,7 @@ impl Evidence {
                     speed_rad_s: speed.unwrap_or(f64::INFINITY),
                     source: FloorSource::Repeat,
                     samples: self.training.samples().min(repeat.samples()),
+                    memory: [0.0; 2],
                 };
             }
         }

@@ -22,7 +22,7 @@ pub enum Stage {
     Screen,
     /// Counts [`Event::Refitted`].
     Refit,
-    /// Those that may be the answer are fitted to the end, and put to the test again. Counts nothing.
+    /// Sets of effects are fitted together until one stands. Counts nothing.
     Check,
 }
 

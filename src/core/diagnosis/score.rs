@@ -7,7 +7,7 @@ use crate::identification::balance::TorqueRows;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 
 /// Figures of one signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -161,7 +161,29 @@ pub struct Fitted {
     pub start: State,
 }
 
+/// Error of a model in units of the noise from which none of its values is settled: what it lacks is in them, and deviations
+/// that count noise, or errors of neighbouring samples, do not bound that.
+const SETTLED_BELOW_RATIO: f64 = 3.0;
+
 impl Fitted {
+    /// The same with what its values are worth where it leaves `nrms` of a run whose noise leaves `floor`; zero where no noise is
+    /// known.
+    pub(super) fn judged_by_what_is_left(&self, nrms: f64, floor: f64) -> Self {
+        let mut judged = self.clone();
+        if floor > 0.0 && nrms > SETTLED_BELOW_RATIO * floor {
+            for own in &mut judged.parameters {
+                if own.verdict == Verdict::Settled {
+                    own.verdict = Verdict::Searching;
+                    own.reason = Some(format!(
+                        "the model leaves {:.1} times the noise of the held-out run",
+                        nrms / floor
+                    ));
+                }
+            }
+        }
+        judged
+    }
+
     /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
     /// shape is all that there is, of that. None where no size is known.
     pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {

@@ -16,6 +16,9 @@ const MOVES_RATIO: f64 = 2.0;
 /// How many times the error of a lag that of the model may be: the lag is fitted to the speed alone, the model to the current
 /// too, so that it need not be quite as near to the speed.
 const LAG_RATIO: f64 = 1.25;
+/// Share of the error of the best constant that a model has to stay below: above it less than a fifth of the variance is
+/// explained, as a model that follows the wrong input does by chance.
+const CONSTANT_RATIO: f64 = 0.9;
 /// Readings below which nothing is compared.
 const FEWEST: usize = 8;
 
@@ -72,7 +75,7 @@ fn constant(
     ];
     let as_good = constants
         .iter()
-        .find(|(_, value)| own.is_nan() || own >= error(*value))?;
+        .find(|(_, value)| own.is_nan() || own >= CONSTANT_RATIO * error(*value))?;
     Some(format!(
         "the fitted model leaves {own:.3} {unit} of the {name} of the hold-out, the {} {:.3} {unit}",
         as_good.0,

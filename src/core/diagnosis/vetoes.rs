@@ -29,6 +29,17 @@ impl Veto {
     }
 }
 
+/// Effects of one machine that one diagnosis names at most: beyond them a search has put together what follows the misfit.
+const MOST_NAMED: usize = 8;
+
+/// Those beyond the number that one machine has, the ones that explain least.
+pub(super) fn surplus(inference: &Inference) -> Vec<Veto> {
+    let beyond = inference.named.iter().skip(MOST_NAMED);
+    let reason =
+        format!("more than {MOST_NAMED} effects would be there at once, and others explain more");
+    beyond.map(|id| Veto::new(id, reason.clone())).collect()
+}
+
 /// The first effect of those that `named` adds to the baseline, one on each of the further `rungs`, that may not be named; the
 /// last of the ladder first.
 pub(super) fn first(

@@ -5,7 +5,8 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::speed_from_angle;
-use crate::numerics::statistics::{finite, mean, variance};
+use crate::numerics::count::whole;
+use crate::numerics::statistics::{autocorrelation, finite, mean, variance};
 use crate::plant::{Input, Scenario};
 
 /// Where the noise floor comes from.
@@ -44,8 +45,10 @@ pub struct NoiseFloor {
     pub current_a: f64,
     pub speed_rad_s: f64,
     pub source: FloorSource,
-    /// Samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
+    /// Independent samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
     pub samples: usize,
+    /// Autocorrelation of the noise from one sample to the next, of current and speed, at rest: that of a first-order process.
+    pub memory: [f64; 2],
 }
 
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
@@ -88,36 +91,48 @@ impl NoiseFloor {
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rows = rest_rows(scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
-        let floor = |values: &[f64]| -> Option<(f64, usize)> {
+        let floor = |values: &[f64]| -> Option<(f64, usize, f64)> {
             let at_rest = finite(&values[rows.clone()]);
             if at_rest.len() < FEWEST_SAMPLES {
                 return None;
             }
             let settled = settled(&at_rest);
-            let level =
-                standard_deviation(settled).max(quantum_noise(quantum(values).unwrap_or(0.0)));
+            let quantum = quantum(values).unwrap_or(0.0);
+            let level = standard_deviation(settled).max(quantum_noise(quantum));
             let mut present = values.iter().filter(|v| v.is_finite());
             let first = present.next()?;
             #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
             let varies = present.any(|v| v != first);
-            (level > 0.0 || varies).then_some((level, settled.len()))
+            let memory = if level > quantum {
+                memory(settled)
+            } else {
+                0.0
+            };
+            // What a signal repeats that is quieter than its resolution is no memory. Of a first-order process the squares are correlated by the square of that.
+            let independent =
+                settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
+            (level > 0.0 || varies).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
         // A coarse angle at rest shows nothing of what its resolution does to the speed that is derived from it.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
-        let speed = floor(&scenario.speed_rad_s).map(|(level, count)| (level.max(derived), count));
+        let speed = floor(&scenario.speed_rad_s);
+        let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
         let known = || current.iter().chain(&speed);
-        if known().any(|(level, _)| *level <= 0.0) {
+        if known().any(|(level, ..)| *level <= 0.0) {
             return None;
         }
-        let samples = known().map(|(_, samples)| *samples).min()?;
-        let level = |known: Option<(f64, usize)>| known.map_or(f64::INFINITY, |(level, _)| level);
+        let samples = known().map(|(_, samples, _)| *samples).min()?;
+        type Known = Option<(f64, usize, f64)>;
+        let level = |known: Known| known.map_or(f64::INFINITY, |(level, ..)| level);
+        let memory = |known: Known| known.map_or(0.0, |(.., memory)| memory);
         Some(Self {
             current_a: level(current),
             speed_rad_s: level(speed),
             source: FloorSource::Standstill,
             samples,
+            memory: [memory(current), memory(speed)],
         })
     }
 
@@ -141,6 +156,7 @@ impl NoiseFloor {
             speed_rad_s: mean(|rest| rest.speed_rad_s),
             source: first.source,
             samples: rests.iter().map(|rest| rest.samples).sum(),
+            memory: [0, 1].map(|k| rests.iter().map(|rest| rest.memory[k]).fold(0.0, f64::max)),
         })
     }
 
@@ -161,6 +177,7 @@ impl NoiseFloor {
             speed_rad_s: spread(&scenario.speed_rad_s),
             source: FloorSource::None,
             samples: 0,
+            memory: [0.0; 2],
         }
     }
 }
@@ -236,6 +253,22 @@ fn settled(at_rest: &[f64]) -> &[f64] {
         .map(|quarter| &at_rest[quarter * n / 4..])
         .find(|part| standard_deviation(part) <= limit)
         .unwrap_or(last_half)
+}
+
+/// Longest memory that is believed: at it a hundred samples are as one.
+const LONGEST_MEMORY: f64 = 0.98;
+/// Deviations of the autocorrelation of white noise, one over the root of the samples, up to which none is taken for real.
+const WHITE_SIGMAS: f64 = 3.0;
+
+/// Autocorrelation of noise from one sample to the next, zero where white noise shows as much.
+fn memory(at_rest: &[f64]) -> f64 {
+    let found = autocorrelation(at_rest, 1).first().copied().unwrap_or(0.0);
+    let is_real = found > WHITE_SIGMAS / (at_rest.len() as f64).sqrt();
+    if is_real {
+        found.min(LONGEST_MEMORY)
+    } else {
+        0.0
+    }
 }
 
 fn current_is_an_output(scenario: &Scenario) -> bool {
@@ -331,6 +364,29 @@ mod tests {
         // A run-out of many counts is one.
         let coasts = |k: usize| 0.1 * (moves(k) + if k < 100 { (100 - k) as f64 } else { 0.0 });
         assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
+    }
+
+    #[test]
+    fn noise_that_goes_on_from_sample_to_sample_counts_as_fewer_samples() {
+        // An autoregressive process of 0.9, and white noise, from one sequence of even spread.
+        let white =
+            |k: usize| ((k as f64 * 0.618_033_988_749_895 + 0.1).fract() * 997.0).fract() - 0.5;
+        let mut before = 0.0;
+        let coloured: Vec<f64> = (0..400)
+            .map(|k| {
+                before = 0.9 * before + white(k);
+                before
+            })
+            .collect();
+        let [white, coloured] = [scenario(400, white), scenario(400, |k| coloured[k])];
+        let [white, coloured] =
+            [white, coloured].map(|run| NoiseFloor::from_standstill(&run).unwrap());
+        assert!(
+            white.memory[1].abs() < 1e-12 && white.samples > 380,
+            "{white:?}"
+        );
+        assert!((0.8..0.95).contains(&coloured.memory[1]), "{coloured:?}");
+        assert!((20..100).contains(&coloured.samples), "{coloured:?}");
     }
 
     #[test]

@@ -17,6 +17,7 @@ pub(super) const NOISE: NoiseFloor = NoiseFloor {
     speed_rad_s: SPEED_NOISE_RAD_S,
     source: FloorSource::Standstill,
     samples: 1000,
+    memory: [0.0; 2],
 };
 
 /// R, L, Ke, J, Mc.

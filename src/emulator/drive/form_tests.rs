@@ -128,6 +128,7 @@ fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percen
                 speed_rad_s: SPEED_RAD_S,
                 source: FloorSource::Standstill,
                 samples: 300,
+                memory: [0.0; 2],
             };
             model = output_error::fit(&[model], &scenario, &noise)
                 .unwrap()

@@ -18,7 +18,7 @@ use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::solution::{Happened, around, happened, placed, present};
 use super::tangent::{Deviations, Lane};
-use crate::diagnosis::progress::{Event as Notice, Progress};
+use crate::diagnosis::progress::{Event as Notice, Progress, Stage};
 use crate::diagnosis::work::Work;
 use crate::numerics::count::whole;
 use crate::plant::{Effect, Input, Model, Scenario, State};
@@ -222,6 +222,10 @@ impl<'a> Search<'a> {
             let mut reduced = Reduced::new(linear, 1.0, true)?;
             if round == 0 {
                 screened(&reduced, progress);
+                progress(Notice::Begun {
+                    stage: Stage::Check,
+                    of: 0,
+                });
             }
             let (mut posterior, followed_with) = (select(&reduced, &sets), self.noise);
             let is_first = by_voltage && is_near && round == 0;

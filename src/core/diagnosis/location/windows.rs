@@ -109,6 +109,17 @@ pub(super) struct Weights {
     rate: Vec<f64>,
 }
 
+/// Standard deviation of a weighted sum of first-order noise of deviation one: the autocorrelation at a lag is the memory to the
+/// power of it.
+fn deviation(weights: &[f64], memory: f64) -> f64 {
+    let (mut before, mut variance) = (0.0, 0.0);
+    for weight in weights {
+        variance += weight * (weight + 2.0 * memory * before);
+        before = weight + memory * before;
+    }
+    variance.max(0.0).sqrt()
+}
+
 fn psi(s: f64) -> f64 {
     let q = (1.0 - s * s).max(0.0);
     (q * q) * (q * q)
@@ -201,7 +212,7 @@ impl<'a> Windows<'a> {
                 let range = begin..=begin + 2 * half;
                 let predicted = [&ahead.current_a[range.clone()], &ahead.speed_rad_s[range]];
                 let events = &scenario.events[event..];
-                let window = found.window(begin, model, predicted, levels, events);
+                let window = found.window(begin, model, predicted, levels, noise.memory, events);
                 found.each.push(window);
             }
         }
@@ -215,6 +226,7 @@ impl<'a> Windows<'a> {
         model: &Model,
         [current, speed]: [&[f64]; 2],
         [current_noise, speed_noise]: [f64; 2],
+        [current_memory, speed_memory]: [f64; 2],
         events: &[(f64, f64)],
     ) -> Window {
         let range = begin..begin + current.len();
@@ -249,12 +261,16 @@ impl<'a> Windows<'a> {
         let if_driven = |torque: f64| if by_voltage { torque } else { 0.0 };
         let torque = if_driven(self.torque_constant * e_i) - inertia * e_w_rate - load * opposite;
         let voltage = -(inductance * e_i_rate + resistance * e_i + back_emf * e_w);
-        let [mean, rate] = [&weights.mean, &weights.rate].map(|own| dot(own, own).sqrt());
-        let torque_floor = (inertia * speed_noise * rate)
-            .hypot(if_driven(self.torque_constant * current_noise * mean));
-        let voltage_floor = (resistance * current_noise * mean)
-            .hypot(back_emf * speed_noise * mean)
-            .hypot(inductance * current_noise * rate);
+        let of = |noise: f64, memory: f64| {
+            [&weights.mean, &weights.rate].map(|own| noise * deviation(own, memory))
+        };
+        let [current_mean, current_rate] = of(current_noise, current_memory);
+        let [speed_mean, speed_rate] = of(speed_noise, speed_memory);
+        let torque_floor =
+            (inertia * speed_rate).hypot(if_driven(self.torque_constant * current_mean));
+        let voltage_floor = (resistance * current_mean)
+            .hypot(back_emf * speed_mean)
+            .hypot(inductance * current_rate);
         let (input, input_rate) = input_over(events, times);
         let is_resting = at_rest > LONGEST_REST_SHARE;
         Window {
