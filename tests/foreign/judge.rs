@@ -1,0 +1,334 @@
+//! A machine whose truth is known, the question put to the program as its owner would put it, and the judgement of the answer.
+
+use std::fs::{self, File};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
+
+use rustix::process::{Pid, WaitId, WaitIdOptions, waitid};
+use serde_json::Value;
+
+use super::bench::{Log, Run};
+
+/// A name that is given with more than this is taken for certain.
+const CERTAIN: f64 = 0.9;
+/// Processor time after which no answer is waited for, s: only a search without end takes so long.
+const PATIENCE_S: f64 = 120.0;
+const POLL: Duration = Duration::from_millis(10);
+/// Ticks of the kernel's count of processor time in a second: the same on every Linux.
+const TICKS_PER_S: f64 = 100.0;
+
+/// A machine, and how its owner's records are to be read.
+pub(crate) struct Case {
+    pub(crate) name: &'static str,
+    /// What `--map` is given.
+    pub(crate) map: &'static str,
+    /// The owner's model file, where he has one.
+    pub(crate) model: Option<&'static str>,
+    pub(crate) truth: Truth,
+    pub(crate) record: fn(u64, Run) -> Log,
+}
+
+/// What the baseline misses of a machine, in the words of the catalogue.
+pub(crate) enum Truth {
+    Nothing {
+        also: &'static [&'static str],
+    },
+    /// Any name of each group is right; what is there besides may be named, or not.
+    Effects {
+        missing: &'static [&'static [&'static str]],
+        also: &'static [&'static str],
+    },
+    /// Something that the catalogue does not have; names that are no lie all the same.
+    Unknown {
+        akin: &'static [&'static str],
+    },
+}
+
+impl Truth {
+    fn groups(&self) -> &'static [&'static [&'static str]] {
+        match self {
+            Self::Effects { missing, .. } => missing,
+            _ => &[],
+        }
+    }
+
+    fn is_true(&self, name: &str) -> bool {
+        let also = match self {
+            Self::Nothing { also } | Self::Effects { also, .. } => also,
+            Self::Unknown { akin } => akin,
+        };
+        also.contains(&name) || self.groups().iter().any(|group| group.contains(&name))
+    }
+
+    fn in_words(&self) -> String {
+        match self {
+            Self::Nothing { .. } => "nothing".to_owned(),
+            Self::Effects { missing, .. } => missing
+                .iter()
+                .map(|group| group.join("/"))
+                .collect::<Vec<_>>()
+                .join("+"),
+            Self::Unknown { .. } => "not in the catalogue".to_owned(),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Judgement {
+    Right,
+    /// Not all of the truth, and nothing but the truth.
+    Honest,
+    Wrong,
+}
+
+impl Judgement {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Honest => "honest",
+            Self::Wrong => "WRONG",
+        }
+    }
+}
+
+/// One line of the table.
+pub(crate) struct Outcome {
+    pub(crate) judgement: Judgement,
+    /// Whether a name that is not true was given as certain.
+    pub(crate) is_misnamed: bool,
+    /// Whether an effect that is there was ruled out.
+    pub(crate) is_denied: bool,
+    /// Whether an answer came at all.
+    pub(crate) has_ended: bool,
+    pub(crate) line: String,
+}
+
+/// What the program said, as far as it is judged.
+struct Said<'a> {
+    answer: &'a Value,
+}
+
+impl<'a> Said<'a> {
+    fn verdict(&self) -> &'a str {
+        self.answer["verdict"].as_str().unwrap_or_default()
+    }
+
+    fn named(&self) -> Vec<(&'a str, f64)> {
+        let names = self.answer["effects"].as_array();
+        let names = names.into_iter().flatten().filter_map(Value::as_str);
+        names
+            .map(|name| {
+                let own = self.candidate(name);
+                let probability = own.and_then(|own| own["probability"].as_f64());
+                (name, probability.unwrap_or(f64::NAN))
+            })
+            .collect()
+    }
+
+    fn candidate(&self, name: &str) -> Option<&'a Value> {
+        let mut all = self.answer["candidates"].as_array()?.iter();
+        all.find(|own| own["effect"] == name)
+    }
+
+    fn status(&self, name: &str) -> &'a str {
+        let own = self.candidate(name);
+        own.and_then(|own| own["status"].as_str()).unwrap_or("-")
+    }
+
+    /// Whether it says that it cannot tell this name from one of the others.
+    fn cannot_tell(&self, name: &str, truth: &Truth) -> bool {
+        let pairs = self.answer["confusable"].as_array();
+        let pairs = pairs
+            .into_iter()
+            .flatten()
+            .filter_map(|pair| Some([pair[0].as_str()?, pair[1].as_str()?]));
+        pairs.into_iter().any(|[first, second]| {
+            (first == name && truth.is_true(second)) || (second == name && truth.is_true(first))
+        })
+    }
+}
+
+/// Judges an answer; the reason where it is not right.
+fn judged(truth: &Truth, said: &Said<'_>) -> (Judgement, bool, bool, String) {
+    let named = said.named();
+    let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
+    let is_denied_group = |group: &&&[&str]| {
+        !has(group) && group.iter().all(|name| said.status(name) == "ruled_out")
+    };
+    let groups = truth.groups();
+    let denied = groups.iter().find(is_denied_group);
+    let is_false = |name: &str| !truth.is_true(name) && !said.cannot_tell(name, truth);
+    let misnamed = named
+        .iter()
+        .find(|(name, probability)| is_false(name) && *probability > CERTAIN);
+    let guessed = named.iter().find(|(name, _)| is_false(name));
+    let verdict = said.verdict();
+    let sentence = said.answer["sentence"].as_str().unwrap_or_default();
+    let is_named = !groups.is_empty() && groups.iter().all(|group| has(group));
+    let (judgement, why) = if let Some((name, _)) = misnamed {
+        (Judgement::Wrong, format!("{name} is not there"))
+    } else if let Some(group) = denied {
+        let name = group.join("/");
+        (Judgement::Wrong, format!("{name} is ruled out"))
+    } else if verdict == "not_fitted" {
+        (Judgement::Honest, sentence.to_owned())
+    } else if verdict == "unexplained" {
+        let right = is_named || matches!(truth, Truth::Unknown { .. });
+        let judgement = if right {
+            Judgement::Right
+        } else {
+            Judgement::Honest
+        };
+        (judgement, sentence.to_owned())
+    } else if let Some((name, _)) = guessed {
+        (Judgement::Wrong, format!("{name} is not there"))
+    } else if verdict == "ambiguous" {
+        let judgement = if is_named && named.iter().all(|(name, _)| truth.is_true(name)) {
+            Judgement::Right
+        } else {
+            Judgement::Honest
+        };
+        (judgement, sentence.to_owned())
+    } else if verdict == "none" {
+        match truth {
+            Truth::Nothing { .. } => (Judgement::Right, String::new()),
+            _ if sentence.starts_with("nothing is missing") => {
+                (Judgement::Wrong, sentence.to_owned())
+            }
+            _ => (Judgement::Honest, sentence.to_owned()),
+        }
+    } else if verdict == "effect" {
+        let right = is_named || groups.is_empty();
+        let judgement = if right {
+            Judgement::Right
+        } else {
+            Judgement::Honest
+        };
+        (judgement, String::new())
+    } else {
+        (Judgement::Wrong, format!("no verdict: {verdict:?}"))
+    };
+    (judgement, misnamed.is_some(), denied.is_some(), why)
+}
+
+/// Records the machine, asks the program, and judges what it says.
+pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
+    fs::create_dir_all(folder).expect("a folder for the records");
+    let mut rows = 0;
+    for run in Run::ALL {
+        let log = (case.record)(seed, run);
+        rows = rows.max(log.rows);
+        let file = folder.join(format!("{}.csv", run.name()));
+        fs::write(file, log.text()).expect("the record is written");
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_drivebench"));
+    command.current_dir(folder).args([
+        "diagnose",
+        "fit.csv",
+        "--holdout",
+        "holdout.csv",
+        "--confirm",
+        "confirm.csv",
+        "--json",
+    ]);
+    command.args(["--map", case.map]);
+    if let Some(model) = case.model {
+        fs::write(folder.join("model.toml"), model).expect("the model is written");
+        command.args(["--model", "model.toml"]);
+    }
+    let (status, took_s) = run_to_its_end(&mut command, folder);
+    let stdout = fs::read_to_string(folder.join("stdout")).unwrap_or_default();
+    let stderr = fs::read_to_string(folder.join("stderr")).unwrap_or_default();
+    let head = format!(
+        "{:<42} {seed:>4} {rows:>5} {took_s:>6.1}  {:<26}",
+        case.name,
+        case.truth.in_words()
+    );
+    let answer: Value = serde_json::from_str(&stdout).unwrap_or_default();
+    if status != Some(0) {
+        // A refusal names nothing; that the record of a machine in order is refused is wrong all the same.
+        let last = stderr.lines().rfind(|line| line.starts_with("error: "));
+        let why = last.unwrap_or("no answer");
+        return Outcome {
+            judgement: if status == Some(5) {
+                Judgement::Honest
+            } else {
+                Judgement::Wrong
+            },
+            is_misnamed: false,
+            is_denied: false,
+            has_ended: status.is_some(),
+            line: format!("{head} status {status:?}: {why}"),
+        };
+    }
+    let said = Said { answer: &answer };
+    let (judgement, is_misnamed, is_denied, why) = judged(&case.truth, &said);
+    let names: Vec<String> = said
+        .named()
+        .iter()
+        .map(|(name, probability)| format!("{name} {probability:.3}"))
+        .collect();
+    let statuses: Vec<String> = case
+        .truth
+        .groups()
+        .concat()
+        .iter()
+        .map(|name| format!("{name} {}", said.status(name)))
+        .collect();
+    let number = |key: &str| answer[key].as_f64().unwrap_or(f64::NAN);
+    Outcome {
+        judgement,
+        is_misnamed,
+        is_denied,
+        has_ended: true,
+        line: format!(
+            "{head} {:<6} {:<11} [{}] ({}) {:.2}->{:.2} {why}",
+            judgement.word(),
+            said.verdict(),
+            names.join(", "),
+            statuses.join(", "),
+            number("holdout_before"),
+            number("holdout_after"),
+        ),
+    }
+}
+
+/// Exit status and processor time of a process, s; no status where it was ended because no answer came.
+fn run_to_its_end(command: &mut Command, folder: &Path) -> (Option<i32>, f64) {
+    let file = |name: &str| File::create(folder.join(name)).expect("a file for what it says");
+    command
+        .stdin(Stdio::null())
+        .stdout(file("stdout"))
+        .stderr(file("stderr"));
+    let mut child = command.spawn().expect("the program can be started");
+    let id = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+    let id = id.expect("a process has an id");
+    // Seen to have ended and not yet forgotten by the kernel, which still knows how long it computed.
+    let look = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
+    loop {
+        let ended = waitid(WaitId::Pid(id), look).expect("a child can be waited for");
+        let took_s = processor_s(child.id());
+        if ended.is_some() {
+            let status = child.wait().expect("a child can be waited for");
+            return (status.code(), took_s);
+        }
+        if took_s > PATIENCE_S {
+            child.kill().expect("a child can be ended");
+            child.wait().expect("a child can be waited for");
+            return (None, took_s);
+        }
+        sleep(POLL);
+    }
+}
+
+/// Processor time of all threads of a process until now, s.
+fn processor_s(id: u32) -> f64 {
+    let text = fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+    let behind_name = text.rsplit(')').next().unwrap_or_default();
+    let fields = behind_name.split_whitespace();
+    // Fields 14 and 15 of proc(5): user and system; the third is the first behind the name.
+    let ticks = fields.skip(11).take(2).map(|field| field.parse::<f64>());
+    ticks.map(|ticks| ticks.unwrap_or_default()).sum::<f64>() / TICKS_PER_S
+}
