@@ -207,30 +207,45 @@ impl Levels {
 
 /// A record as its owner has it.
 pub(crate) struct Log {
-    text: String,
-    pub(crate) rows: usize,
+    heads: &'static str,
+    pub(crate) rows: Vec<Vec<f64>>,
 }
 
 impl Log {
     /// With these heads, in the owner's own words.
-    pub(crate) fn new(heads: &str) -> Self {
+    pub(crate) const fn new(heads: &'static str) -> Self {
         Self {
-            text: format!("{heads}\n"),
-            rows: 0,
+            heads,
+            rows: Vec::new(),
         }
     }
 
-    /// A row of cells with so many digits behind the point as a logger prints.
     pub(crate) fn row(&mut self, cells: &[f64]) {
-        for (n, cell) in cells.iter().enumerate() {
-            let comma = if n == 0 { "" } else { "," };
-            let _ = write!(self.text, "{comma}{cell:.6}");
-        }
-        self.text.push('\n');
-        self.rows += 1;
+        self.rows.push(cells.to_vec());
     }
 
-    pub(crate) fn text(&self) -> &str {
-        &self.text
+    /// With so many digits behind the point as a logger prints.
+    pub(crate) fn text(&self) -> String {
+        let mut text = format!("{}\n", self.heads);
+        for row in &self.rows {
+            for (n, cell) in row.iter().enumerate() {
+                let comma = if n == 0 { "" } else { "," };
+                let _ = write!(text, "{comma}{cell:.6}");
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// One signal as a map of this kind reads it: a product of heads and factors.
+    pub(crate) fn signal(&self, map: &str, target: &str) -> Option<Vec<f64>> {
+        let mut parts = map.split(',').filter_map(|part| part.split_once('='));
+        let (_, product) = parts.find(|(name, _)| *name == target)?;
+        let cell = |row: &[f64], word: &str| {
+            let place = self.heads.split(',').position(|head| head == word);
+            place.map_or_else(|| word.parse().unwrap_or(f64::NAN), |place| row[place])
+        };
+        let value = |row: &Vec<f64>| product.split('*').map(|word| cell(row, word)).product();
+        Some(self.rows.iter().map(value).collect())
     }
 }

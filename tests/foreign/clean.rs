@@ -6,19 +6,40 @@ use super::bench::{Chance, Coloured, Dry, Levels, Log, Run, counts, quantised};
 use super::judge::{Case, Truth};
 
 /// A motor that is nothing but the baseline: current by its exact exponential, dry friction by Karnopp (1985).
-struct Plain {
+pub(crate) struct Plain {
     resistance_ohm: f64,
     inductance_h: f64,
     constant_v_s: f64,
     inertia_kg_m2: f64,
     dry_n_m: f64,
-    current_a: f64,
-    speed_rad_s: f64,
+    pub(crate) current_a: f64,
+    pub(crate) speed_rad_s: f64,
     angle_rad: f64,
 }
 
 impl Plain {
-    fn step(&mut self, voltage_v: f64, step_s: f64) {
+    /// At rest.
+    pub(crate) const fn of(parameters: [f64; 5]) -> Self {
+        let [
+            resistance_ohm,
+            inductance_h,
+            constant_v_s,
+            inertia_kg_m2,
+            dry_n_m,
+        ] = parameters;
+        Self {
+            resistance_ohm,
+            inductance_h,
+            constant_v_s,
+            inertia_kg_m2,
+            dry_n_m,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            angle_rad: 0.0,
+        }
+    }
+
+    pub(crate) fn step(&mut self, voltage_v: f64, step_s: f64) {
         let driving_v = voltage_v - self.constant_v_s * self.speed_rad_s;
         let goal_a = driving_v / self.resistance_ohm;
         let fades = (-step_s * self.resistance_ohm / self.inductance_h).exp();
@@ -47,23 +68,21 @@ impl Plain {
 pub(crate) const TOY: Case = Case {
     name: "coarse encoder, nothing else",
     map: "time_s=millis*0.001,voltage_v=volts,current_a=mA*0.001,speed_rad_s=counts_per_s*0.130899694",
-    model: None,
-    truth: Truth::Nothing { also: &[] },
+    about: [2.6, 0.0012, 0.01, 9e-6, 1e-3],
+    has_nameplate: false,
+    truth: Truth::Nothing { at_most: 1.5 },
     record: toy,
 };
 
 fn toy(seed: u64, run: Run) -> Log {
     let mut own = Chance::of_specimen(seed ^ 0x707);
-    let mut motor = Plain {
-        resistance_ohm: own.near(2.6, 0.1),
-        inductance_h: 0.0012,
-        constant_v_s: own.near(0.0095, 0.1),
-        inertia_kg_m2: own.near(9e-6, 0.2),
-        dry_n_m: own.near(1.2e-3, 0.2),
-        current_a: 0.0,
-        speed_rad_s: 0.0,
-        angle_rad: 0.3,
-    };
+    let mut motor = Plain::of([
+        own.near(2.6, 0.1),
+        0.0012,
+        own.near(0.0095, 0.1),
+        own.near(9e-6, 0.2),
+        own.near(1.2e-3, 0.2),
+    ]);
     let mut chance = Chance::of_run(seed ^ 0x707, run);
     let (step_s, every, period_s) = (5e-5, 100_u32, 5e-3);
     let command = Levels::steps(0.5, 9.0, [0.4, 1.1], &mut chance, |chance, n| {
@@ -100,23 +119,21 @@ fn toy(seed: u64, run: Run) -> Log {
 pub(crate) const SCOOTER: Case = Case {
     name: "sagging battery in the log, coloured noise",
     map: "time_s=t,voltage_v=duty*v_bat,current_a=i_motor,speed_rad_s=rpm*0.104719755",
-    model: None,
-    truth: Truth::Nothing { also: &[] },
+    about: [0.25, 4e-4, 0.08, 0.005, 0.25],
+    has_nameplate: false,
+    truth: Truth::Nothing { at_most: 1.2 },
     record: scooter,
 };
 
 fn scooter(seed: u64, run: Run) -> Log {
     let mut own = Chance::of_specimen(seed ^ 0x5C00);
-    let mut motor = Plain {
-        resistance_ohm: own.near(0.25, 0.1),
-        inductance_h: 4e-4,
-        constant_v_s: own.near(0.085, 0.1),
-        inertia_kg_m2: own.near(0.005, 0.2),
-        dry_n_m: own.near(0.25, 0.2),
-        current_a: 0.0,
-        speed_rad_s: 0.0,
-        angle_rad: 0.0,
-    };
+    let mut motor = Plain::of([
+        own.near(0.25, 0.1),
+        4e-4,
+        own.near(0.085, 0.1),
+        own.near(0.005, 0.2),
+        own.near(0.25, 0.2),
+    ]);
     let (open_v, series_ohm) = (own.near(25.5, 0.03), own.near(0.06, 0.2));
     let (creep_ohm, creep_s) = (own.near(0.05, 0.2), own.near(1.2, 0.2));
     let mut chance = Chance::of_run(seed ^ 0x5C00, run);

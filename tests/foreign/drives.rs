@@ -17,7 +17,8 @@ use super::judge::{Case, Truth};
 pub(crate) const SCRIPT: Case = Case {
     name: "irregular loop with oil drag",
     map: "time_s=unix_s,voltage_v=psu_v,current_a=psu_a,speed_rad_s=tacho",
-    model: None,
+    about: [1.8, 0.0015, 0.05, 1e-4, 0.01],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["viscous_friction"]],
         also: &[],
@@ -80,7 +81,8 @@ fn script(seed: u64, run: Run) -> Log {
 pub(crate) const FAN: Case = Case {
     name: "fan by torque",
     map: "time_s=Zeit,torque_n_m=M_ist,speed_rad_s=n_ist*0.104719755",
-    model: None,
+    about: [f64::NAN; 5],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["quadratic_load"]],
         also: &[],
@@ -141,10 +143,8 @@ fn fan(seed: u64, run: Run) -> Log {
 pub(crate) const FILTERED: Case = Case {
     name: "speed through a slow filter",
     map: "time_s=t,voltage_v=u,current_a=i,speed_rad_s=w_mon",
-    model: Some(
-        "[motor]\nname = \"servo\"\nresistance_ohm = 0.9\ninductance_h = 0.004\nback_emf_v_s_per_rad = 0.35\n\
-         inertia_kg_m2 = 0.008\nload_torque_n_m = 0.3\n",
-    ),
+    about: [0.9, 0.004, 0.35, 0.008, 0.3],
+    has_nameplate: true,
     truth: Truth::Effects {
         missing: &[&["speed_filter", "speed_delay"]],
         also: &[],

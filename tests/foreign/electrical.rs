@@ -21,7 +21,8 @@ use super::judge::{Case, Truth};
 pub(crate) const SERVO: Case = Case {
     name: "dq servo with dead time",
     map: "time_s=t_ms*0.001,voltage_v=uq_ref,current_a=iq,speed_rad_s=n_act*0.104719755",
-    model: None,
+    about: [0.35, 0.004, 0.8, 0.014, 0.7],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["voltage_drop"]],
         also: &[],
@@ -142,10 +143,8 @@ fn servo(seed: u64, run: Run) -> Log {
 pub(crate) const HOT: Case = Case {
     name: "winding that warms up",
     map: "time_s=time,voltage_v=u,current_a=i,speed_rad_s=omega",
-    model: Some(
-        "[motor]\nname = \"small\"\nresistance_ohm = 0.5\ninductance_h = 0.0006\nback_emf_v_s_per_rad = 0.03\n\
-         inertia_kg_m2 = 0.0003\nload_torque_n_m = 0.01\n",
-    ),
+    about: [0.5, 6e-4, 0.03, 3e-4, 0.01],
+    has_nameplate: true,
     truth: Truth::Effects {
         missing: &[&["winding_heating"]],
         also: &[],

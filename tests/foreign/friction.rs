@@ -18,7 +18,8 @@ use super::judge::{Case, Truth};
 pub(crate) const SPINDLE: Case = Case {
     name: "LuGre spindle",
     map: "time_s=t_s,voltage_v=u,current_a=i,speed_rad_s=w",
-    model: None,
+    about: [0.8, 0.002, 0.15, 5e-4, 0.07],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["stribeck_friction"]],
         also: &["viscous_friction"],
@@ -90,10 +91,8 @@ fn spindle(seed: u64, run: Run) -> Log {
 pub(crate) const BALL_SCREW: Case = Case {
     name: "hysteresis in a ball screw",
     map: "time_s=t_ms*0.001,voltage_v=volt,current_a=amp,speed_rad_s=rpm*0.104719755",
-    model: Some(
-        "[motor]\nname = \"servo\"\nresistance_ohm = 1.2\ninductance_h = 0.006\nback_emf_v_s_per_rad = 0.3\n\
-         inertia_kg_m2 = 0.002\nload_torque_n_m = 0.5\n",
-    ),
+    about: [1.2, 0.006, 0.3, 0.002, 0.5],
+    has_nameplate: true,
     truth: Truth::Unknown {
         akin: &["elastic_coupling"],
     },

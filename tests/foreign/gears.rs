@@ -19,7 +19,8 @@ use super::judge::{Case, Truth};
 pub(crate) const PLANETARY: Case = Case {
     name: "mesh loss of a gear",
     map: "time_s=time,voltage_v=motor_voltage,current_a=motor_current,speed_rad_s=motor_speed",
-    model: None,
+    about: [1.1, 0.0015, 0.07, 5.5e-4, 0.05],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["load_dependent_friction"]],
         also: &[],
@@ -63,7 +64,11 @@ fn planetary(seed: u64, run: Run) -> Log {
                 (rate, drive_n_m - motor_kg_m2 * rate)
             };
             let (forward, backward) = (of(1.0), of(-1.0));
-            let rate = if forward.1 >= 0.0 { forward.0 } else { backward.0 };
+            let rate = if forward.1 >= 0.0 {
+                forward.0
+            } else {
+                backward.0
+            };
             w += step_s * rate;
         }
         w = Dry::settled(direction, w);
@@ -84,7 +89,8 @@ fn planetary(seed: u64, run: Run) -> Log {
 pub(crate) const ARM: Case = Case {
     name: "geared arm by torque",
     map: "time_s=stamp,torque_n_m=tau,angle_rad=q",
-    model: None,
+    about: [f64::NAN; 5],
+    has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["eccentric_load"]],
         also: &["viscous_friction", "constant_load"],
@@ -101,7 +107,11 @@ fn arm(seed: u64, run: Run) -> Log {
     let sines: Vec<[f64; 3]> = (1..=5_u8)
         .map(|n| {
             let hz = 0.1 * f64::from(n);
-            [chance.near(0.5, 0.5) / f64::from(n).sqrt(), hz, chance.between(0.0, TAU)]
+            [
+                chance.near(0.5, 0.5) / f64::from(n).sqrt(),
+                hz,
+                chance.between(0.0, TAU),
+            ]
         })
         .collect();
     let sum = |time_s: f64| -> f64 {
@@ -151,10 +161,8 @@ fn arm(seed: u64, run: Run) -> Log {
 pub(crate) const WINDER: Case = Case {
     name: "two masses of a winder",
     map: "time_s=t,voltage_v=u_a,current_a=i_a,speed_rad_s=n_rpm*0.104719755",
-    model: Some(
-        "[motor]\nname = \"winder\"\nresistance_ohm = 0.6\ninductance_h = 0.003\nback_emf_v_s_per_rad = 0.4\n\
-         inertia_kg_m2 = 0.006\nload_torque_n_m = 0.4\n",
-    ),
+    about: [0.6, 0.003, 0.4, 0.006, 0.4],
+    has_nameplate: true,
     truth: Truth::Effects {
         missing: &[&["elastic_coupling"]],
         also: &[],

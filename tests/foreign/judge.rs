@@ -24,8 +24,10 @@ pub(crate) struct Case {
     pub(crate) name: &'static str,
     /// What `--map` is given.
     pub(crate) map: &'static str,
-    /// The owner's model file, where he has one.
-    pub(crate) model: Option<&'static str>,
+    /// About what it is, as a plate would have it: R, L, K, J, Mc; nothing where no voltage is logged.
+    pub(crate) about: [f64; 5],
+    /// Whether its owner has a plate, and gives a model file of it.
+    pub(crate) has_nameplate: bool,
     pub(crate) truth: Truth,
     pub(crate) record: fn(u64, Run) -> Log,
 }
@@ -33,7 +35,8 @@ pub(crate) struct Case {
 /// What the baseline misses of a machine, in the words of the catalogue.
 pub(crate) enum Truth {
     Nothing {
-        also: &'static [&'static str],
+        /// The error of the baseline, in units of the noise at rest, that sensors make in motion.
+        at_most: f64,
     },
     /// Any name of each group is right; what is there besides may be named, or not.
     Effects {
@@ -41,9 +44,7 @@ pub(crate) enum Truth {
         also: &'static [&'static str],
     },
     /// Something that the catalogue does not have; names that are no lie all the same.
-    Unknown {
-        akin: &'static [&'static str],
-    },
+    Unknown { akin: &'static [&'static str] },
 }
 
 impl Truth {
@@ -56,7 +57,8 @@ impl Truth {
 
     fn is_true(&self, name: &str) -> bool {
         let also = match self {
-            Self::Nothing { also } | Self::Effects { also, .. } => also,
+            Self::Nothing { .. } => &[][..],
+            Self::Effects { also, .. } => also,
             Self::Unknown { akin } => akin,
         };
         also.contains(&name) || self.groups().iter().any(|group| group.contains(&name))
@@ -154,9 +156,8 @@ impl<'a> Said<'a> {
 fn judged(truth: &Truth, said: &Said<'_>) -> (Judgement, bool, bool, String) {
     let named = said.named();
     let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
-    let is_denied_group = |group: &&&[&str]| {
-        !has(group) && group.iter().all(|name| said.status(name) == "ruled_out")
-    };
+    let is_denied_group =
+        |group: &&&[&str]| !has(group) && group.iter().all(|name| said.status(name) == "ruled_out");
     let groups = truth.groups();
     let denied = groups.iter().find(is_denied_group);
     let is_false = |name: &str| !truth.is_true(name) && !said.cannot_tell(name, truth);
@@ -219,7 +220,7 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
     let mut rows = 0;
     for run in Run::ALL {
         let log = (case.record)(seed, run);
-        rows = rows.max(log.rows);
+        rows = rows.max(log.rows.len());
         let file = folder.join(format!("{}.csv", run.name()));
         fs::write(file, log.text()).expect("the record is written");
     }
@@ -234,7 +235,12 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
         "--json",
     ]);
     command.args(["--map", case.map]);
-    if let Some(model) = case.model {
+    if case.has_nameplate {
+        let [r, l, k, j, dry] = case.about;
+        let model = format!(
+            "[motor]\nname = \"plate\"\nresistance_ohm = {r}\ninductance_h = {l}\nback_emf_v_s_per_rad = {k}\n\
+             inertia_kg_m2 = {j}\nload_torque_n_m = {dry}\n"
+        );
         fs::write(folder.join("model.toml"), model).expect("the model is written");
         command.args(["--model", "model.toml"]);
     }

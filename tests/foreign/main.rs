@@ -6,6 +6,7 @@
 //! friction.rs     LuGre, hysteresis          gears.rs    mesh loss, arm, two masses
 //! electrical.rs   dead time, heat            clean.rs    nothing but poor sensors
 //! drives.rs       irregular loop, torque in, filter
+//! visible.rs      whether what is missing shows in the records, by fits of another kind
 //! judge.rs        the question, the answer, and whether it is true
 //! ```
 //!
@@ -19,6 +20,7 @@ mod electrical;
 mod friction;
 mod gears;
 mod judge;
+mod visible;
 
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -93,4 +95,16 @@ fn foreign_machines_are_named_right_or_honestly_left_open() {
         misnamed <= MISNAMED_AT_MOST && right + honest >= NOT_WRONG_AT_LEAST && denied == 0,
         "{table}"
     );
+}
+
+#[test]
+fn what_is_missing_shows_in_every_record_and_nothing_else_does() {
+    let all: Vec<(String, bool)> = CASES
+        .iter()
+        .flat_map(|case| SEEDS.map(|seed| visible::shown(case, seed)))
+        .collect();
+    let lines: Vec<&str> = all.iter().map(|(line, _)| line.as_str()).collect();
+    let table = lines.join("\n");
+    println!("{table}");
+    assert!(all.iter().all(|(_, is_true)| *is_true), "{table}");
 }
