@@ -129,6 +129,24 @@ impl<'a> Said<'a> {
             .collect()
     }
 
+    /// What the sentence speaks of as likely, named or not.
+    fn spoken_of(&self) -> Vec<(&'a str, f64)> {
+        let sentence = self.answer["sentence"].as_str().unwrap_or_default();
+        // What is not told from another, or is not shown, is not said to be there.
+        let claims = sentence.split(';').map(str::trim);
+        let claims: Vec<&str> = claims
+            .filter(|part| !part.starts_with("this run cannot tell"))
+            .filter(|part| !part.starts_with("not shown: "))
+            .collect();
+        let all = self.answer["candidates"].as_array();
+        let all = all.into_iter().flatten().filter_map(|own| {
+            let name = own["effect"].as_str()?;
+            let is_told = claims.iter().any(|part| part.contains(name));
+            is_told.then(|| (name, own["probability"].as_f64().unwrap_or(f64::NAN)))
+        });
+        all.collect()
+    }
+
     fn candidate(&self, name: &str) -> Option<&'a Value> {
         let mut all = self.answer["candidates"].as_array()?.iter();
         all.find(|own| own["effect"] == name)
@@ -161,15 +179,17 @@ fn judged(truth: &Truth, said: &Said<'_>) -> (Judgement, bool, bool, String) {
     let groups = truth.groups();
     let denied = groups.iter().find(is_denied_group);
     let is_false = |name: &str| !truth.is_true(name) && !said.cannot_tell(name, truth);
-    let misnamed = named
-        .iter()
+    let spoken_of = said.spoken_of();
+    let told = named.iter().chain(&spoken_of);
+    let misnamed = told
+        .copied()
         .find(|(name, probability)| is_false(name) && *probability > CERTAIN);
     let guessed = named.iter().find(|(name, _)| is_false(name));
     let verdict = said.verdict();
     let sentence = said.answer["sentence"].as_str().unwrap_or_default();
     let is_named = !groups.is_empty() && groups.iter().all(|group| has(group));
     let (judgement, why) = if let Some((name, _)) = misnamed {
-        (Judgement::Wrong, format!("{name} is not there"))
+        (Judgement::Wrong, format!("{name} is not there: {sentence}"))
     } else if let Some(group) = denied {
         let name = group.join("/");
         (Judgement::Wrong, format!("{name} is ruled out"))
