@@ -137,6 +137,7 @@ impl<'a> Said<'a> {
         let claims: Vec<&str> = claims
             .filter(|part| !part.starts_with("this run cannot tell"))
             .filter(|part| !part.starts_with("not shown: "))
+            .filter(|part| !part.starts_with("not borne out by a refit: "))
             .collect();
         let all = self.answer["candidates"].as_array();
         let all = all.into_iter().flatten().filter_map(|own| {
