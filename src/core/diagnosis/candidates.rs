@@ -18,7 +18,7 @@ use crate::text::number::{probability, significant, with_unit};
 const SUPPORTED_PROBABILITY: f64 = 0.9;
 const POSSIBLE_PROBABILITY: f64 = 0.1;
 /// Probability above which runs do show an effect, whatever was expected of them.
-const LIKELY_PROBABILITY: f64 = 0.5;
+pub(super) const LIKELY_PROBABILITY: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::candidates::{Candidate, Status, candidates, happening};
+use super::candidates::{Candidate, LIKELY_PROBABILITY, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
@@ -740,7 +740,11 @@ fn unseen(diagnosis: &Diagnosis) -> String {
         let candidates = diagnosis.candidates.iter();
         candidates.filter(move |candidate| candidate.status == status)
     };
-    let possible: Vec<String> = with(Status::Possible)
+    // What is likelier there than not and has no name was put to a refit, which did not find it.
+    let (refuted, possible): (Vec<&Candidate>, Vec<&Candidate>) =
+        with(Status::Possible).partition(|candidate| candidate.probability > LIKELY_PROBABILITY);
+    let possible: Vec<String> = possible
+        .into_iter()
         .map(|candidate| {
             format!(
                 "{} ({})",
@@ -752,6 +756,11 @@ fn unseen(diagnosis: &Diagnosis) -> String {
     let mut said = String::new();
     if !possible.is_empty() {
         said = format!("; possible: {}", possible.join(", "));
+    }
+    if !refuted.is_empty() {
+        let names: Vec<&str> = refuted.iter().map(|own| own.effect).collect();
+        said += "; not borne out by a refit: ";
+        said += &names.join(", ");
     }
     let unseen: Vec<&str> = with(Status::NotExcited).map(|c| c.effect).collect();
     let names = match unseen.len() {
