@@ -79,38 +79,64 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
             balance.source,
         )
     };
-    let blocks = blocks(&scores, levels);
-    let limit = StudentsT::new(0.0, 1.0, (blocks.len().max(2) - 1) as f64)
-        .map_or(f64::INFINITY, |t| t.inverse_cdf(0.5 + 0.5 * CONFIDENCE));
-    let counted = blocks.len() >= 2;
-    let difference = counted.then(|| mean(&blocks));
-    let difference_std = counted.then(|| (variance(&blocks) / blocks.len() as f64).sqrt());
-    // Averaged over signals and blocks in two ways: where these do not agree neither model is called the better.
-    let agrees = |difference: f64| difference * (scores[0].nrms - scores[1].nrms) > 0.0;
-    let better = match (difference, difference_std) {
-        (Some(difference), Some(std)) if difference.abs() > limit * std && agrees(difference) => {
-            if difference > 0.0 {
-                Better::Second
-            } else {
-                Better::First
-            }
-        }
-        _ => Better::NotToldApart,
-    };
+    let by_blocks = ByBlocks::of([&scores[0], &scores[1]], levels);
+    let better = by_blocks.better;
     let holdout_rmse = [scores[0].nrms, scores[1].nrms];
     let mut found = Versus {
         better,
         signals: signals(&scores),
         holdout_rmse,
         noise_floor_from: source,
-        difference,
-        difference_std,
-        blocks: blocks.len(),
-        limit,
+        difference: by_blocks.difference,
+        difference_std: by_blocks.difference_std,
+        blocks: by_blocks.blocks,
+        limit: by_blocks.limit,
         sentence: String::new(),
     };
     found.sentence = found.in_words();
     Ok(found)
+}
+
+/// What the blocks of a run say of two models.
+pub(super) struct ByBlocks {
+    pub(super) better: Better,
+    difference: Option<f64>,
+    difference_std: Option<f64>,
+    blocks: usize,
+    limit: f64,
+}
+
+impl ByBlocks {
+    /// `levels`: what an error of current, speed and torque is counted in; not finite where it is not.
+    pub(super) fn of(scores: [&Score; 2], levels: [f64; 3]) -> Self {
+        let blocks = blocks(scores, levels);
+        let limit = StudentsT::new(0.0, 1.0, (blocks.len().max(2) - 1) as f64)
+            .map_or(f64::INFINITY, |t| t.inverse_cdf(0.5 + 0.5 * CONFIDENCE));
+        let counted = blocks.len() >= 2;
+        let difference = counted.then(|| mean(&blocks));
+        let difference_std = counted.then(|| (variance(&blocks) / blocks.len() as f64).sqrt());
+        // Averaged over signals and blocks in two ways: where these do not agree neither model is called the better.
+        let agrees = |difference: f64| difference * (scores[0].nrms - scores[1].nrms) > 0.0;
+        let better = match (difference, difference_std) {
+            (Some(difference), Some(std))
+                if difference.abs() > limit * std && agrees(difference) =>
+            {
+                if difference > 0.0 {
+                    Better::Second
+                } else {
+                    Better::First
+                }
+            }
+            _ => Better::NotToldApart,
+        };
+        Self {
+            better,
+            difference,
+            difference_std,
+            blocks: blocks.len(),
+            limit,
+        }
+    }
 }
 
 impl Versus {
@@ -146,7 +172,7 @@ impl Versus {
 }
 
 /// Mean of the first model's squared errors less the second's over each block, in units of the noise.
-fn blocks(scores: &[Score; 2], levels: [f64; 3]) -> Vec<f64> {
+fn blocks(scores: [&Score; 2], levels: [f64; 3]) -> Vec<f64> {
     let [first, second] = scores;
     let pairs = [
         (&first.current_residual, &second.current_residual, levels[0]),

@@ -8,6 +8,7 @@ use super::evidence::STILL;
 use super::joint::answer::Inference;
 use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
 use super::score::Score;
+use super::versus::{Better, ByBlocks};
 use crate::plant::{MotorKey, ParameterRole, effect};
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -53,6 +54,7 @@ pub(super) fn first(
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
+        .or_else(|| without_weight(bench, inference, named, rungs))
 }
 
 /// Any named effect where the hold-out does not move: an error that stays the same is a matter of a level alone, which every
@@ -118,8 +120,28 @@ fn by_chance(
     Some(Veto::new(id, reason))
 }
 
+/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed:
+/// its probabilities are those of a model that follows nothing.
+fn without_weight(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let id = *named.last()?;
+    let why = inference.why_open()?;
+    let floor = inference.floor(&bench.evidence);
+    let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
+    if floor.is_explained_in_part(base, last) {
+        return None;
+    }
+    let reason = format!("most stays unexplained with all that would be named, and {why}");
+    Some(Veto::new(id, reason))
+}
+
 /// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
-/// what has another cause. On its rung it does not lower the held-out error by more than chance. What happens once need not
+/// what has another cause. On its rung it does not lower the held-out error by more than chance: neighbouring errors of a model
+/// that misses something are alike, so that of a little less the blocks of the run are asked. What happens once need not
 /// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
 fn without_use(
     bench: &Bench,
@@ -142,7 +164,12 @@ fn without_use(
             let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
             !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
-            !lowers(held_out, pair[1].score.samples())
+            let is_little = held_out[0] < AS_GOOD * held_out[1];
+            let by_chance = || {
+                let scores = [&pair[0].score, &pair[1].score];
+                ByBlocks::of(scores, bench.levels()).better != Better::Second
+            };
+            !lowers(held_out, pair[1].score.samples()) || is_little && by_chance()
         }
     };
     let steps = rungs.windows(2).enumerate().rev();
