@@ -13,6 +13,9 @@ use crate::plant::{
 const APART_S: f64 = 0.03;
 /// Periods that the angle must cover before a wave over it is asked for: less is a slope.
 const LEAST_TRAVEL_PERIODS: f64 = 2.0;
+/// The same of one whose order is known, over an angle that is measured: an arm does not turn round, and a slope bends over a
+/// quarter of a turn.
+const LEAST_MEASURED_PERIODS: f64 = 0.25;
 /// Longest part of a period between two samples, and the share of the samples that must lie so close.
 const RESOLVED_PERIODS: f64 = 0.25;
 const LEAST_RESOLVED_SHARE: f64 = 0.1;
@@ -71,10 +74,16 @@ pub(in crate::diagnosis) fn why_not(
     }
     let orders = effect.parameters().iter().find(|spec| spec.key == "order");
     let orders = orders.map_or(&[1.0][..], |spec| spec.shapes);
-    if !orders.iter().any(|order| travels(scenario, *order)) {
-        return Some("the shaft moves through less than two periods of it");
+    let least = least_periods(effect, scenario);
+    if !orders.iter().any(|order| travels(scenario, *order, least)) {
+        return Some(if least < LEAST_TRAVEL_PERIODS {
+            "the shaft moves through less than a quarter of a turn"
+        } else {
+            "the shaft moves through less than two periods of it"
+        });
     }
-    let is_shown = orders.iter().any(|order| shows_wave(scenario, *order));
+    let mut orders = orders.iter();
+    let is_shown = orders.any(|order| shows_wave(effect, scenario, *order));
     (!is_shown).then_some("the shaft turns through it from one sample to the next")
 }
 
@@ -112,18 +121,29 @@ fn has_both_power_flows(scenario: &Scenario) -> bool {
 }
 
 /// Whether a run tells of a wave of so many periods per turn: all that a voltage drives is asked.
-pub(super) fn shows_wave(scenario: &Scenario, periods_per_turn: f64) -> bool {
+pub(super) fn shows_wave(effect: &dyn Effect, scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let least = least_periods(effect, scenario);
     scenario.input == Input::Voltage
-        || (travels(scenario, periods_per_turn) && resolves(scenario, periods_per_turn))
+        || (travels(scenario, periods_per_turn, least) && resolves(scenario, periods_per_turn))
 }
 
-/// Whether the angle moved far enough to tell a wave from a slope.
-fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
+/// Periods of an effect over the angle that the angle must cover.
+fn least_periods(effect: &dyn Effect, scenario: &Scenario) -> f64 {
+    let mut specs = effect.parameters().iter();
+    if scenario.angle.is_empty() || specs.any(|spec| spec.key == "order") {
+        LEAST_TRAVEL_PERIODS
+    } else {
+        LEAST_MEASURED_PERIODS
+    }
+}
+
+/// Whether the angle moved through so many periods: far enough to tell a wave from a slope.
+fn travels(scenario: &Scenario, periods_per_turn: f64, least: f64) -> bool {
     let angles = scenario.shaft_angle();
     let angles = || angles.iter().map(|point| point.1);
-    let least = angles().fold(f64::INFINITY, f64::min);
+    let lowest = angles().fold(f64::INFINITY, f64::min);
     let most = angles().fold(f64::NEG_INFINITY, f64::max);
-    (most - least) * periods_per_turn >= LEAST_TRAVEL_PERIODS * TAU
+    (most - lowest) * periods_per_turn >= least * TAU
 }
 
 /// Whether samples lie close enough to see the wave pass.

@@ -528,7 +528,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
-        if effect.card().needs_angle && !shows_wave(scenario, periods) {
+        if effect.card().needs_angle && !shows_wave(effect, scenario, periods) {
             continue;
         }
         let mut form = Form::new(shape.clone(), log_prior);
