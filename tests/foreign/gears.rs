@@ -93,7 +93,7 @@ pub(crate) const ARM: Case = Case {
     has_nameplate: false,
     truth: Truth::Effects {
         missing: &[&["eccentric_load"]],
-        also: &["viscous_friction", "constant_load"],
+        also: &["viscous_friction"],
     },
     record: arm,
 };

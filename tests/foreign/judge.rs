@@ -15,6 +15,8 @@ use super::bench::{Log, Run};
 const CERTAIN: f64 = 0.9;
 /// Processor time after which no answer is waited for, s: only a search without end takes so long.
 const PATIENCE_S: f64 = 120.0;
+/// Characters of a reason that the table has room for.
+const LONGEST_REASON: usize = 160;
 const POLL: Duration = Duration::from_millis(10);
 /// Ticks of the kernel's count of processor time in a second: the same on every Linux.
 const TICKS_PER_S: f64 = 100.0;
@@ -171,68 +173,73 @@ impl<'a> Said<'a> {
     }
 }
 
+/// What an answer is worth.
+struct Judged {
+    judgement: Judgement,
+    is_misnamed: bool,
+    is_denied: bool,
+    why: String,
+}
+
 /// Judges an answer; the reason where it is not right.
-fn judged(truth: &Truth, said: &Said<'_>) -> (Judgement, bool, bool, String) {
-    let named = said.named();
-    let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
-    let is_denied_group =
-        |group: &&&[&str]| !has(group) && group.iter().all(|name| said.status(name) == "ruled_out");
+fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
+    let (named, spoken_of) = (said.named(), said.spoken_of());
     let groups = truth.groups();
-    let denied = groups.iter().find(is_denied_group);
+    let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
+    let is_named = groups.iter().all(|group| has(group));
+    let denied = groups.iter().find(|group| {
+        let mut names = group.iter();
+        !has(group) && names.all(|name| said.status(name) == "ruled_out")
+    });
     let is_false = |name: &str| !truth.is_true(name) && !said.cannot_tell(name, truth);
-    let spoken_of = said.spoken_of();
-    let told = named.iter().chain(&spoken_of);
-    let misnamed = told
-        .copied()
-        .find(|(name, probability)| is_false(name) && *probability > CERTAIN);
+    let mut told = named.iter().chain(&spoken_of);
+    let misnamed = told.find(|(name, probability)| is_false(name) && *probability > CERTAIN);
     let guessed = named.iter().find(|(name, _)| is_false(name));
-    let verdict = said.verdict();
     let sentence = said.answer["sentence"].as_str().unwrap_or_default();
-    let is_named = !groups.is_empty() && groups.iter().all(|group| has(group));
+    let right_if = |is_right: bool| {
+        if is_right {
+            Judgement::Right
+        } else {
+            Judgement::Honest
+        }
+    };
     let (judgement, why) = if let Some((name, _)) = misnamed {
         (Judgement::Wrong, format!("{name} is not there: {sentence}"))
     } else if let Some(group) = denied {
-        let name = group.join("/");
-        (Judgement::Wrong, format!("{name} is ruled out"))
-    } else if verdict == "not_fitted" {
-        (Judgement::Honest, sentence.to_owned())
-    } else if verdict == "unexplained" {
-        let right = is_named || matches!(truth, Truth::Unknown { .. });
-        let judgement = if right {
-            Judgement::Right
-        } else {
-            Judgement::Honest
-        };
-        (judgement, sentence.to_owned())
-    } else if let Some((name, _)) = guessed {
-        (Judgement::Wrong, format!("{name} is not there"))
-    } else if verdict == "ambiguous" {
-        let judgement = if is_named && named.iter().all(|(name, _)| truth.is_true(name)) {
-            Judgement::Right
-        } else {
-            Judgement::Honest
-        };
-        (judgement, sentence.to_owned())
-    } else if verdict == "none" {
-        match truth {
-            Truth::Nothing { .. } => (Judgement::Right, String::new()),
-            _ if sentence.starts_with("nothing is missing") => {
+        (
+            Judgement::Wrong,
+            format!("{} is ruled out", group.join("/")),
+        )
+    } else {
+        match (said.verdict(), truth) {
+            ("not_fitted", _) => (Judgement::Honest, sentence.to_owned()),
+            // A guess as a part of what stays unexplained is none of the whole.
+            ("unexplained", Truth::Unknown { .. }) => (Judgement::Right, sentence.to_owned()),
+            ("unexplained", Truth::Nothing { .. }) => (Judgement::Honest, sentence.to_owned()),
+            ("unexplained", Truth::Effects { .. }) => (right_if(is_named), sentence.to_owned()),
+            ("none", Truth::Nothing { .. }) => (Judgement::Right, String::new()),
+            // What is missing shows in every record (`visible`); that nobody knows the noise may be said all the same.
+            ("none", _) if said.answer["sufficient"] == true => {
                 (Judgement::Wrong, sentence.to_owned())
             }
-            _ => (Judgement::Honest, sentence.to_owned()),
+            ("none", _) => (Judgement::Honest, sentence.to_owned()),
+            ("effect" | "ambiguous", _) => match guessed {
+                Some((name, _)) => (Judgement::Wrong, format!("{name} is not there")),
+                None => (right_if(is_named), sentence.to_owned()),
+            },
+            (other, _) => (Judgement::Wrong, format!("no verdict: {other:?}")),
         }
-    } else if verdict == "effect" {
-        let right = is_named || groups.is_empty();
-        let judgement = if right {
-            Judgement::Right
-        } else {
-            Judgement::Honest
-        };
-        (judgement, String::new())
-    } else {
-        (Judgement::Wrong, format!("no verdict: {verdict:?}"))
     };
-    (judgement, misnamed.is_some(), denied.is_some(), why)
+    Judged {
+        judgement,
+        is_misnamed: misnamed.is_some(),
+        is_denied: denied.is_some(),
+        why: if judgement == Judgement::Right {
+            String::new()
+        } else {
+            why.chars().take(LONGEST_REASON).collect()
+        },
+    }
 }
 
 /// Records the machine, asks the program, and judges what it says.
@@ -291,7 +298,12 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
         };
     }
     let said = Said { answer: &answer };
-    let (judgement, is_misnamed, is_denied, why) = judged(&case.truth, &said);
+    let Judged {
+        judgement,
+        is_misnamed,
+        is_denied,
+        why,
+    } = judged(&case.truth, &said);
     let names: Vec<String> = said
         .named()
         .iter()
@@ -358,4 +370,92 @@ fn processor_s(id: u32) -> f64 {
     // Fields 14 and 15 of proc(5): user and system; the third is the first behind the name.
     let ticks = fields.skip(11).take(2).map(|field| field.parse::<f64>());
     ticks.map(|ticks| ticks.unwrap_or_default()).sum::<f64>() / TICKS_PER_S
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const DRAG: Truth = Truth::Effects {
+        missing: &[&["viscous_friction", "quadratic_load"]],
+        also: &["stribeck_friction"],
+    };
+    const NOTHING: Truth = Truth::Nothing { at_most: 1.2 };
+    const OTHER: Truth = Truth::Unknown { akin: &[] };
+
+    /// An answer with these effects, each with its probability, that rules out what is `denied`.
+    fn answer(verdict: &str, effects: &[(&str, f64)], denied: &[&str], sentence: &str) -> Value {
+        let named = effects
+            .iter()
+            .map(|(name, p)| json!({ "effect": name, "status": "possible", "probability": p }));
+        let denied = denied
+            .iter()
+            .map(|name| json!({ "effect": name, "status": "ruled_out", "probability": 0.01 }));
+        let spoken_of = [json!({ "effect": "cogging", "status": "possible", "probability": 0.99 })];
+        let candidates: Vec<Value> = named.chain(denied).chain(spoken_of).collect();
+        let names: Vec<&str> = effects.iter().map(|(name, _)| *name).collect();
+        json!({
+            "verdict": verdict, "effects": names, "sentence": sentence, "sufficient": true,
+            "candidates": candidates, "confusable": [["field_change", "viscous_friction"]]
+        })
+    }
+
+    #[test]
+    fn a_true_name_is_right_a_false_one_wrong_and_an_open_answer_honest() {
+        use Judgement::{Honest, Right, Wrong};
+        const BOTH: &[&str] = &["viscous_friction", "quadratic_load"];
+        let of = |verdict, name, p| answer(verdict, &[(name, p)], &[], "");
+        let open = |verdict, sentence| answer(verdict, &[], &[], sentence);
+        let cases = [
+            (&DRAG, of("effect", "quadratic_load", 0.99), Right, false),
+            (
+                &DRAG,
+                of("effect", "stribeck_friction", 0.99),
+                Honest,
+                false,
+            ),
+            (&DRAG, of("effect", "voltage_drop", 0.99), Wrong, true),
+            (&DRAG, of("effect", "voltage_drop", 0.6), Wrong, false),
+            (&DRAG, of("ambiguous", "field_change", 0.99), Honest, false),
+            (&DRAG, open("none", ""), Wrong, false),
+            (&DRAG, open("not_fitted", ""), Honest, false),
+            (
+                &DRAG,
+                answer("unexplained", &[], &BOTH[..1], ""),
+                Honest,
+                false,
+            ),
+            (&DRAG, answer("unexplained", &[], BOTH, ""), Wrong, false),
+            (&NOTHING, open("none", ""), Right, false),
+            (
+                &NOTHING,
+                open("none", "a; possible: cogging (99 %)"),
+                Wrong,
+                true,
+            ),
+            (
+                &NOTHING,
+                open("none", "a; not shown: cogging"),
+                Right,
+                false,
+            ),
+            (&NOTHING, open("unexplained", ""), Honest, false),
+            (&OTHER, open("unexplained", ""), Right, false),
+            (&OTHER, of("unexplained", "cogging", 0.99), Wrong, true),
+            (
+                &OTHER,
+                of("unexplained", "constant_load", 0.6),
+                Right,
+                false,
+            ),
+            (&OTHER, open("", ""), Wrong, false),
+        ];
+        for (truth, answer, judgement, is_misnamed) in cases {
+            let judged = judged(truth, &Said { answer: &answer });
+            let found = (judged.judgement, judged.is_misnamed);
+            assert_eq!(found, (judgement, is_misnamed), "{answer}");
+        }
+    }
 }
