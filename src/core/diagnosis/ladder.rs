@@ -173,10 +173,11 @@ impl Bench {
     /// What an error of current, of speed and of torque is counted in; not finite where there is none.
     pub(super) fn levels(&self) -> [f64; 3] {
         let noise = &self.evidence.noise;
-        self.balance.as_ref().map_or(
-            [noise.current_a, noise.speed_rad_s, f64::NAN],
-            |balance| [f64::NAN, f64::NAN, balance.unit_n_m],
-        )
+        self.balance
+            .as_ref()
+            .map_or([noise.current_a, noise.speed_rad_s, f64::NAN], |balance| {
+                [f64::NAN, f64::NAN, balance.unit_n_m]
+            })
     }
 
     /// Torques of the rows of a balance, fitted and held out.

@@ -103,12 +103,13 @@ impl NoiseFloor {
             let first = present.next()?;
             #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
             let varies = present.any(|v| v != first);
+            // What a signal repeats that is quieter than its resolution is no memory.
             let memory = if level > quantum {
                 memory(settled)
             } else {
                 0.0
             };
-            // What a signal repeats that is quieter than its resolution is no memory. Of a first-order process the squares are correlated by the square of that.
+            // The squares of a first-order process are correlated by the square of that.
             let independent =
                 settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
             (level > 0.0 || varies).then_some((level, whole(independent).max(1), memory))
