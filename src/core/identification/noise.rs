@@ -369,9 +369,8 @@ mod tests {
 
     #[test]
     fn noise_that_goes_on_from_sample_to_sample_counts_as_fewer_samples() {
-        // An autoregressive process of 0.9, and white noise, from one sequence of even spread.
-        let white =
-            |k: usize| ((k as f64 * 0.618_033_988_749_895 + 0.1).fract() * 997.0).fract() - 0.5;
+        // An autoregressive process of 0.9, and white noise.
+        let white = |k: usize| ((78.233 * k as f64).sin() * 43_758.545).fract() - 0.5;
         let mut before = 0.0;
         let coloured: Vec<f64> = (0..400)
             .map(|k| {
