@@ -55,6 +55,14 @@ pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis, curves: &[EffectCu
 /// Effects of a list that are shown, at most.
 const MOST_LISTED: usize = 4;
 
+/// Effects that are likely beside others, and whose refit does not lower the error.
+fn not_borne_out_in_words(effects: &[String]) -> Option<String> {
+    let names = listed(effects)?;
+    Some(format!(
+        "{names}: likely beside the others, but not borne out by a refit"
+    ))
+}
+
 /// What was named with cause and remedy, what may be as well, and what was not asked.
 pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
     let of_named = |text: fn(&effect::Card) -> &'static str| {
@@ -77,13 +85,17 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
         let of_status = unnamed.clone().filter(move |own| own.status == status);
         of_status.filter(|own| own.as_good_as.is_none())
     };
-    let possible = with(Status::Possible).map(|own| {
+    let possible = with(Status::Possible).filter(|own| !own.is_not_borne_out());
+    let possible = possible.map(|own| {
         let most = own
             .at_most()
             .map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
     card.say("possible", listed(&possible.collect::<Vec<_>>()), 1);
+    let not_borne_out = with(Status::Possible).filter(|own| own.is_not_borne_out());
+    let not_borne_out: Vec<String> = not_borne_out.map(|own| own.effect.to_owned()).collect();
+    card.say("not named", not_borne_out_in_words(&not_borne_out), 1);
     let ruled_out: Vec<String> = with(Status::RuledOut)
         .map(|own| own.effect.to_owned())
         .collect();

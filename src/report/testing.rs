@@ -94,6 +94,7 @@ pub(crate) fn diagnosis() -> Diagnosis {
     Diagnosis {
         grounds: None,
         rivals: Vec::new(),
+        search_was_cut: false,
         sensor_floor: Some(1.0),
         repeat_floor: None,
         repeats: None,

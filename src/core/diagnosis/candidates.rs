@@ -120,6 +120,11 @@ impl Candidate {
         })
     }
 
+    /// Whether its refit did not show what its probability says.
+    pub fn is_not_borne_out(&self) -> bool {
+        self.status == Status::Possible && self.probability > LIKELY_PROBABILITY
+    }
+
     /// What its size is below.
     pub fn at_most(&self) -> Option<String> {
         self.in_words("at most", self.upper_bound)
@@ -168,7 +173,8 @@ pub(super) fn candidates(
         let id = inferred.effect.card().id;
         let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
-        let open = inference.why_open().filter(|_| status == Status::RuledOut);
+        let is_open = inference.why_open();
+        let open = is_open.filter(|_| status == Status::RuledOut);
         // What the ladder does not show is not shown by its probability either.
         let status = match veto {
             _ if open.is_some() => Status::NotExcited,
@@ -214,8 +220,8 @@ pub(super) fn candidates(
             // The size of what is named has an interval, and one bound is enough.
             upper_bound: inferred
                 .upper_bound
-                .filter(|_| rung.is_none() && open.is_none()),
-            detectable: inferred.detectable.filter(|_| open.is_none()),
+                .filter(|_| rung.is_none() && is_open.is_none()),
+            detectable: inferred.detectable.filter(|_| is_open.is_none()),
             evidence: match open {
                 Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
                 None => evidence_sentence(inferred, status, rung, (times, run_s), happening),

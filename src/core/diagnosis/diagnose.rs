@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::candidates::{Candidate, LIKELY_PROBABILITY, Status, candidates, happening};
+use super::candidates::{Candidate, Status, candidates};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
@@ -16,13 +16,13 @@ use super::location::{
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
+use super::sentence::{NOTHING_IS_MISSING, NOTHING_THAT_SHOWS, not_told, sentence};
 use super::{trivial, vetoes};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, MotorKey, Scenario, State, effect};
+use crate::plant::{Model, MotorKey, Scenario, State};
 use crate::sample::{ParameterEstimate, Verdict};
-use crate::text::number::probability;
 
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
@@ -30,11 +30,6 @@ const HALF_SHARE: f64 = 0.5;
 const NEARLY_WHITE: f64 = 1.3;
 /// Standard deviations by which the named effects must make the confirming run likelier.
 const CONFIRMED_SIGMAS: f64 = 3.0;
-/// Effects that are named one by one where these runs would not show them.
-const FEW: usize = 4;
-/// How the sentence begins where every effect is ruled out, and where some may hide.
-const NOTHING_IS_MISSING: &str = "nothing is missing";
-const NOTHING_THAT_SHOWS: &str = "nothing missing that these runs could show";
 /// Error that needs no explanation, in units of a floor that is known.
 const AT_MOST_NOISE: f64 = 1.0;
 
@@ -137,6 +132,8 @@ pub struct Diagnosis {
     pub equivalences: Vec<&'static str>,
     /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
     pub next_experiment: Option<NextExperiment>,
+    /// Whether the search ended by its budget of work before a set of effects stood: what it did not find may be there.
+    pub search_was_cut: bool,
     /// The refitted baseline and the model with every accepted effect.
     #[serde(skip)]
     pub baseline: Fitted,
@@ -193,7 +190,7 @@ impl Diagnosis {
     }
 
     /// Whether the model as it was given leaves no more than the noise, on every run that it is judged by.
-    fn has_no_error(&self) -> bool {
+    pub(super) fn has_no_error(&self) -> bool {
         let confirm = self.confirm.as_ref().and_then(|run| run.error_before);
         let is_noise = |error: f64| error <= AT_MOST_NOISE;
         self.noise_floor_from != FloorSource::None
@@ -202,7 +199,7 @@ impl Diagnosis {
     }
 
     /// Whether every effect is ruled out, so that nothing may hide.
-    fn is_all_judged(&self) -> bool {
+    pub(super) fn is_all_judged(&self) -> bool {
         let mut candidates = self.candidates.iter();
         candidates.all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
     }
@@ -369,6 +366,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             _ => eta >= SUFFICIENT_SHARE || settled,
         },
         noise_floor_from: evidence.noise.source,
+        search_was_cut: inference.is_cut(),
         sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
         repeat_floor: repeatability.floor,
         repeats: repeatability.repeats(),
@@ -626,196 +624,11 @@ fn confirmed(
     Some(repeated().unwrap_or_else(refused))
 }
 
-/// The answer in one sentence for a person.
-fn sentence(diagnosis: &Diagnosis) -> String {
-    let when = |id: &str| {
-        let mut candidates = diagnosis.candidates.iter();
-        let onsets = &candidates.find(|candidate| candidate.effect == id)?.onsets;
-        happening(effect::find(id)?, onsets, diagnosis.holdout_from)
-    };
-    let named = |id: &&'static str| {
-        let when = when(id).map(|when| format!("{id} ({when})"));
-        when.unwrap_or_else(|| (*id).to_owned())
-    };
-    let names: Vec<String> = diagnosis.effects.iter().map(named).collect();
-    let names = names.join(" and ");
-    let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
-    let times = diagnosis.noise_floor_from.times();
-    match diagnosis.verdict {
-        DiagnosisVerdict::None if diagnosis.noise_floor_from == FloorSource::None => {
-            "nothing in the catalogue pays on the hold-out; without a noise floor it cannot be said whether anything \
-             is missing"
-                .to_owned()
-        }
-        DiagnosisVerdict::None if diagnosis.is_refuted() => {
-            let there = diagnosis.confirm.as_ref().and_then(|confirm| confirm.error_before);
-            format!(
-                "the held-out error is {before:.2} {times}, but on the confirming run it is {:.2}: something is missing that \
-                 only that run shows",
-                there.unwrap_or(f64::NAN)
-            )
-        }
-        DiagnosisVerdict::None if !diagnosis.sufficient => {
-            "this run would not show any effect of the catalogue: nothing can be said".to_owned()
-        }
-        DiagnosisVerdict::None => format!(
-            "{}: held-out error {before:.2} {times}{}",
-            if diagnosis.is_all_judged() {
-                NOTHING_IS_MISSING
-            } else {
-                NOTHING_THAT_SHOWS
-            },
-            unseen(diagnosis)
-        ),
-        DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if diagnosis.has_no_error() => format!(
-            "no error left to explain: held-out error {before:.2} {times}; likely there all the same: {names} ({before:.2} -> \
-             {after:.2}){}{}",
-            not_told(&diagnosis.confusable),
-            unconfirmed(diagnosis)
-        ),
-        DiagnosisVerdict::Unexplained => {
-            let known = if names.is_empty() {
-                "no effect of the catalogue explains it".to_owned()
-            } else {
-                format!(
-                    "{names} may be part of it, but most stays unexplained ({:.0} % explained)",
-                    diagnosis.explained_percent
-                )
-            };
-            let parts = diagnosis.unknown.iter().fold(String::new(), |parts, part| parts + "; " + &part.sentence);
-            format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
-        }
-        DiagnosisVerdict::NotFitted => diagnosis.reason.clone().unwrap_or_default(),
-        DiagnosisVerdict::Ambiguous => format!(
-            "behaves like {names}{}{}",
-            not_told(&diagnosis.confusable),
-            unconfirmed(diagnosis)
-        ),
-        DiagnosisVerdict::Effect => format!(
-            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}",
-            diagnosis.explained_percent,
-            not_told(&diagnosis.confusable),
-            unconfirmed(diagnosis)
-        ),
-    }
-}
-
-/// Said where effects of an answer may as well be others: which, each with all that it may be instead.
-fn not_told(confusable: &[[&'static str; 2]]) -> String {
-    let mut each: Vec<(&str, Vec<&str>)> = Vec::new();
-    for [id, rival] in confusable {
-        match each.iter_mut().find(|(known, _)| known == id) {
-            Some((_, rivals)) => rivals.push(rival),
-            None => each.push((id, vec![rival])),
-        }
-    }
-    if each.is_empty() {
-        return String::new();
-    }
-    let words = each
-        .into_iter()
-        .map(|(id, rivals)| match rivals.as_slice() {
-            [first, second, _, _, ..] => {
-                let more = rivals.len() - 2;
-                format!("{id} from {first}, {second} and {more} others")
-            }
-            few => format!("{id} from {}", few.join(", ")),
-        });
-    let words: Vec<String> = words.collect();
-    format!("; this run cannot tell {}", words.join(" nor "))
-}
-
-/// Said where the run that had no part in the answer speaks against it.
-fn unconfirmed(diagnosis: &Diagnosis) -> &'static str {
-    if diagnosis.is_refuted() {
-        "; NOT confirmed on the run that had no part in the answer"
-    } else {
-        ""
-    }
-}
-
-/// Said beside "nothing is missing": of what it is not said.
-fn unseen(diagnosis: &Diagnosis) -> String {
-    let with = |status: Status| {
-        let candidates = diagnosis.candidates.iter();
-        candidates.filter(move |candidate| candidate.status == status)
-    };
-    // What is likelier there than not and has no name was put to a refit, which did not find it.
-    let (refuted, possible): (Vec<&Candidate>, Vec<&Candidate>) =
-        with(Status::Possible).partition(|candidate| candidate.probability > LIKELY_PROBABILITY);
-    let possible: Vec<String> = possible
-        .into_iter()
-        .map(|candidate| {
-            format!(
-                "{} ({})",
-                candidate.effect,
-                probability(candidate.probability)
-            )
-        })
-        .collect();
-    let mut said = String::new();
-    if !possible.is_empty() {
-        said = format!("; possible: {}", possible.join(", "));
-    }
-    if !refuted.is_empty() {
-        let names: Vec<&str> = refuted.iter().map(|own| own.effect).collect();
-        said += "; not borne out by a refit: ";
-        said += &names.join(", ");
-    }
-    let unseen: Vec<&str> = with(Status::NotExcited).map(|c| c.effect).collect();
-    let names = match unseen.len() {
-        0 => return said,
-        1..=FEW => unseen.join(", "),
-        many => format!(
-            "{} and {} more",
-            unseen[..FEW - 1].join(", "),
-            many - FEW + 1
-        ),
-    };
-    said + "; not shown: " + &names
-}
-
-/// Said where the machine does not do the same twice: how much of the error that is, and what it follows.
-fn not_repeating(diagnosis: &Diagnosis) -> String {
-    let Some(floor) = diagnosis
-        .repeat_floor
-        .filter(|_| diagnosis.repeats == Some(false))
-    else {
-        return String::new();
-    };
-    let share = (floor * floor - 1.0) / (diagnosis.holdout_before.powi(2) - 1.0);
-    let percent = 100.0 * share.clamp(0.0, 1.0);
-    let follows = diagnosis.repeat_follows.first().map_or_else(
-        || "what differs follows neither speed, current, angle nor time".to_owned(),
-        |location| format!("of what differs, {}", location.sentence),
-    );
-    format!(
-        "; this machine does not repeat: {percent:.0} % of the error is different each time (two runs of the same excitation \
-         differ by {floor:.2} times the sensors' noise); {follows}"
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::diagnosis::kit::{evidence, nameplate, record, truth};
     use crate::plant::Scenario;
-
-    #[test]
-    fn each_name_has_its_own_rivals() {
-        let pairs = [
-            ["quadratic_load", "load_step"],
-            ["viscous_friction", "load_step"],
-            ["quadratic_load", "constant_load"],
-        ];
-        assert_eq!(
-            not_told(&pairs),
-            "; this run cannot tell quadratic_load from load_step, constant_load nor viscous_friction from load_step"
-        );
-        let many = ["a", "b", "c", "d", "e"].map(|rival| ["cogging", rival]);
-        let told = "; this run cannot tell cogging from a, b and 3 others";
-        assert_eq!(not_told(&many), told);
-    }
 
     fn third(diagnosis: &Diagnosis) -> &Confirmation {
         diagnosis.confirm.as_ref().unwrap()

@@ -32,6 +32,7 @@ mod progress;
 mod reached;
 mod residual;
 mod score;
+mod sentence;
 mod traces;
 mod trivial;
 mod versus;

@@ -26,6 +26,12 @@ impl Work {
     pub(super) fn is_spent(&self) -> bool {
         self.steps.load(Ordering::Relaxed) >= MOST_STEPS
     }
+
+    /// The same of what one refit has simulated: a model may become stiff on its way, and each of its iterations as dear as
+    /// all that were foreseen.
+    pub(super) fn is_spent_by_a_refit(&self) -> bool {
+        self.steps.load(Ordering::Relaxed) as f64 >= 2.0 * REFIT_SHARE * MOST_STEPS as f64
+    }
 }
 
 /// Iterations that a refit may take of `most`, each of so many sub-steps.
@@ -50,8 +56,10 @@ mod tests {
     #[test]
     fn a_budget_is_spent_by_what_is_added_to_it() {
         let work = Work::default();
-        work.add(MOST_STEPS - 1);
-        assert!(!work.is_spent());
+        work.add(MOST_STEPS / 10);
+        assert!(!work.is_spent_by_a_refit());
+        work.add(MOST_STEPS - MOST_STEPS / 10 - 1);
+        assert!(work.is_spent_by_a_refit() && !work.is_spent());
         work.add(1);
         assert!(work.is_spent());
     }

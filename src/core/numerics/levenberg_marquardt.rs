@@ -18,6 +18,10 @@ pub trait Problem: Sync {
     fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
         vec![None; x.len()]
     }
+    /// Whether the search has to end where it stands, because of what it has cost so far.
+    fn is_spent(&self) -> bool {
+        false
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -96,7 +100,7 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
     }
     // Whether the Jacobian was differenced where the search stands.
     let mut exact = true;
-    while iterations < options.most_iterations && !converged {
+    while iterations < options.most_iterations && !converged && !problem.is_spent() {
         iterations += 1;
         let before = search.cost;
         let normal = search.jacobian.tr_mul(&search.jacobian);

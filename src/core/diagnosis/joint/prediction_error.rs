@@ -11,7 +11,7 @@ use super::free_run::excess;
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
-use crate::diagnosis::work::iterations_of;
+use crate::diagnosis::work::{Work, iterations_of};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{
@@ -134,6 +134,8 @@ struct Innovations<'a> {
     along: bool,
     /// What the innovations are freed of.
     vague: Option<Vague>,
+    /// What this fit has simulated; the count of the whole search depends on the order of the threads.
+    own: Work,
 }
 
 /// What the stamps and the forms of the effects may be wrong by, each at one standard deviation, integrated out of whitened
@@ -273,6 +275,7 @@ impl<'a> Innovations<'a> {
             runs,
             along: tangent::are_tangents(model, runs[0].scenario),
             vague: None,
+            own: Work::default(),
         }
     }
 
@@ -365,6 +368,7 @@ impl Problem for Innovations<'_> {
             let mut white = Vec::with_capacity(scenario.samples());
             let steps = follow(follower, &model, scenario, *start, noise, &mut white)?;
             run.count(steps);
+            self.own.add(steps);
             Some(white)
         };
         let each = self.runs.par_iter().enumerate().with_max_len(1);
@@ -389,6 +393,10 @@ impl Problem for Innovations<'_> {
 
     fn residual_len(&self) -> usize {
         self.len
+    }
+
+    fn is_spent(&self) -> bool {
+        self.own.is_spent_by_a_refit()
     }
 
     fn difference_step(&self, index: usize) -> f64 {
