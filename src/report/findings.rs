@@ -96,8 +96,15 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
     let not_borne_out = with(Status::Possible).filter(|own| own.is_not_borne_out());
     let not_borne_out: Vec<String> = not_borne_out.map(|own| own.effect.to_owned()).collect();
     card.say("not named", not_borne_out_in_words(&not_borne_out), 1);
+    // What is ruled out is a size.
     let ruled_out: Vec<String> = with(Status::RuledOut)
-        .map(|own| own.effect.to_owned())
+        .map(|own| {
+            let most = own.at_most();
+            most.map_or_else(
+                || own.effect.to_owned(),
+                |most| format!("{} ({most})", own.effect),
+            )
+        })
         .collect();
     card.say("ruled out", listed(&ruled_out), 1);
     let unseen: Vec<String> = with(Status::NotExcited)

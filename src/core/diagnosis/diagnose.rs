@@ -21,7 +21,7 @@ use super::{trivial, vetoes};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Model, MotorKey, Scenario, State};
+use crate::plant::{Effect, Model, MotorKey, Scenario, State};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
@@ -278,41 +278,86 @@ pub fn diagnose_with(
         of: 0,
     });
     let several = (evidence.parts.len() > 1).then(|| evidence.clone());
-    let (mut bench, mut baseline) = Bench::new(model, evidence)?;
+    let (bench, baseline) = Bench::new(model, evidence)?;
     progress(Event::Begun {
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
-    let mut inference = bench.ask(&baseline, &asked, progress)?;
+    let inference = bench.ask(&baseline, &asked, progress)?;
     // What a fit of runs behind each other cannot hold is known only now.
     let found = inference.to_be_fitted();
     let several = several.filter(|_| bench.has_several_runs());
-    if let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) {
-        (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
-        inference = bench.ask(&baseline, &asked, progress)?;
+    let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) else {
+        let concluded = Concluded::of(bench, &baseline, inference, progress)?;
+        return Ok(concluded.answer());
+    };
+    // With all runs and without what is bound to one of them, or with the first run alone: what foretells the hold-out better.
+    let asked_of_all = asked.iter().filter(|effect| !effect.goes_on_over_runs());
+    let asked_of_all: Vec<&'static dyn Effect> = asked_of_all.copied().collect();
+    let of_all = bench.ask(&baseline, &asked_of_all, progress)?;
+    let all = Concluded::of(bench, &baseline, of_all, progress)?;
+    let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
+    let inference = bench.ask(&baseline, &asked, progress)?;
+    let first = Concluded::of(bench, &baseline, inference, progress)?;
+    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? {
+        all
+    } else {
+        first
+    };
+    Ok(better.answer())
+}
+
+/// A ladder of which no effect is vetoed, with what it rests on.
+struct Concluded {
+    bench: Bench,
+    inference: Inference,
+    rungs: Vec<Standing>,
+}
+
+impl Concluded {
+    fn of(
+        bench: Bench,
+        baseline: &Fitted,
+        mut inference: Inference,
+        progress: Progress<'_>,
+    ) -> Result<Self, FitError> {
+        for veto in vetoes::surplus(&inference) {
+            inference.veto(veto);
+        }
+        progress(Event::Begun {
+            stage: Stage::Refit,
+            of: inference.named.len(),
+        });
+        let mut rungs = climb(&bench, baseline, &inference, vec![], progress)?;
+        if !rungs[0].score.nrms.is_finite() {
+            return Err(nothing_judged(&bench.evidence.holdout));
+        }
+        while let Some(veto) = vetoes::first(&bench, &inference, &inference.named, &rungs) {
+            let before = inference.named.clone();
+            inference.veto(veto);
+            let known = passed(rungs, &before, &inference.named);
+            rungs = climb(&bench, baseline, &inference, known, progress)?;
+        }
+        if let Some(last) = rungs.pop() {
+            rungs.push(last.with_deviations(&bench, &inference));
+        }
+        Ok(Self {
+            bench,
+            inference,
+            rungs,
+        })
     }
-    for veto in vetoes::surplus(&inference) {
-        inference.veto(veto);
+
+    /// The held-out error of the whole model, in the units of `other`.
+    fn held_out_by(&self, other: &Self) -> Result<f64, FitError> {
+        let last = &self.rungs[self.rungs.len() - 1];
+        Ok(other.bench.held_out(&last.fit.model)?.nrms)
     }
-    progress(Event::Begun {
-        stage: Stage::Refit,
-        of: inference.named.len(),
-    });
-    let mut rungs = climb(&bench, &baseline, &inference, vec![], progress)?;
-    if !rungs[0].score.nrms.is_finite() {
-        return Err(nothing_judged(&bench.evidence.holdout));
+
+    fn answer(&self) -> Diagnosis {
+        answer(&self.bench, &self.inference, &self.rungs)
     }
-    while let Some(veto) = vetoes::first(&bench, &inference, &inference.named, &rungs) {
-        let before = inference.named.clone();
-        inference.veto(veto);
-        let known = passed(rungs, &before, &inference.named);
-        rungs = climb(&bench, &baseline, &inference, known, progress)?;
-    }
-    if let Some(last) = rungs.pop() {
-        rungs.push(last.with_deviations(&bench, &inference));
-    }
-    Ok(answer(&bench, &inference, &rungs))
 }
 
 /// The rungs of a ladder of the effects `before` that one of the effects `now` passes too, without the baseline and without the

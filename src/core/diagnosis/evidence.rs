@@ -558,6 +558,26 @@ mod tests {
     }
 
     #[test]
+    fn what_is_held_out_moves_where_any_part_of_the_run_does() {
+        let model = nameplate();
+        let of = |events: &[(f64, f64)]| {
+            Evidence::new(record(&model, events.to_vec(), 4e-3, 10.0, 5), None, None)
+        };
+        // Steps throughout; steps in the first half only; one step at the beginning.
+        let all = of(&[(0.0, 0.0), (1.0, 40.0), (4.0, 80.0), (7.0, 20.0)]);
+        assert!(all.holdout_moves() && all.held_out_part() == "last 40 %");
+        let early = of(&[(0.0, 0.0), (1.0, 40.0), (3.5, 80.0), (4.5, 20.0)]);
+        assert!(
+            early.holdout_moves() && early.held_out_part() == "last 60 %",
+            "{}",
+            early.held_out_part()
+        );
+        let step = of(&[(0.0, 0.0), (1.0, 40.0)]);
+        assert!(!step.holdout_moves() && step.held_out_part() == "last 40 %");
+        assert!(step.unjudged().iter().any(|words| words.starts_with(STILL)));
+    }
+
+    #[test]
     fn of_a_long_run_the_beginning_is_searched_and_the_rest_confirms() {
         let (model, long) = run(30.0, 150.0);
         let (evidence, words) = Evidence::new(long.clone(), None, None).shortened();

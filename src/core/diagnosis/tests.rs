@@ -5,7 +5,7 @@ use super::kit::{evidence, nameplate, names, record, truth, with};
 use super::*;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::numerics::statistics::largest;
-use crate::plant::{Scenario, effect};
+use crate::plant::{MotorKey, Scenario, effect};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
@@ -204,6 +204,21 @@ fn the_location_names_equation_and_axis() {
     assert!(!peak.residual.white);
     let drop = compared(evidence(&truth("voltage_drop", &[1.5]), 6));
     assert_eq!(drop.locations[0].equation, "voltage");
+}
+
+#[test]
+fn a_fitted_model_that_follows_nothing_has_no_places_and_a_given_one_has() {
+    let data = evidence(&nameplate(), 6);
+    let mut heavy = nameplate();
+    heavy.motor.set(MotorKey::Inertia, 10.0);
+    let fitted = compare(&heavy, &data, ErrorOf::Structure).unwrap();
+    assert!(
+        fitted.not_fitted.is_some() && fitted.locations.is_empty() && fitted.balances.is_empty()
+    );
+    assert!(fitted.where_it_fails().0.starts_with("not known"));
+    let given = compare(&heavy, &data, ErrorOf::Model).unwrap();
+    assert!(given.not_fitted.is_none() && !given.balances.is_empty());
+    assert_eq!(compared(data).not_fitted, None);
 }
 
 #[test]
