@@ -107,10 +107,17 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
         })
         .collect();
     card.say("ruled out", listed(&ruled_out), 1);
-    let unseen: Vec<String> = with(Status::NotExcited)
-        .map(|own| own.effect.to_owned())
-        .collect();
-    card.say("not shown", listed(&unseen), 1);
+    let (open, unseen): (Vec<&Candidate>, Vec<&Candidate>) =
+        with(Status::NotExcited).partition(|own| own.is_open);
+    let ids = |of: &[&Candidate]| {
+        listed(
+            &of.iter()
+                .map(|own| own.effect.to_owned())
+                .collect::<Vec<_>>(),
+        )
+    };
+    card.say("left open", ids(&open), 1);
+    card.say("not shown", ids(&unseen), 1);
     card.say(
         "unknown",
         diagnosis.unknown.iter().map(|part| part.sentence.as_str()),
@@ -248,7 +255,13 @@ pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
         Table::of(&diagnosis.candidates)
             .column("rank", |own| own.rank.to_string())
             .column("effect", |own| Cell::code(own.effect))
-            .column("status", |own| own.status.name())
+            .column("status", |own| {
+                if own.is_open {
+                    "left open"
+                } else {
+                    own.status.name()
+                }
+            })
             .column("held-out error", |own| {
                 let before = fixed(own.holdout_before, 2);
                 own.holdout_after

@@ -84,6 +84,7 @@ pub(crate) fn candidate(
         upper_bound: bound,
         detectable: bound,
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
+        is_open: false,
         run_s: 12.0,
     }
 }

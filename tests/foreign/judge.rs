@@ -186,7 +186,7 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
     let (named, spoken_of) = (said.named(), said.spoken_of());
     let groups = truth.groups();
     let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
-    let is_named = groups.iter().all(|group| has(group));
+    let is_named = groups.iter().all(has);
     let denied = groups.iter().find(|group| {
         let mut names = group.iter();
         !has(group) && names.all(|name| said.status(name) == "ruled_out")
@@ -212,17 +212,18 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
         )
     } else {
         match (said.verdict(), truth) {
-            ("not_fitted", _) => (Judgement::Honest, sentence.to_owned()),
             // A guess as a part of what stays unexplained is none of the whole.
             ("unexplained", Truth::Unknown { .. }) => (Judgement::Right, sentence.to_owned()),
-            ("unexplained", Truth::Nothing { .. }) => (Judgement::Honest, sentence.to_owned()),
-            ("unexplained", Truth::Effects { .. }) => (right_if(is_named), sentence.to_owned()),
+            ("unexplained", _) => {
+                let is_right = is_named && !groups.is_empty();
+                (right_if(is_right), sentence.to_owned())
+            }
             ("none", Truth::Nothing { .. }) => (Judgement::Right, String::new()),
             // What is missing shows in every record (`visible`); that nobody knows the noise may be said all the same.
             ("none", _) if said.answer["sufficient"] == true => {
                 (Judgement::Wrong, sentence.to_owned())
             }
-            ("none", _) => (Judgement::Honest, sentence.to_owned()),
+            ("none" | "not_fitted", _) => (Judgement::Honest, sentence.to_owned()),
             ("effect" | "ambiguous", _) => match guessed {
                 Some((name, _)) => (Judgement::Wrong, format!("{name} is not there")),
                 None => (right_if(is_named), sentence.to_owned()),
@@ -346,20 +347,19 @@ fn run_to_its_end(command: &mut Command, folder: &Path) -> (Option<i32>, f64) {
     let id = id.expect("a process has an id");
     // Seen to have ended and not yet forgotten by the kernel, which still knows how long it computed.
     let look = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
-    loop {
+    let (has_ended, took_s) = loop {
         let ended = waitid(WaitId::Pid(id), look).expect("a child can be waited for");
         let took_s = processor_s(child.id());
-        if ended.is_some() {
-            let status = child.wait().expect("a child can be waited for");
-            return (status.code(), took_s);
-        }
-        if took_s > PATIENCE_S {
-            child.kill().expect("a child can be ended");
-            child.wait().expect("a child can be waited for");
-            return (None, took_s);
+        if ended.is_some() || took_s > PATIENCE_S {
+            break (ended.is_some(), took_s);
         }
         sleep(POLL);
+    };
+    if !has_ended {
+        child.kill().expect("a child can be ended");
     }
+    let status = child.wait().expect("a child can be waited for");
+    (status.code().filter(|_| has_ended), took_s)
 }
 
 /// Processor time of all threads of a process until now, s.
@@ -368,8 +368,8 @@ fn processor_s(id: u32) -> f64 {
     let behind_name = text.rsplit(')').next().unwrap_or_default();
     let fields = behind_name.split_whitespace();
     // Fields 14 and 15 of proc(5): user and system; the third is the first behind the name.
-    let ticks = fields.skip(11).take(2).map(|field| field.parse::<f64>());
-    ticks.map(|ticks| ticks.unwrap_or_default()).sum::<f64>() / TICKS_PER_S
+    let ticks = fields.skip(11).take(2).map(str::parse::<f64>);
+    ticks.map(Result::unwrap_or_default).sum::<f64>() / TICKS_PER_S
 }
 
 #[cfg(test)]

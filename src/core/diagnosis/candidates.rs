@@ -94,6 +94,8 @@ pub struct Candidate {
     /// A size that would have been named in 95 of 100 such records.
     pub detectable: Option<f64>,
     pub evidence: String,
+    /// Whether the search did not come to a judgement of it: it is neither ruled out nor known not to be excited.
+    pub is_open: bool,
     /// Of the training run: a time that is longer says nothing.
     #[serde(skip)]
     pub run_s: f64,
@@ -173,8 +175,14 @@ pub(super) fn candidates(
         let id = inferred.effect.card().id;
         let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
-        let is_open = inference.why_open();
-        let open = is_open.filter(|_| status == Status::RuledOut);
+        let why_open = inference.why_open();
+        // What runs would show is known by the same linear solution as what they rule out.
+        let is_open = match status {
+            Status::RuledOut => true,
+            Status::NotExcited => inferred.why_not.is_none(),
+            Status::Supported | Status::Possible => false,
+        };
+        let open = why_open.filter(|_| is_open);
         // What the ladder does not show is not shown by its probability either.
         let status = match veto {
             _ if open.is_some() => Status::NotExcited,
@@ -220,12 +228,13 @@ pub(super) fn candidates(
             // The size of what is named has an interval, and one bound is enough.
             upper_bound: inferred
                 .upper_bound
-                .filter(|_| rung.is_none() && is_open.is_none()),
-            detectable: inferred.detectable.filter(|_| is_open.is_none()),
+                .filter(|_| rung.is_none() && why_open.is_none()),
+            detectable: inferred.detectable.filter(|_| why_open.is_none()),
             evidence: match open {
                 Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
                 None => evidence_sentence(inferred, status, rung, (times, run_s), happening),
             },
+            is_open: open.is_some(),
             run_s,
         };
         if let Some(reason) = veto {

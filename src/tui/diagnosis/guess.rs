@@ -81,6 +81,9 @@ fn answer(diagnosis: &Diagnosis) -> String {
         DiagnosisVerdict::None if !diagnosis.sufficient => diagnosis.sentence.clone(),
         DiagnosisVerdict::None => diagnosis.answer().name().to_lowercase(),
         DiagnosisVerdict::NotFitted => "the model does not fit the runs".to_owned(),
+        DiagnosisVerdict::Unexplained if diagnosis.search_was_cut => {
+            "not all effects were tried together".to_owned()
+        }
         DiagnosisVerdict::Unexplained => "no effect of the catalogue explains it".to_owned(),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => diagnosis.effects.join(" and "),
     }
@@ -99,6 +102,7 @@ fn reason(candidate: &Candidate, times: &str) -> String {
         (Status::RuledOut, Some(after)) => {
             format!("ruled out: held-out error {before:.2} -> {after:.2} {times}")
         }
+        (Status::NotExcited, _) if candidate.is_open => "left open by the search".to_owned(),
         (Status::NotExcited, _) => "not to be seen in this run".to_owned(),
     }
 }
