@@ -196,7 +196,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             spans
         }
         Row::Candidate(candidate) => {
-            let (word, style) = status(candidate.status);
+            let (word, style) = status(candidate);
             let word = if width < SLIM {
                 word.chars().take(1).chain([' ']).collect()
             } else {
@@ -258,11 +258,12 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
 }
 
 /// The status as a word with its mark, and the colour that repeats it.
-pub(super) const fn status(status: Status) -> (&'static str, Style) {
-    match status {
+pub(super) const fn status(candidate: &Candidate) -> (&'static str, Style) {
+    match candidate.status {
         Status::Supported => ("✓ supported", theme::GOOD),
         Status::Possible => ("~ possible", theme::CAREFUL),
         Status::RuledOut => ("✗ ruled out", theme::DIM),
+        Status::NotExcited if candidate.is_open => ("· left open", theme::DIM),
         Status::NotExcited => ("· not excited", theme::DIM),
     }
 }

@@ -585,7 +585,7 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
     if state.guessing != Guessing::Choosing
         && let Some(candidate) = state.candidate(card.id)
     {
-        let word = status(candidate.status).0;
+        let word = status(candidate).0;
         lines.push(paragraph("here", format!("{word}: {}", candidate.evidence)));
         for parameter in &candidate.parameters {
             let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
