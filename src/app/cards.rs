@@ -6,6 +6,7 @@ use super::output::{fitted, quoted};
 use super::run::Whole;
 use super::speed::SpeedResult;
 use crate::bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched};
+use crate::identification::misfit::Misfit;
 use crate::identification::nameplate::{self, Comparison, Fits};
 use crate::identification::recursive::INERTIA_HAS_CHANGED;
 use crate::identification::repeat::Repeated;
@@ -122,6 +123,9 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
     };
     let runs = match answer.runs.len() {
         1 => "± is one standard deviation, 1.96 of them hold 95 %".to_owned(),
+        runs if answer.joint.is_some() => {
+            format!("{runs} runs, fitted one by one and as one; the spread is that from run to run")
+        }
         runs => format!("mean of {runs} runs; the spread is that from run to run"),
     };
     let sentence = format!("{known} of {all} parameters by scheme {scheme}; {runs}");
@@ -143,6 +147,12 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
         Some(format!("{}: {reason}", own.estimate.key))
     });
     card.say("why", reasons.collect::<Vec<_>>(), 1);
+    let left = answer.misfit().and_then(Misfit::text);
+    card.say(
+        "misfit",
+        left.map(|left| format!("the model leaves {left}")),
+        1,
+    );
     let absolute = answer.absolute.as_deref().unwrap_or_default();
     card.table("absolute", tables::of_card(None, &[], absolute), &[], 3);
     if let Some(ratio) = answer.gear_ratio {

@@ -19,12 +19,14 @@ use crate::config_text;
 use crate::diagnosis::known_along;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::kalman::{LoadTrace, load_torque_trace};
+use crate::identification::misfit::Misfit;
 use crate::identification::nameplate::Comparison;
 use crate::identification::online::OnlineConfig;
 use crate::identification::repeat::Repeated;
-use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::{claims, lost_rows, sanity, temperature, voltage_departure};
-use crate::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
+use crate::identification::sanity::Finding;
+use crate::identification::scheme::{self, Data, Identified, Scheme};
+use crate::identification::{claims, lost_rows, physical, sanity, temperature, voltage_departure};
+use crate::plant::{ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
 use crate::report::conventions;
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
@@ -38,11 +40,14 @@ pub(crate) struct OneRun {
     pub(crate) loaded: LoadedRun,
     pub(crate) scenario: Scenario,
     pub(crate) found: Identified,
+    findings: Vec<Finding>,
 }
 
 /// Everything that `identify` answers.
 pub(crate) struct Answer {
     pub(crate) runs: Vec<OneRun>,
+    /// One fit to all of several runs.
+    pub(crate) joint: Option<Identified>,
     pub(crate) combined: Vec<Repeated>,
     /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
     pub(crate) absolute: Option<Vec<ParameterEstimate>>,
@@ -53,6 +58,12 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
+    /// What the fit to all runs leaves beside the noise, else that to the first.
+    pub(crate) fn misfit(&self) -> Option<&Misfit> {
+        let first = self.runs.first().map(|run| &run.found);
+        self.joint.as_ref().or(first)?.misfit.as_ref()
+    }
+
     /// What the model file, `--require` and the exit status go by.
     pub(crate) fn parameters(&self) -> Vec<ParameterEstimate> {
         let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
@@ -96,35 +107,64 @@ pub(crate) fn identify(
 ) -> Result<OneRun, Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
     let findings = before_identify(&mut loaded.run, &scenario, model, require, json)?;
-    let run = &loaded.run;
     let scheme = match scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
     };
-    let mut found = scheme.identify(&Data {
-        run,
+    let data = Data {
+        run: &loaded.run,
         scenario: &scenario,
         model,
-    })?;
-    if scheme.id() == scheme::FREE_RUN {
-        found = known_along(&scenario, found);
+    };
+    let found = judged(scheme, &data, &findings)?;
+    Ok(OneRun {
+        loaded,
+        scenario,
+        found,
+        findings,
+    })
+}
+
+/// One fit to several runs of a machine behind each other, where each was fitted by its free run and nothing of the model
+/// happens in one of them alone.
+pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
+    let (first, others) = runs
+        .split_first()
+        .filter(|(_, others)| !others.is_empty())?;
+    let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
+    let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
+    if !runs.iter().all(is_fitted) || !model.effects.iter().all(goes_on) {
+        return None;
     }
+    let follow = |all: Scenario, next: &OneRun| all.followed_by(&next.scenario);
+    let data = Data {
+        run: &first.loaded.run,
+        scenario: &others.iter().fold(first.scenario.clone(), follow),
+        model,
+    };
+    let findings: Vec<Finding> = runs.iter().flat_map(|run| run.findings.clone()).collect();
+    judged(scheme::find(scheme::FREE_RUN).ok()?, &data, &findings).ok()
+}
+
+/// What a scheme finds, with what physics and the origin of the signals allow to be said of it.
+fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Identified, Failure> {
+    let (run, scenario) = (data.run, data.scenario);
+    let mut found = scheme.identify(data)?;
+    if scheme.id() == scheme::FREE_RUN {
+        found = known_along(scenario, found);
+    }
+    physical::refuse(&mut found.parameters, &found.model.motor, scenario);
     if scenario.input_channel == Channel::VoltageCmd
         && let Some(departure) = voltage_departure::find(run)
     {
         departure.limit(&mut found.parameters);
         found.notes.push(departure.sentence());
     }
-    sanity::doubt(&mut found.parameters, &findings);
-    let limits = claims::limit(&mut found.parameters, run, &scenario);
+    sanity::doubt(&mut found.parameters, findings);
+    let limits = claims::limit(&mut found.parameters, run, scenario);
     found.notes.extend(limits);
-    found.notes.extend(lost_rows::sentence(run, &scenario));
-    let found = temperature::complete(found, run, &scenario);
-    Ok(OneRun {
-        loaded,
-        scenario,
-        found,
-    })
+    found.notes.extend(lost_rows::sentence(run, scenario));
+    Ok(temperature::complete(found, run, scenario))
 }
 
 /// The absolute scale from a run of the same machine with `added_kg_m2` on its shaft.
@@ -202,6 +242,8 @@ pub(crate) fn json_of(answer: &Answer) -> Value {
         "signals": first.map(|run| signals(&run.loaded.run)),
         "shaft": "motor",
         "conventions": keyed(converted.iter().map(|c| (c.key, c))),
+        "misfit": answer.misfit(),
+        "joint": answer.joint.is_some(),
         "notes": notes,
     });
     if answer.runs.len() > 1 {
@@ -211,6 +253,7 @@ pub(crate) fn json_of(answer: &Answer) -> Value {
                 "scheme": run.found.scheme,
                 "rows": run.loaded.run.rows(),
                 "parameters": estimates(&run.found.parameters),
+                "misfit": run.found.misfit,
             })
         });
         value["runs"] = each.collect();

@@ -12,7 +12,7 @@ use super::{output, progress};
 use crate::diagnosis::{HoldoutFrom, Versus, versus};
 use crate::report::card::COLUMNS;
 use crate::text::lines::wrapped;
-use crate::text::number::{percent, significant};
+use crate::text::number::{fit, significant};
 
 #[derive(Serialize)]
 pub(crate) struct VersusResult {
@@ -73,7 +73,7 @@ impl VersusResult {
         for own in &self.found.signals {
             let error = |value: f64| format!("{} {}", significant(value, 3), own.unit);
             let [first, second] = own.rmse.map(error);
-            let [first_fit, second_fit] = own.fit_percent.map(percent);
+            let [first_fit, second_fit] = own.fit_percent.map(fit);
             let _ = writeln!(
                 text,
                 "{:<12} {first:>16} {second:>16} {first_fit:>12} {second_fit:>12}",

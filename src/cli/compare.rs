@@ -10,7 +10,7 @@ use crate::app::versus::VersusResult;
 use crate::app::{pages, screen};
 use crate::diagnosis::{Comparison, compare};
 use crate::report::SignalFigures;
-use crate::text::number::percent;
+use crate::text::number::fit;
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
@@ -146,7 +146,7 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
     for own in figures {
         let found = own.holdout.fit_percent;
         if found.is_nan() || found < least {
-            let (name, found) = (own.signal, percent(found));
+            let (name, found) = (own.signal, fit(found));
             let headline = format!("held-out {name} fit {found} is below {least} %");
             return Err(Failure::new(REFUSED, headline));
         }

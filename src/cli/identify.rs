@@ -12,7 +12,8 @@ use super::{progress, signals};
 use crate::app::cards;
 use crate::app::evidence::{before_identify, model, name_voltage};
 use crate::app::identify::{
-    Answer, OneRun, absolute, caution, identify, is_usable, json_of, plate, schemes, trace_load,
+    Answer, OneRun, absolute, caution, identify, is_usable, jointly, json_of, plate, schemes,
+    trace_load,
 };
 use crate::config_text::help_for_unknown;
 use crate::identification::{nameplate, repeat, scheme};
@@ -27,7 +28,7 @@ const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
 #[derive(clap::Args)]
 #[command(after_help = after_help())]
 pub(super) struct Arguments {
-    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine also give the spread between them
+    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine are also fitted as one, and give the spread between them
     #[arg(required = true, value_name = "RUN", value_parser = run_path())]
     runs: Vec<PathBuf>,
     /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
@@ -133,7 +134,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
     let per_run = runs.iter().map(|run| run.found.parameters.clone());
     let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
-    let combined = repeat::combine(&per_run.collect::<Vec<_>>());
+    let joint = jointly(&runs, &file.model);
+    let of_all = joint.as_ref().map_or(&[][..], |joint| &joint.parameters);
+    let combined = repeat::combine(&per_run.collect::<Vec<_>>(), of_all);
     let caution = caution(&combined, absolute.as_deref());
     if let Some(caution) = &caution {
         for parameter in absolute.iter_mut().flatten() {
@@ -142,6 +145,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     let mut answer = Answer {
+        joint,
         caution,
         combined,
         absolute,

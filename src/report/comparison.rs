@@ -14,7 +14,7 @@ use crate::identification::noise::FloorSource;
 use crate::plant::effect;
 use crate::sample::ParameterEstimate;
 use crate::text::lines::capitalised;
-use crate::text::number::{fixed, percent, r_min, share, significant};
+use crate::text::number::{fit, fixed, r_min, share, significant};
 use crate::units::rpm_from_rad_s;
 
 /// Places that are worth a line each.
@@ -285,7 +285,7 @@ pub(super) fn on_card(
     let head = if known.len() > 1 { "after" } else { error_head };
     let table = table
         .column(head, |own| error(own))
-        .column(fit_head, |own| percent(own.holdout.fit_percent));
+        .column(fit_head, |own| fit(own.holdout.fit_percent));
     card.table("residual", table, &[HELD_OUT[1], CONFIRMING[1]], 3);
     let left = known.iter().map(|(label, own)| {
         let sentence = own.residual.sentence();
@@ -320,12 +320,12 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>], [_, fit_head, 
         Table::of(rows)
             .column("signal", |(_, row)| row.name.clone())
             .column("model", |(label, _)| *label)
-            .column(fit_head, |(_, row)| percent(row.holdout.fit_percent))
+            .column(fit_head, |(_, row)| fit(row.holdout.fit_percent))
             .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
             .column("noise floor", |(_, row)| {
                 or(row.noise_floor, row, "not known")
             })
-            .column("training fit", |(_, row)| percent(row.fit_percent))
+            .column("training fit", |(_, row)| fit(row.fit_percent))
             .column("training rms error", |(_, row)| row.cell(row.rmse))
             .column("one-step rms error", |(_, row)| {
                 or(row.one_step_rmse, row, "-")

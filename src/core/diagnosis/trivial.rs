@@ -6,11 +6,10 @@
 
 use super::evidence::Evidence;
 use super::score::Score;
+use crate::identification::first_order::FirstOrder;
 use crate::numerics::statistics::{finite, mean, variance};
-use crate::plant::{Input, Scenario};
+use crate::plant::Scenario;
 
-/// Time constants that are tried, from the sample interval to the length of the run, evenly in their logarithm.
-const TIME_CONSTANTS: i32 = 40;
 /// A signal that leaves less than this many times its noise about its mean does not move: no model can beat the mean.
 const MOVES_RATIO: f64 = 2.0;
 /// How many times the error of a lag that of the model may be: the lag is fitted to the speed alone, the model to the current
@@ -85,77 +84,15 @@ fn constant(
 
 /// Whether a first-order lag of the voltage, fitted by least squares, predicts the held-out speed clearly better.
 fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<String> {
-    if fitted.input != Input::Voltage {
-        return None;
-    }
-    let times = &fitted.sample_time_s;
-    let length_s = times.last()? - times.first()?;
-    let period_s = fitted.mean_period_s();
-    let ratio = length_s / period_s;
-    let candidates = (0..TIME_CONSTANTS)
-        .map(|k| period_s * ratio.powf(f64::from(k) / f64::from(TIME_CONSTANTS - 1)));
-    let fits = candidates.filter_map(|time_constant_s| {
-        let (gain, error) = fitted_gain(fitted, time_constant_s)?;
-        Some((error, gain, time_constant_s))
-    });
-    let (_, gain, time_constant_s) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let pairs = response(held_out, time_constant_s);
-    let scored = pairs[held_out.scored.clone()].iter();
-    let left = scored.map(|[unit, free, speed]| speed - free - gain * unit);
-    let error = mean_square(left.filter(|left| left.is_finite())).sqrt();
+    let lag = FirstOrder::plain(fitted)?;
+    let error = lag.left_of(held_out);
     (own > LAG_RATIO * error).then(|| {
         format!(
-            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of {gain:.3} rad/s/V and \
-             {time_constant_s:.3} s leaves {error:.3} rad/s"
+            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of {:.3} rad/s/V and \
+             {:.3} s leaves {error:.3} rad/s",
+            lag.gain_rad_s_per_v, lag.time_constant_s
         )
     })
-}
-
-/// Gain of a lag by least squares, and the mean square that it leaves.
-fn fitted_gain(run: &Scenario, time_constant_s: f64) -> Option<(f64, f64)> {
-    let pairs = response(run, time_constant_s);
-    let known: Vec<[f64; 3]> = pairs[run.scored.clone()]
-        .iter()
-        .copied()
-        .filter(|row| row.iter().all(|cell| cell.is_finite()))
-        .collect();
-    let power: f64 = known.iter().map(|[unit, ..]| unit * unit).sum();
-    let product: f64 = known
-        .iter()
-        .map(|[unit, free, speed]| unit * (speed - free))
-        .sum();
-    let gain = product / power;
-    let left = known
-        .iter()
-        .map(|[unit, free, speed]| speed - free - gain * unit);
-    (known.len() >= FEWEST && gain.is_finite()).then(|| (gain, mean_square(left)))
-}
-
-/// For each sample the response of a lag of gain one, what is left there of the first speed, and the measured speed.
-fn response(run: &Scenario, time_constant_s: f64) -> Vec<[f64; 3]> {
-    let mut speeds = run.speed_rad_s.iter().copied();
-    let first = speeds.find(|speed| speed.is_finite()).unwrap_or(0.0);
-    let begin_s = run.sample_time_s[0];
-    let (mut unit, mut now_s, mut event) = (0.0, begin_s, 0);
-    let events = &run.events;
-    let samples = run.sample_time_s.iter().zip(&run.speed_rad_s);
-    samples
-        .map(|(time_s, speed)| {
-            while now_s < *time_s {
-                while event + 1 < events.len() && events[event + 1].0 <= now_s {
-                    event += 1;
-                }
-                let next_s = events
-                    .get(event + 1)
-                    .map_or(*time_s, |next| next.0.min(*time_s));
-                let keeps = (-(next_s - now_s) / time_constant_s).exp();
-                unit = keeps * unit + (1.0 - keeps) * events[event].1;
-                now_s = next_s;
-            }
-            let free = first * (-(time_s - begin_s) / time_constant_s).exp();
-            [unit, free, *speed]
-        })
-        .collect()
 }
 
 fn mean_square(values: impl Iterator<Item = f64>) -> f64 {

@@ -9,7 +9,9 @@
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
+//! misfit: what the model leaves beside the noise, and how much wider that makes its intervals
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! physical: what a record allows a value to be; first_order: the lag that voltage and speed alone show
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: what several runs say together; drift: what has changed between two dates
 //! lost_rows: what a record with missing rows says of itself
@@ -22,15 +24,18 @@ pub mod claims;
 pub mod drift;
 pub mod effect_start;
 pub mod escalation;
+pub mod first_order;
 pub mod frequency_response;
 pub mod inverse_dynamics;
 pub mod kalman;
 pub mod lost_rows;
+pub mod misfit;
 pub mod missing_cells;
 pub mod nameplate;
 pub mod noise;
 pub mod online;
 pub mod output_error;
+pub mod physical;
 pub mod recursive;
 pub mod repeat;
 pub mod sanity;

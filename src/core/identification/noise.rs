@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::speed_from_angle;
 use crate::numerics::count::whole;
-use crate::numerics::statistics::{autocorrelation, finite, mean, variance};
+use crate::numerics::statistics::{autocorrelation, finite, mean, robust_deviation, variance};
 use crate::plant::{Input, Scenario};
 
 /// Where the noise floor comes from.
@@ -307,6 +307,16 @@ fn quantum(values: &[f64]) -> Option<f64> {
 
 fn standard_deviation(values: &[f64]) -> f64 {
     variance(values).sqrt()
+}
+
+/// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
+pub(super) fn roughness(values: &[f64]) -> f64 {
+    let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    let differences = finite(&differences.collect::<Vec<f64>>());
+    if differences.is_empty() {
+        return 0.0;
+    }
+    robust_deviation(&differences) / 6f64.sqrt()
 }
 
 #[cfg(test)]

@@ -17,19 +17,21 @@ const BY_CHANCE: f64 = 0.01;
 /// One parameter over several runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Repeated {
-    /// Mean over the runs that carry it, with the standard deviation of that mean.
+    /// Of one fit to all runs where that is the surer one, else the mean over the runs that carry it, with the standard
+    /// deviation of that mean.
     #[serde(flatten)]
     pub estimate: ParameterEstimate,
-    /// Runs that carry it.
+    /// Runs that it rests on: those that carry it, or all of one fit.
     pub runs: usize,
     /// Standard deviation of one run's value about the mean; from two runs on.
     pub run_to_run_std: Option<f64>,
 }
 
-/// Combines the estimates of several runs, key by key in the order of the first run that names it.
-pub fn combine(per_run: &[Vec<ParameterEstimate>]) -> Vec<Repeated> {
+/// Combines the estimates of several runs, key by key in the order of the first run that names it. `joint`: of one fit to
+/// all of them, empty where there is none.
+pub fn combine(per_run: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) -> Vec<Repeated> {
     let mut keys: Vec<&str> = Vec::new();
-    for parameter in per_run.iter().flatten() {
+    for parameter in per_run.iter().flatten().chain(joint) {
         if !keys.contains(&parameter.key.as_str()) {
             keys.push(&parameter.key);
         }
@@ -38,14 +40,15 @@ pub fn combine(per_run: &[Vec<ParameterEstimate>]) -> Vec<Repeated> {
         let runs = per_run.iter();
         runs.filter_map(move |run| ParameterEstimate::find(run, key))
     };
-    let combined = keys
-        .into_iter()
-        .filter_map(|key| one(&of(key).collect::<Vec<_>>()));
+    let combined = keys.into_iter().filter_map(|key| {
+        let together = ParameterEstimate::find(joint, key).filter(|own| own.carried().is_some());
+        one(&of(key).collect::<Vec<_>>(), together)
+    });
     combined.collect()
 }
 
-fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
-    let first = *all.first()?;
+fn one(all: &[&ParameterEstimate], joint: Option<&ParameterEstimate>) -> Option<Repeated> {
+    let first = *all.first().or(joint.as_ref())?;
     let carried: Vec<(f64, f64)> = all
         .iter()
         .filter_map(|p| p.carried().and_then(|(value, std)| Some((value, std?))))
@@ -53,10 +56,10 @@ fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
     if carried.len() < 2 {
         // Nothing to compare: the one run that says something, else the first one's reason.
         let sound = |p: &&&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
-        let told = all.iter().find(sound).unwrap_or(&first);
+        let told = joint.or_else(|| all.iter().find(sound).copied());
         return Some(Repeated {
-            estimate: (*told).clone(),
-            runs: carried.len(),
+            estimate: told.unwrap_or(first).clone(),
+            runs: joint.map_or(carried.len(), |_| all.len()),
             run_to_run_std: None,
         });
     }
@@ -67,6 +70,15 @@ fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
     let within = carried.iter().map(|(_, std)| std * std).sum::<f64>() / count;
     let std = (spread.max(within) / count).sqrt();
     let differs = !by_chance(spread, within, values.len());
+    // Of runs that do not differ one fit to all of them knows more than the mean of their fits, where it is the surer one.
+    let is_surer = |own: &&ParameterEstimate| !differs && own.std.is_some_and(|own| own < std);
+    if let Some(joint) = joint.filter(is_surer) {
+        return Some(Repeated {
+            estimate: joint.clone(),
+            runs: all.len(),
+            run_to_run_std: Some(spread.sqrt()),
+        });
+    }
     // Where the runs differ, a further run may come out anywhere within the spread: the mean alone settles nothing.
     let doubt = if differs { spread.sqrt() } else { std };
     let relative = |deviation: f64| 100.0 * deviation / value.abs().max(f64::MIN_POSITIVE);
@@ -137,7 +149,10 @@ mod tests {
 
     #[test]
     fn agreeing_runs_share_their_noise() {
-        let combined = combine(&[run(1.100, 0.002), run(1.102, 0.002), run(1.099, 0.002)]);
+        let combined = combine(
+            &[run(1.100, 0.002), run(1.102, 0.002), run(1.099, 0.002)],
+            &[],
+        );
         let estimate = &combined[0].estimate;
         assert!((estimate.value.unwrap() - 1.100_333).abs() < 1e-6);
         assert!((estimate.std.unwrap() - 0.002 / 3f64.sqrt()).abs() < 1e-12);
@@ -148,7 +163,7 @@ mod tests {
 
     #[test]
     fn runs_that_differ_beyond_their_noise_are_not_settled_by_their_mean() {
-        let combined = combine(&[run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)]);
+        let combined = combine(&[run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)], &[]);
         let estimate = &combined[0].estimate;
         assert_eq!(estimate.verdict, Verdict::Searching);
         assert!(estimate.reason.as_ref().unwrap().contains("run to run"));
@@ -167,7 +182,7 @@ mod tests {
                 doubt,
             )]
         };
-        let verdict = |runs: &[Vec<ParameterEstimate>]| combine(runs)[0].estimate.verdict;
+        let verdict = |runs: &[Vec<ParameterEstimate>]| combine(runs, &[])[0].estimate.verdict;
         let missing = of(0.002, "an effect is missing");
         assert_eq!(verdict(&[run(1.1, 0.002), missing]), Verdict::Searching);
         let wide = of(0.025, "relative uncertainty 2.3 %");
@@ -181,12 +196,28 @@ mod tests {
             "ohm",
             "at rest",
         )];
-        let combined = combine(&[run(1.1, 0.001), dumb.clone(), run(1.1, 0.001)]);
+        let combined = combine(&[run(1.1, 0.001), dumb.clone(), run(1.1, 0.001)], &[]);
         assert_eq!(combined[0].runs, 2);
         let reason = combined[0].estimate.reason.as_deref();
         assert_eq!(reason, Some("2 of 3 runs carry it"));
-        let none = combine(&[dumb.clone(), dumb]);
+        let none = combine(&[dumb.clone(), dumb], &[]);
         assert_eq!(none[0].estimate.verdict, Verdict::NotObservable);
         assert_eq!(none[0].runs, 0);
+    }
+
+    #[test]
+    fn one_fit_to_all_runs_counts_where_it_is_surer_and_the_runs_do_not_differ() {
+        let of = |runs: &[Vec<ParameterEstimate>]| combine(runs, &run(1.2, 0.001))[0].clone();
+        let together = of(&[run(1.1, 0.2), run(1.2, 0.2)]);
+        assert_eq!((together.estimate.value, together.runs), (Some(1.2), 2));
+        let apart = of(&[run(1.0, 0.001), run(1.3, 0.001)]);
+        assert_eq!(apart.estimate.verdict, Verdict::Searching);
+        let open = vec![ParameterEstimate::not_observable(
+            "resistance_ohm",
+            "ohm",
+            "one level",
+        )];
+        let none_alone = of(&[open.clone(), open]);
+        assert_eq!((none_alone.estimate.value, none_alone.runs), (Some(1.2), 2));
     }
 }

@@ -1,7 +1,9 @@
-//! Starting values for a fit when the model file gives none: two small regressions on integrals of the signals.
+//! Starting values for a fit when the model file gives none: two small regressions on integrals of the signals; without a
+//! current what a first-order lag of the speed says.
 //!
 //! The voltage is integrated exactly; what coarse sampling biases the rest by a starting value may be off.
 
+use super::first_order::FirstOrder;
 use super::output_error::FitError;
 use super::weak_form;
 use super::window_sums::{Sums, windows};
@@ -9,6 +11,9 @@ use crate::numerics::least_squares::solve_rows;
 use crate::numerics::statistics::largest;
 use crate::plant::{Input, Model, ModelError, MotorKey, Scenario};
 use crate::signal;
+
+/// Resistance, inductance and back-EMF constant where the record tells none.
+const MODEST: [f64; 3] = [1.0, 1e-3, 0.1];
 
 /// Speeds below this share of the largest have no direction.
 const DEAD_ZONE: f64 = 0.01;
@@ -22,12 +27,16 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
     if scenario.input != Input::Voltage {
         return Ok(mechanical(model, scenario));
     }
+    if !scenario.current_a.iter().any(|current| current.is_finite()) {
+        without_current(&mut model, scenario);
+        return checked(model);
+    }
     let sums = integrals(scenario);
     let electrical = sums
         .iter()
         .map(|s| [s.current, s.current_step, s.angle, s.voltage]);
     let electrical: Vec<[f64; 4]> = electrical.collect();
-    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), [1.0, 1e-3, 0.1]);
+    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), MODEST);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
     set(&mut model, MotorKey::BackEmf, back_emf);
@@ -38,12 +47,45 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
     let [inertia, load] = positive(solve_rows(&mechanical), [1e-3, 1e-2]);
     set(&mut model, MotorKey::Inertia, inertia);
     set(&mut model, MotorKey::LoadTorque, load);
+    checked(model)
+}
+
+/// A fixed value has to be given.
+fn checked(model: Model) -> Result<Model, FitError> {
     for slot in model.slots() {
         if model.get(&slot).is_none() && model.fixed.contains(&slot.key()) {
             return Err(ModelError::Unset { key: slot.key() }.into());
         }
     }
     Ok(model)
+}
+
+/// Voltage and speed hold gain, time constant and friction voltage; a resistance that is not given only scales the rest.
+fn without_current(model: &mut Model, scenario: &Scenario) {
+    let [resistance_ohm, inductance_h, back_emf] = MODEST;
+    set(model, MotorKey::Resistance, resistance_ohm);
+    let resistance_ohm = model
+        .motor
+        .get(MotorKey::Resistance)
+        .unwrap_or(resistance_ohm);
+    set(model, MotorKey::Inductance, inductance_h * resistance_ohm);
+    let lag = FirstOrder::with_dead_time(scenario).filter(|lag| lag.gain_rad_s_per_v > 0.0);
+    set(
+        model,
+        MotorKey::BackEmf,
+        lag.map_or(back_emf, |lag| lag.gain_rad_s_per_v.recip()),
+    );
+    let back_emf = model.motor.get(MotorKey::BackEmf).unwrap_or(back_emf);
+    let kt = model.motor.torque_constant().unwrap_or(back_emf);
+    let per_volt = kt / resistance_ohm;
+    let (time_constant_s, friction_v) =
+        lag.map_or((0.1, 0.0), |lag| (lag.time_constant_s, lag.friction_v));
+    set(
+        model,
+        MotorKey::Inertia,
+        time_constant_s * back_emf * per_volt,
+    );
+    set(model, MotorKey::LoadTorque, friction_v * per_volt);
 }
 
 /// Without a voltage the weak form of the torque balance gives the start.

@@ -17,10 +17,11 @@ use nalgebra::{DMatrix, DVector};
 use super::balance::{
     Column, Method, Signals, TorqueRows, Unknown, hand_on, scored_s, unknowns, why_no_regressor,
 };
-use super::noise::NoiseFloor;
+use super::noise::{NoiseFloor, roughness};
 use super::output_error::BLOCK_S;
 use super::verdict::judge;
 use crate::numerics::count::whole;
+use crate::numerics::statistics::largest_but_outliers;
 use crate::numerics::{least_squares, statistics};
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
 use crate::sample::ParameterEstimate;
@@ -457,27 +458,6 @@ impl Noise {
         let power: f64 = shares.iter().map(|share| share * share).sum();
         (self.from_standstill && power > 0.0).then(|| power.sqrt())
     }
-}
-
-/// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
-fn roughness(values: &[f64]) -> f64 {
-    let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
-    let differences = statistics::finite(&differences.collect::<Vec<f64>>());
-    if differences.is_empty() {
-        return 0.0;
-    }
-    statistics::robust_deviation(&differences) / 6f64.sqrt()
-}
-
-/// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
-fn largest_but_outliers(values: &[f64]) -> f64 {
-    let mut sizes = statistics::finite(values);
-    for value in &mut sizes {
-        *value = value.abs();
-    }
-    sizes.sort_by(f64::total_cmp);
-    let dropped = sizes.len() / 200;
-    sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)
 }
 
 /// The torque balance of the scored part of `scenario`, windows with room for any term. `None` where no

@@ -67,6 +67,17 @@ pub fn finite(values: &[f64]) -> Vec<f64> {
     finite.collect()
 }
 
+/// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
+pub fn largest_but_outliers(values: &[f64]) -> f64 {
+    let mut sizes = finite(values);
+    for value in &mut sizes {
+        *value = value.abs();
+    }
+    sizes.sort_by(f64::total_cmp);
+    let dropped = sizes.len() / 200;
+    sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)
+}
+
 /// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.
 pub fn robust_deviation(values: &[f64]) -> f64 {
     let centre = median(values);

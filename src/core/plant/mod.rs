@@ -32,7 +32,7 @@ pub use limited::LimitReached;
 pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
-pub use motor_range::motor_range;
+pub use motor_range::{LEAST_TIME_CONSTANT, motor_range};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{Correction, Plant, State, Trajectory, starts_from_rest};
 pub use torque_map::{MapBin, MapTextError, MappedTorque, MappedValue, TorqueMap};

@@ -9,7 +9,7 @@ const LEAST: f64 = 1e-12;
 const MOST: f64 = 1e9;
 /// The shortest electrical time constant, as a share of the sampling period: of a shorter one samples show nothing, and its
 /// equations are stiff.
-const LEAST_TIME_CONSTANT: f64 = 1e-2;
+pub const LEAST_TIME_CONSTANT: f64 = 1e-2;
 
 /// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it; a smaller one that the
 /// model has already may stay.

@@ -109,6 +109,15 @@ pub fn percent(value: f64) -> String {
     with_unit(&fixed(value, 1), "%")
 }
 
+/// How much less than its mean a fit leaves of a signal; a figure only down to twice as much.
+pub fn fit(fit_percent: f64) -> String {
+    if fit_percent < -100.0 {
+        "worse than the mean".to_owned()
+    } else {
+        percent(fit_percent)
+    }
+}
+
 /// A share as a percentage without decimals.
 pub fn share(share: f64) -> String {
     with_unit(&fixed(100.0 * share, 0), "%")

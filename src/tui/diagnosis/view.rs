@@ -19,7 +19,7 @@ use crate::diagnosis::{
 use crate::report::SignalFigures;
 use crate::sample::TWO_SIDED_95;
 use crate::text::lines::{cut, wrapped};
-use crate::text::number::{percent, probability, significant};
+use crate::text::number::{fit, probability, significant};
 use crate::tui::frame::{
     help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
 };
@@ -406,7 +406,7 @@ fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     let figure = |own: SignalFigures| {
         let times = own.times_noise().map(|times| format!(" = {times} x noise"));
         let (fit, rmse) = (
-            percent(own.holdout.fit_percent),
+            fit(own.holdout.fit_percent),
             significant(own.holdout.rmse, 3),
         );
         let (name, unit, times) = (own.name, own.unit, times.unwrap_or_default());

@@ -2,6 +2,7 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::balance::{as_ratio, lacks_torque_constant, why_no_regressor};
+use crate::identification::misfit::Misfit;
 use crate::identification::{inverse_dynamics, missing_cells, weak_form};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
@@ -12,12 +13,13 @@ pub(super) const WEAK_FORM: Scheme = Scheme {
     id: "weak-form",
     summary: "balances averaged over smooth windows (default without a voltage)",
     identify: |id, data| {
-        let mut parameters = parameters(data.model, data.scenario);
+        let (mut parameters, misfit) = parameters(data.model, data.scenario);
         doubt_coarse_sampling(&mut parameters, data.scenario);
         let electrical = data.scenario.input == Input::Voltage;
-        let found = Identified::new(id, data.model, parameters).with_note(
+        let mut found = Identified::new(id, data.model, parameters).with_note(
             "weak form: windows without standstill; friction values depend on the method by some per cent",
         );
+        found.misfit = Some(misfit);
         Ok(found.leaving_out(data.model, of_balances(data.model, electrical)))
     },
 };
@@ -55,7 +57,7 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
     }
     let found = balances.into_iter().flat_map(|balance| balance.parameters);
     let found = once_each(found.collect());
-    let weak = parameters(data.model, data.scenario);
+    let (weak, _) = parameters(data.model, data.scenario);
     notes.extend(compared(&found, &weak));
     let mut identified = Identified::new(id, data.model, found);
     identified.notes = notes;
@@ -93,7 +95,7 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
 }
 
 /// Values of both balances: over whole rows, and as ratios in the reasons where the torque constant is unknown.
-fn parameters(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
+fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Misfit) {
     let bridged = missing_cells::bridged(scenario);
     let scenario = bridged.as_ref().unwrap_or(scenario);
     let relative = lacks_torque_constant(model, scenario);
@@ -103,6 +105,7 @@ fn parameters(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
         model.motor.set(MotorKey::TorqueConstant, 1.0);
     }
     let balances = weak_form::fit(&model, scenario);
+    let misfit = Misfit::of_balances(&balances);
     let in_ratio = |found: ParameterEstimate| match found.verdict {
         Verdict::Fixed => found,
         _ if relative => as_ratio(found),
@@ -112,7 +115,7 @@ fn parameters(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
         .into_iter()
         .flat_map(|balance| balance.parameters)
         .map(in_ratio);
-    once_each(found.collect())
+    (once_each(found.collect()), misfit)
 }
 
 /// Both methods' values side by side, and why they differ.
@@ -241,7 +244,7 @@ mod tests {
         }
         let model = paper();
         for (scenario, within) in [(&whole, 0.01), (&holed, 0.02), (&apart, 0.03)] {
-            let found = parameters(&model, scenario);
+            let (found, _) = parameters(&model, scenario);
             assert_found(&found, "inertia_kg_m2", 0.0045, within);
             assert_found(&found, "load_torque_n_m", 0.455, within);
         }
@@ -264,7 +267,7 @@ mod tests {
 
     #[test]
     fn without_a_torque_constant_the_ratio_stands_in_the_reason() {
-        let found = parameters(&unknown(), &mechanical());
+        let (found, _) = parameters(&unknown(), &mechanical());
         let inertia = of(&found, "inertia_kg_m2");
         let told = (inertia.value, inertia.verdict);
         assert_eq!(told, (None, Verdict::NotObservable));

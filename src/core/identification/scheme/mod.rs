@@ -17,6 +17,7 @@ use std::borrow::Cow;
 
 use thiserror::Error;
 
+use super::misfit::Misfit;
 use super::output_error::FitError;
 use super::step_response;
 use crate::plant::{ActiveEffect, Input, Model, ModelError, MotorKey, Scenario};
@@ -72,6 +73,8 @@ pub struct Identified {
     /// The model with every value that was found.
     pub model: Model,
     pub parameters: Vec<ParameterEstimate>,
+    /// What the model leaves beside the noise, where the method says it.
+    pub misfit: Option<Misfit>,
     /// What the reader has to know about the method's limits on these data.
     pub notes: Vec<String>,
 }
@@ -94,6 +97,7 @@ impl Identified {
             scheme,
             model,
             parameters,
+            misfit: None,
             notes: Vec::new(),
         }
     }

@@ -1,6 +1,8 @@
 //! Batch output-error fit: the reference among our methods.
 
 use super::{Data, Identified, IdentifyError, Scheme};
+use crate::identification::first_order::FirstOrder;
+use crate::identification::misfit::Misfit;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, fit_delayed};
 use crate::identification::{effect_start, start};
@@ -21,14 +23,21 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     let noise = NoiseFloor::from_standstill(data.scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
     let (fit, chosen) = better_of_two_starts(data, &noise)?;
+    let (misfit, deviations) = Misfit::of_fit(&fit, data.scenario)?;
     let mut parameters = fit.parameters;
+    misfit.widen(&mut parameters, &deviations);
     for (key, doubt) in chosen {
         tell_choice(&mut parameters, &key, doubt);
+    }
+    let has_current = data.scenario.current_a.iter().any(|cell| cell.is_finite());
+    if !has_current {
+        parameters.extend(FirstOrder::estimates(data.scenario));
     }
     Ok(Identified {
         scheme: id,
         model: fit.model,
         parameters,
+        misfit: Some(misfit),
         notes: Vec::new(),
     })
 }
