@@ -206,3 +206,46 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
     );
     assert_eq!(added.1, removed.1);
 }
+
+/// One step of voltage out of rest at 20 Hz, voltage and speed only: 2.4 rad/s/V and 0.12 s behind 0.4 V of friction.
+fn step_of(volts: f64) -> String {
+    let mut csv = "time_s,voltage_v,speed_rad_s\n".to_owned();
+    for row in 0..60 {
+        let time_s = 0.05 * f64::from(row);
+        let speed = 2.4 * (volts - 0.4) * (1.0 - (-time_s / 0.12).exp());
+        // Rounded as a counter gives it.
+        csv += &format!("{time_s:.2},{volts},{:.2}\n", speed);
+    }
+    csv
+}
+
+#[test]
+fn steps_of_several_levels_have_together_what_none_has_alone() {
+    let desk = Desk::new();
+    let model = desk.put(
+        "model.toml",
+        "[motor]\nname = \"geared\"\nresistance_ohm = 8.0\ninductance_h = 0.003\n\
+         fixed = [\"resistance_ohm\", \"inductance_h\"]\n",
+    );
+    let levels = [4.0, 6.0, 8.0, 10.0, 11.0, 12.0];
+    let files = levels.map(|volts| desk.put(&format!("v{volts}.csv"), &step_of(volts)));
+    let mut paths: Vec<&Path> = files.iter().map(|file| &**file).collect();
+    paths.push(&model);
+    let found = json_of("identify {} {} {} {} {} {} --model {} --json", &paths);
+    let back_emf = number(&found, "/parameters/back_emf_v_s_per_rad/value");
+    assert!((back_emf * 2.4 - 1.0).abs() < 0.02, "{found:#}");
+    let inertia = number(&found, "/parameters/inertia_kg_m2/value");
+    assert!(
+        (inertia * 8.0 * 2.4 * 2.4 / 0.12 - 1.0).abs() < 0.1,
+        "{found:#}"
+    );
+    assert_eq!(found["joint"], true);
+    let gain = number(&found, "/parameters/first_order.gain_rad_s_per_v/value");
+    assert!((gain / 2.4 - 1.0).abs() < 0.02, "{found:#}");
+    let alone = json_of("identify {} --model {} --json", &[&files[2], &model]);
+    let reason = &alone["parameters"]["back_emf_v_s_per_rad"]["reason"];
+    assert!(
+        reason.as_str().unwrap().contains("together with"),
+        "{reason}"
+    );
+}

@@ -73,6 +73,11 @@ impl Misfit {
         (!all.is_empty()).then(|| all.join(", "))
     }
 
+    /// The same of the signal of which most is left, where that is more than noise.
+    pub(super) fn worst_text(&self) -> Option<String> {
+        self.worst()?.text()
+    }
+
     /// The signal of which most is left, where that is more than noise.
     fn worst(&self) -> Option<&Left> {
         let above = self.0.iter().filter(|left| !left.is_noise());
@@ -176,7 +181,7 @@ impl Misfit {
             }
             let wide = own.1.max(std) / value.abs().max(f64::MIN_POSITIVE);
             if wide > SETTLED
-                && let Some(left) = self.worst().and_then(Left::text)
+                && let Some(left) = self.worst_text()
             {
                 let reason = format!(
                     "the model leaves {left}: uncertain by {:.1} %",

@@ -11,6 +11,7 @@
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! misfit: what the model leaves beside the noise, and how much wider that makes its intervals
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! plateaus: what held levels say where the transients do not; cause: why a parameter has no value
 //! physical: what a record allows a value to be; first_order: the lag that voltage and speed alone show
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: what several runs say together; drift: what has changed between two dates
@@ -20,6 +21,7 @@
 
 pub mod added_inertia;
 pub mod balance;
+mod cause;
 pub mod claims;
 pub mod drift;
 pub mod effect_start;
@@ -36,6 +38,7 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod physical;
+mod plateaus;
 pub mod recursive;
 pub mod repeat;
 pub mod sanity;

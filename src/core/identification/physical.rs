@@ -156,6 +156,23 @@ impl Extents {
     }
 }
 
+/// Whether a motor of these values may have made the record.
+pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
+    let values = MotorKey::ALL.into_iter().filter_map(|key| {
+        let value = motor.get(key)?;
+        Some(ParameterEstimate::found(
+            key.key(),
+            key.unit(),
+            value,
+            0.0,
+            None,
+        ))
+    });
+    let mut values: Vec<ParameterEstimate> = values.collect();
+    refuse(&mut values, motor, scenario);
+    values.iter().all(|own| own.value.is_some())
+}
+
 /// Takes back what `scenario` does not allow, each with its reason. `motor` has the values that were found.
 pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Scenario) {
     let extents = Extents::of(scenario, motor);

@@ -4,7 +4,7 @@ use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Relative standard deviation above which a positive parameter is not carried by the data.
-const NOT_OBSERVABLE: f64 = 0.5;
+pub(super) const NOT_OBSERVABLE: f64 = 0.5;
 /// Relative standard deviation of an effect's parameter below which it is settled: its size is what is asked, roughly.
 pub(super) const SETTLED_EFFECT: f64 = 0.1;
 /// Relative standard deviation above which a coefficient may as well be zero (1 % in two directions).

@@ -243,7 +243,7 @@ impl<'a> FreeRun<'a> {
 
     /// Where no signal does more than its residual at a minimum: a machine at constant speed, whose noise would pass for
     /// a transient of its initial state; or one that does what the model does not.
-    pub(super) fn why_still(&self, residual: &[f64]) -> Option<String> {
+    pub(in crate::identification) fn why_still(&self, residual: &[f64]) -> Option<String> {
         let share = |speed: bool| -> Option<(f64, bool)> {
             let (values, level) = measured(self.scenario, &self.noise, speed);
             let rows = self.rows.iter().zip(residual);

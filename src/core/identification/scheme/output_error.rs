@@ -5,7 +5,7 @@ use crate::identification::first_order::FirstOrder;
 use crate::identification::misfit::Misfit;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, fit_delayed};
-use crate::identification::{effect_start, start};
+use crate::identification::{cause, effect_start, plateaus, start};
 use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -24,22 +24,20 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
         .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
     let (fit, chosen) = better_of_two_starts(data, &noise)?;
     let (misfit, deviations) = Misfit::of_fit(&fit, data.scenario)?;
-    let mut parameters = fit.parameters;
+    let mut parameters = fit.parameters.clone();
     misfit.widen(&mut parameters, &deviations);
     for (key, doubt) in chosen {
         tell_choice(&mut parameters, &key, doubt);
     }
+    plateaus::complete(&mut parameters, data.scenario);
+    cause::explain(&mut parameters, &fit, &misfit, data.model, data.scenario);
     let has_current = data.scenario.current_a.iter().any(|cell| cell.is_finite());
     if !has_current {
         parameters.extend(FirstOrder::estimates(data.scenario));
     }
-    Ok(Identified {
-        scheme: id,
-        model: fit.model,
-        parameters,
-        misfit: Some(misfit),
-        notes: Vec::new(),
-    })
+    let mut found = Identified::new(id, &fit.model, parameters);
+    found.misfit = Some(misfit);
+    Ok(found)
 }
 
 /// A fit, and what was chosen from grids for it, with a doubt where there is one.
