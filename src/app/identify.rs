@@ -133,7 +133,7 @@ pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
         .filter(|(_, others)| !others.is_empty())?;
     let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
     let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
-    if !runs.iter().all(is_fitted) || !model.effects.iter().all(goes_on) {
+    if !runs.iter().all(is_fitted) || model.effects.iter().any(goes_on) {
         return None;
     }
     let follow = |all: Scenario, next: &OneRun| all.followed_by(&next.scenario);

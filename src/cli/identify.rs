@@ -16,6 +16,7 @@ use crate::app::identify::{
     trace_load,
 };
 use crate::config_text::help_for_unknown;
+use crate::identification::first_order::FirstOrder;
 use crate::identification::{nameplate, repeat, scheme};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
@@ -136,7 +137,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
     let joint = jointly(&runs, &file.model);
     let of_all = joint.as_ref().map_or(&[][..], |joint| &joint.parameters);
-    let combined = repeat::combine(&per_run.collect::<Vec<_>>(), of_all);
+    let mut per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
+    for parameters in &mut per_run {
+        parameters.retain(|own| joint.is_none() || !FirstOrder::is_key(&own.key));
+    }
+    let combined = repeat::combine(&per_run, of_all);
     let caution = caution(&combined, absolute.as_deref());
     if let Some(caution) = &caution {
         for parameter in absolute.iter_mut().flatten() {

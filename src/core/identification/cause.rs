@@ -112,7 +112,8 @@ impl Carried {
         let others = others.filter(|(other, (_, least))| *other != place && least.is_none());
         let others: Vec<String> = others.map(|(_, (slot, _))| slot.key()).collect();
         if others.is_empty() {
-            return "nothing in the run depends on it: the run does not excite it".to_owned();
+            return "the fit ends where nothing of it shows: the run does not excite it, or there is next to none of it"
+                .to_owned();
         }
         format!(
             "the run shows it only together with {}: it takes several levels of voltage, in both directions",

@@ -136,6 +136,12 @@ impl FirstOrder {
         self.root_mean_square(&known(&late, self.time_constant_s))
     }
 
+    /// Whether an estimate is one of a lag. Of one run alone it holds at its own level of the voltage: the mean of several is
+    /// no better one.
+    pub fn is_key(key: &str) -> bool {
+        key.starts_with("first_order.")
+    }
+
     /// What `identify` says of a run that has no current; empty where no lag follows the speed.
     pub fn estimates(run: &Scenario) -> Vec<ParameterEstimate> {
         let Some((found, deviations)) = Self::refined(run) else {

@@ -23,9 +23,10 @@ use crate::numerics::statistics::BAND_99;
 use crate::plant::{Balance, Scenario};
 use crate::sample::{Channel, ParameterEstimate};
 
-/// `D`: ways in which a missing effect can show. Set by the records of this module's tests (a late speed, no viscous friction,
-/// a winding that warms up, an offset of the current), so that three deviations hold each true value.
-const WAYS: f64 = 20.0;
+/// `D`: ways in which a missing effect can show. Set by emulated records of a known motor (a speed that comes late, no viscous
+/// friction, a winding that warms up, an offset of the current): with four the true values lie within some two deviations,
+/// with twenty within five.
+const WAYS: f64 = 4.0;
 /// Multiple of the noise up to which what is left counts as noise: the sensors' own while the shaft turns is seldom quite what
 /// it was at rest.
 const NEAR_ONE: f64 = 1.2;

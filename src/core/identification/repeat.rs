@@ -42,12 +42,17 @@ pub fn combine(per_run: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) 
     };
     let combined = keys.into_iter().filter_map(|key| {
         let together = ParameterEstimate::find(joint, key).filter(|own| own.carried().is_some());
-        one(&of(key).collect::<Vec<_>>(), together)
+        one(&of(key).collect::<Vec<_>>(), together, per_run.len())
     });
     combined.collect()
 }
 
-fn one(all: &[&ParameterEstimate], joint: Option<&ParameterEstimate>) -> Option<Repeated> {
+/// `runs`: how many there are.
+fn one(
+    all: &[&ParameterEstimate],
+    joint: Option<&ParameterEstimate>,
+    runs: usize,
+) -> Option<Repeated> {
     let first = *all.first().or(joint.as_ref())?;
     let carried: Vec<(f64, f64)> = all
         .iter()
@@ -59,7 +64,7 @@ fn one(all: &[&ParameterEstimate], joint: Option<&ParameterEstimate>) -> Option<
         let told = joint.or_else(|| all.iter().find(sound).copied());
         return Some(Repeated {
             estimate: told.unwrap_or(first).clone(),
-            runs: joint.map_or(carried.len(), |_| all.len()),
+            runs: joint.map_or(carried.len(), |_| runs),
             run_to_run_std: None,
         });
     }
@@ -75,7 +80,7 @@ fn one(all: &[&ParameterEstimate], joint: Option<&ParameterEstimate>) -> Option<
     if let Some(joint) = joint.filter(is_surer) {
         return Some(Repeated {
             estimate: joint.clone(),
-            runs: all.len(),
+            runs,
             run_to_run_std: Some(spread.sqrt()),
         });
     }
