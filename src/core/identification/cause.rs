@@ -22,7 +22,9 @@ pub(super) fn explain(
     scenario: &Scenario,
 ) {
     let is_open = |own: &&mut ParameterEstimate| {
-        own.verdict == Verdict::NotObservable && MotorKey::from_key(&own.key).is_some()
+        // That of an inductance speaks of the period already.
+        let key = MotorKey::from_key(&own.key).filter(|key| *key != MotorKey::Inductance);
+        own.verdict == Verdict::NotObservable && key.is_some()
     };
     if !parameters.iter_mut().any(|own| is_open(&own)) {
         return;

@@ -24,7 +24,7 @@ const TIME_CONSTANTS: i32 = 40;
 const DEAD_TIMES: [f64; 9] = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
 /// Readings below which nothing is fitted.
 const FEWEST: usize = 8;
-/// Squared sine of the angle between the two columns from which on a friction is told from the gain: below, all levels of
+/// Squared sine of the angle between the two columns from which on friction and gain are two things: below, all levels of
 /// the voltage are one.
 const APART: f64 = 1e-3;
 /// Share of the largest speed below which a shaft without a voltage has no direction.
@@ -72,7 +72,7 @@ impl FirstOrder {
         let period_s = run.mean_period_s();
         let ratio = (run.samples() - 1) as f64;
         let tried = dead_times.iter().flat_map(|periods| {
-            let late = run.with_input_delayed(periods * period_s);
+            let late = delayed(run, periods * period_s);
             (0..TIME_CONSTANTS).filter_map(move |k| {
                 let share = f64::from(k) / f64::from(TIME_CONSTANTS - 1);
                 Self::fitted(
@@ -132,7 +132,7 @@ impl FirstOrder {
 
     /// Root mean square that it leaves of the scored speeds of another run, rad/s.
     pub fn left_of(&self, run: &Scenario) -> f64 {
-        let late = run.with_input_delayed(self.dead_time_s);
+        let late = delayed(run, self.dead_time_s);
         self.root_mean_square(&known(&late, self.time_constant_s))
     }
 
@@ -166,6 +166,23 @@ impl FirstOrder {
         };
         all.into_iter().zip(deviations).filter_map(of).collect()
     }
+}
+
+/// The run with all of its input later; before that a shaft that is at rest had none.
+fn delayed(run: &Scenario, dead_time_s: f64) -> Scenario {
+    let mut late = run.clone();
+    if dead_time_s > 0.0 {
+        let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
+        let rests = speeds
+            .next()
+            .is_none_or(|first| first.abs() <= RESTS * largest(&run.speed_rad_s));
+        let before = if rests { 0.0 } else { run.events[0].1 };
+        for event in &mut late.events {
+            event.0 += dead_time_s;
+        }
+        late.events.insert(0, (run.begin_s(), before));
+    }
+    late
 }
 
 /// The scored rows that have a speed.
@@ -279,7 +296,7 @@ impl<'a> Refined<'a> {
 impl Problem for Refined<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let lag = self.at(x);
-        let late = self.run.with_input_delayed(lag.dead_time_s);
+        let late = delayed(self.run, lag.dead_time_s);
         let rows = known(&late, lag.time_constant_s);
         for (cell, row) in out.iter_mut().zip(&rows) {
             *cell = lag.missed(row);

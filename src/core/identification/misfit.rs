@@ -27,9 +27,8 @@ use crate::sample::{Channel, ParameterEstimate};
 /// friction, a winding that warms up, an offset of the current): with four the true values lie within some two deviations,
 /// with twenty within five.
 const WAYS: f64 = 4.0;
-/// Multiple of the noise up to which what is left counts as noise: the sensors' own while the shaft turns is seldom quite what
-/// it was at rest.
-const NEAR_ONE: f64 = 1.2;
+/// Multiple of the noise up to which what is left counts as noise, as far as the noise itself is known.
+const NEAR_ONE: f64 = 1.1;
 
 /// Where the noise comes from that a residual is held against.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -49,6 +48,8 @@ pub struct Left {
     pub noise_from: NoiseFrom,
     /// Share of the residual's power that neighbouring samples have in common.
     pub common_share: f64,
+    #[serde(skip)]
+    is_noise: bool,
 }
 
 impl Left {
@@ -56,10 +57,6 @@ impl Left {
     pub fn text(&self) -> Option<String> {
         let times = self.times_noise?;
         Some(format!("{times:.1} times the noise of {}", self.signal))
-    }
-
-    fn is_noise(&self) -> bool {
-        self.times_noise.is_some_and(|times| times <= NEAR_ONE)
     }
 }
 
@@ -81,7 +78,7 @@ impl Misfit {
 
     /// The signal of which most is left, where that is more than noise.
     fn worst(&self) -> Option<&Left> {
-        let above = self.0.iter().filter(|left| !left.is_noise());
+        let above = self.0.iter().filter(|left| !left.is_noise);
         above.max_by(|a, b| {
             let times = |left: &Left| left.times_noise.unwrap_or(0.0);
             times(a).total_cmp(&times(b))
@@ -96,8 +93,8 @@ impl Misfit {
         let problem = FreeRun::new(&fit.model, scenario, fit.noise)?;
         let (minimum, rows) = (&fit.minimum, problem.rows());
         let unknowns = minimum.jacobian.ncols();
-        let mut meat = DMatrix::zeros(unknowns, unknowns);
         let mut all = Vec::new();
+        let mut shares = Vec::new();
         for (is_speed, channel, values, level) in [
             (
                 false,
@@ -128,20 +125,24 @@ impl Misfit {
             } else {
                 (level, NoiseFrom::Standstill)
             };
-            let left = Left {
+            let times = Some(power.sqrt() * level / noise).filter(|times| times.is_finite());
+            let common_share = common_share(&residual);
+            let count = f64::max(own.len() as f64 / WAYS, 1.0);
+            let lasting = 1.0 - common_share + common_share * count;
+            shares.push((jacobian.tr_mul(&jacobian) * power, lasting));
+            all.push(Left {
                 signal: channel.key(),
-                times_noise: Some(power.sqrt() * level / noise).filter(|times| times.is_finite()),
+                times_noise: times,
                 noise_from,
-                common_share: common_share(&residual),
-            };
-            let lasting = if left.is_noise() {
-                0.0
-            } else {
-                left.common_share
-            };
-            let each = 1.0 - lasting + lasting * f64::max(own.len() as f64 / WAYS, 1.0);
-            meat += jacobian.tr_mul(&jacobian) * (power * each);
-            all.push(left);
+                common_share,
+                is_noise: times.is_some_and(|times| times <= fit.noise.tolerance(NEAR_ONE)),
+            });
+        }
+        // What is missing shows in one signal and bends the other's residual as well.
+        let is_noise = all.iter().all(|left| left.is_noise);
+        let mut meat = DMatrix::zeros(unknowns, unknowns);
+        for (own, lasting) in shares {
+            meat += own * if is_noise { 1.0 } else { lasting };
         }
         let (bread, _) = inverse_where_determined(&minimum.jacobian);
         let variances = (&bread * meat * &bread).diagonal();
@@ -157,14 +158,16 @@ impl Misfit {
         let left = |balance: &Balanced| {
             let squares: f64 = balance.residual.iter().map(|value| value * value).sum();
             let power = squares / f64::max(balance.residual.len() as f64, 1.0);
+            let times = power.sqrt() / balance.noise_floor?;
             Some(Left {
                 signal: match balance.equation {
                     Balance::Voltage => Channel::Voltage.key(),
                     Balance::Torque => Channel::Torque.key(),
                 },
-                times_noise: Some(power.sqrt() / balance.noise_floor?),
+                times_noise: Some(times),
                 noise_from: NoiseFrom::Standstill,
                 common_share: common_share(&balance.residual),
+                is_noise: times <= NEAR_ONE,
             })
         };
         Self(balances.iter().filter_map(left).collect())

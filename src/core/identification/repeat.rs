@@ -61,9 +61,9 @@ fn one(
     if carried.len() < 2 {
         // Nothing to compare: the one run that says something, else the first one's reason.
         let sound = |p: &&&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
-        let told = joint.or_else(|| all.iter().find(sound).copied());
+        let known = joint.or_else(|| all.iter().find(sound).copied());
         return Some(Repeated {
-            estimate: told.unwrap_or(first).clone(),
+            estimate: known.unwrap_or(first).clone(),
             runs: joint.map_or(carried.len(), |_| runs),
             run_to_run_std: None,
         });

@@ -187,6 +187,20 @@ mod tests {
     }
 
     #[test]
+    fn without_a_current_the_lag_gives_the_start_beside_a_given_resistance() {
+        let events = held([0.0, 0.5, 2.0, 3.5], [0.0, 20.0, 60.0, 40.0]);
+        let mut scenario = record(&paper(), events, 0.01, 5.0, 1);
+        scenario.current_a.fill(f64::NAN);
+        let mut model = unknown();
+        model.motor.set(MotorKey::Resistance, 1.1);
+        let found = complete(&model, &scenario).unwrap();
+        for key in [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque] {
+            let ratio = found.motor.get(key).unwrap() / paper().motor.get(key).unwrap();
+            assert!((0.7..1.4).contains(&ratio), "{key:?} {ratio}");
+        }
+    }
+
+    #[test]
     fn what_the_user_gave_is_kept() {
         let motor = Motor::zk_22fc().with(MotorKey::Resistance, 3.0);
         let model = Model::baseline(motor);
