@@ -161,6 +161,17 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
         found.notes.push(departure.sentence());
     }
     sanity::doubt(&mut found.parameters, findings);
+    for open in found
+        .parameters
+        .iter_mut()
+        .filter(|own| own.value.is_none())
+    {
+        // What is wrong with a signal may be all that stands in the way.
+        let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
+        if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
+            *reason = format!("{}; {reason}", finding.sentence);
+        }
+    }
     let limits = claims::limit(&mut found.parameters, run, scenario);
     found.notes.extend(limits);
     found.notes.extend(lost_rows::sentence(run, scenario));

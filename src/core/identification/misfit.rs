@@ -16,12 +16,12 @@ use serde::Serialize;
 
 use super::noise::{FloorSource, roughness};
 use super::output_error::{Fit, FitError, FreeRun};
-use super::verdict::SETTLED;
+use super::verdict::{SETTLED, SETTLED_EFFECT};
 use super::weak_form::Balanced;
 use crate::numerics::least_squares::inverse_where_determined;
 use crate::numerics::statistics::BAND_99;
-use crate::plant::{Balance, Scenario};
-use crate::sample::{Channel, ParameterEstimate};
+use crate::plant::{Balance, MotorKey, Scenario};
+use crate::sample::{Channel, ParameterEstimate, Verdict};
 
 /// `D`: ways in which a missing effect can show. Set by emulated records of a known motor (a speed that comes late, no viscous
 /// friction, a winding that warms up, an offset of the current): with four the true values lie within some two deviations,
@@ -173,25 +173,31 @@ impl Misfit {
         Self(balances.iter().filter_map(left).collect())
     }
 
-    /// Widens what was found to the deviations that the residual leaves to it, and says so where that unsettles it.
-    pub(super) fn widen(&self, parameters: &mut [ParameterEstimate], deviations: &[(String, f64)]) {
+    /// Widens what was found to the deviations that the residual leaves to it, and says so where that unsettles it, or is
+    /// all that keeps it open: the search has `converged`.
+    pub(super) fn widen(
+        &self,
+        parameters: &mut [ParameterEstimate],
+        deviations: &[(String, f64)],
+        converged: bool,
+    ) {
         for parameter in parameters {
             let own = deviations.iter().find(|own| own.0 == parameter.key);
             let (Some(own), Some((value, Some(std)))) = (own, parameter.carried()) else {
                 continue;
             };
-            if own.1 > std {
-                parameter.std = Some(own.1);
+            let of_motor = MotorKey::from_key(&parameter.key).is_some();
+            let narrow = if of_motor { SETTLED } else { SETTLED_EFFECT };
+            let wide = own.1 / value.abs().max(f64::MIN_POSITIVE);
+            if own.1 <= std {
+                continue;
             }
-            let wide = own.1.max(std) / value.abs().max(f64::MIN_POSITIVE);
-            if wide > SETTLED
-                && let Some(left) = self.worst_text()
-            {
-                let reason = format!(
-                    "the model leaves {left}: uncertain by {:.1} %",
-                    100.0 * wide
-                );
-                parameter.unsettle(reason);
+            parameter.std = Some(own.1);
+            if let Some(left) = self.worst_text().filter(|_| wide > narrow && converged) {
+                let percent = 100.0 * wide;
+                let reason = format!("the model leaves {left}: uncertain by {percent:.1} %");
+                parameter.verdict = Verdict::Searching;
+                parameter.reason = Some(reason);
             }
         }
     }

@@ -5,7 +5,6 @@ use crate::identification::scheme::Identified;
 use crate::identification::testing::*;
 use crate::plant::Model;
 use crate::sample::Run;
-use crate::sample::Verdict;
 
 /// A small brushed motor: L/R 0.5 ms, R J/Ke^2 19 ms.
 const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];

@@ -25,7 +25,7 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     let (fit, chosen) = better_of_two_starts(data, &noise)?;
     let (misfit, deviations) = Misfit::of_fit(&fit, data.scenario)?;
     let mut parameters = fit.parameters.clone();
-    misfit.widen(&mut parameters, &deviations);
+    misfit.widen(&mut parameters, &deviations, fit.minimum.converged);
     for (key, doubt) in chosen {
         tell_choice(&mut parameters, &key, doubt);
     }
