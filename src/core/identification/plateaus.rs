@@ -1,20 +1,26 @@
-//! Resistance and back-EMF constant from levels of the voltage that were held until nothing changed: `u = R i + Ke w`, one row a
-//! level. Samples that lie too far apart for the transients still show what they end in.
+//! Resistance and back-EMF constant from levels of the voltage that were held until nothing changed: `u = R i + Ke w + c`, one
+//! row a level. Samples that lie too far apart for the transients still show what they end in. `c` takes an offset of a sensor;
+//! with levels of one direction only, it takes the friction's current too, and no resistance shows.
 
 use nalgebra::{DMatrix, DVector};
 
+use super::noise::roughness;
 use super::verdict::{NOT_OBSERVABLE, SETTLED};
 use crate::numerics::least_squares;
-use crate::numerics::statistics::{extent, finite, mean, variance};
+use crate::numerics::statistics::{extent, finite, mean};
 use crate::plant::{MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Samples of a level of which the last half counts.
 const FEWEST_SAMPLES: usize = 4;
-/// Levels below which the scatter about them says nothing: four for each unknown.
-const FEWEST_LEVELS: usize = 8;
-/// Share of a signal's span by which the two halves of what counts may differ on a level that has settled.
-const SETTLES: f64 = 0.02;
+/// Levels below which the scatter about them says nothing: three for each unknown.
+const FEWEST_LEVELS: usize = 9;
+/// Share of a signal's span, and times its own deviation, by which the two halves of what counts may differ on a level that has
+/// settled: two thousandths are what six time constants leave.
+const SETTLES: f64 = 0.002;
+const BY_NOISE: f64 = 3.0;
+/// Share of the span up to which noise may excuse it.
+const LOOSE: f64 = 0.02;
 /// Times its noise, in power, that what only the resistance explains has to be; less pulls it towards zero.
 const LEAST_SIGNAL: f64 = 10.0;
 
@@ -32,6 +38,10 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
         most - least
     };
     let spans = [span(&scenario.current_a), span(&scenario.speed_rad_s)];
+    let rough = [
+        roughness(&scenario.current_a),
+        roughness(&scenario.speed_rad_s),
+    ];
     let times = &scenario.sample_time_s;
     let events = &scenario.events;
     let changes = (0..events.len())
@@ -47,21 +57,23 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
             return None;
         }
         let middle = begin.midpoint(end);
-        let part = |values: &[f64]| {
+        let part = |values: &[f64], span: f64, noise: f64| {
             let quarter = middle.midpoint(end);
             let (third, last) = (
                 finite(&values[middle..quarter]),
                 finite(&values[quarter..end]),
             );
             let both = [&third[..], &last[..]].concat();
-            (
-                mean(&last) - mean(&third),
-                mean(&both),
-                variance(&both) / both.len() as f64,
-            )
+            let count = both.len() as f64;
+            let moved = (mean(&last) - mean(&third)).abs();
+            // The two halves' means differ by twice the deviation of the mean of both.
+            let chance = 2.0 * BY_NOISE * noise / count.sqrt();
+            let settles = moved <= (SETTLES * span).max(chance.min(LOOSE * span));
+            (settles, mean(&both), noise * noise / count)
         };
-        let (current, speed) = (part(&scenario.current_a), part(&scenario.speed_rad_s));
-        let settles = current.0.abs() <= SETTLES * spans[0] && speed.0.abs() <= SETTLES * spans[1];
+        let current = part(&scenario.current_a, spans[0], rough[0]);
+        let speed = part(&scenario.speed_rad_s, spans[1], rough[1]);
+        let settles = current.0 && speed.0;
         settles.then_some(Level {
             voltage_v: events[*event].1,
             current_a: current.1,
@@ -100,8 +112,12 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
         return Vec::new();
     }
     let column = |of: fn(&Level) -> f64| levels.iter().map(of).collect::<Vec<f64>>();
-    let cells = [column(|own| own.current_a), column(|own| own.speed_rad_s)];
-    let matrix = DMatrix::from_fn(levels.len(), 2, |row, place| cells[place][row]);
+    let cells = [
+        column(|own| own.current_a),
+        column(|own| own.speed_rad_s),
+        column(|_| 1.0),
+    ];
+    let matrix = DMatrix::from_fn(levels.len(), 3, |row, place| cells[place][row]);
     let right = DVector::from_vec(column(|own| own.voltage_v));
     let blocks: Vec<usize> = (0..levels.len()).collect();
     let Some(solution) = least_squares::solve(&matrix, &right, &blocks) else {
@@ -131,4 +147,44 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
     };
     let keys = [MotorKey::Resistance, MotorKey::BackEmf];
     keys.into_iter().enumerate().filter_map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::testing::*;
+    use crate::plant::Model;
+
+    const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
+
+    #[test]
+    fn held_levels_give_resistance_and_back_emf_and_an_offset_does_not_bend_them() {
+        let model = Model::baseline(motor(&BRUSHED));
+        let mut scenario = record(&model, steps(1.0, 20.0, 12.0 / 70.0, 0.5), 0.02, 20.0, 4);
+        for offset_a in [0.0, 0.35] {
+            for current in &mut scenario.current_a {
+                *current += offset_a;
+            }
+            let found = estimates(&levels(&scenario));
+            assert_found(&found, "resistance_ohm", 1.2, 0.05);
+            assert_found(&found, "back_emf_v_s_per_rad", 0.05, 0.005);
+        }
+    }
+
+    #[test]
+    fn levels_that_are_left_before_they_settle_and_levels_of_one_direction_give_no_resistance() {
+        let model = Model::baseline(motor(&BRUSHED));
+        let quick = record(&model, steps(0.3, 10.0, 12.0 / 70.0, 0.04), 0.002, 10.0, 4);
+        assert!(estimates(&levels(&quick)).is_empty());
+        let one_way = steps(1.0, 20.0, 12.0 / 70.0, 0.5).into_iter();
+        let one_way = one_way
+            .map(|(time_s, volts)| (time_s, volts.abs()))
+            .collect();
+        let one_way = record(&model, one_way, 0.02, 20.0, 4);
+        let found = estimates(&levels(&one_way));
+        assert!(
+            ParameterEstimate::find(&found, "resistance_ohm").is_none(),
+            "{found:?}"
+        );
+    }
 }
