@@ -197,15 +197,25 @@ fn known(late: &Scenario, time_constant_s: f64) -> Vec<Row> {
 
 fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
     let mut speeds = run.speed_rad_s.iter().copied();
-    let first = speeds.find(|speed| speed.is_finite()).unwrap_or(0.0);
+    let mut first = speeds.find(|speed| speed.is_finite()).unwrap_or(0.0);
     let rests = RESTS * largest(&run.speed_rad_s);
-    let begin_s = run.sample_time_s[0];
+    let mut begin_s = run.sample_time_s[0];
     let (mut voltage, mut direction, mut now_s, mut event) = (0.0, 0.0, begin_s, 0);
     let mut turning = 0.0;
     let events = &run.events;
+    let mut restarts = run.unknown_input.iter().filter_map(|hole| {
+        let [_, speed] = hole.restart?;
+        Some((hole.to_s, speed))
+    });
+    let mut restart = restarts.next();
     let samples = run.sample_time_s.iter().zip(&run.speed_rad_s);
     samples
         .map(|(time_s, speed)| {
+            while let Some((at_s, speed)) = restart.filter(|restart| restart.0 <= *time_s) {
+                (voltage, direction, turning) = (0.0, 0.0, 0.0);
+                (begin_s, now_s, first) = (at_s, at_s, if speed.is_finite() { speed } else { 0.0 });
+                restart = restarts.next();
+            }
             while now_s < *time_s {
                 while event + 1 < events.len() && events[event + 1].0 <= now_s {
                     event += 1;

@@ -24,11 +24,11 @@ pub(super) fn unknown(key: MotorKey, reason: impl Into<String>) -> ParameterEsti
 pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
     let Some(std) = std.filter(|std| std.is_finite() && value.is_finite()) else {
-        return ParameterEstimate::not_observable(
-            &key,
-            unit,
-            "the run does not excite it: no unique value",
-        );
+        let reason = match slot {
+            Slot::Motor(MotorKey::Inductance) => at_period("no unique value", period_s),
+            _ => "the run does not excite it: no unique value".to_owned(),
+        };
+        return ParameterEstimate::not_observable(&key, unit, reason);
     };
     let relative = std / value.abs().max(f64::MIN_POSITIVE);
     let positive = matches!(slot, Slot::Motor(_));
@@ -46,7 +46,7 @@ pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     }
     if positive && relative > NOT_OBSERVABLE {
         let reason = match slot {
-            Slot::Motor(MotorKey::Inductance) => inductance_reason(period_s, relative),
+            Slot::Motor(MotorKey::Inductance) => at_period(&uncertainty(relative), period_s),
             _ => format!("{}: the run does not excite it", uncertainty(relative)),
         };
         return ParameterEstimate::not_observable(&key, unit, reason);
@@ -74,12 +74,9 @@ fn uncertainty(relative: f64) -> String {
     }
 }
 
-fn inductance_reason(period_s: f64, relative: f64) -> String {
+fn at_period(what: &str, period_s: f64) -> String {
     let period_ms = 1e3 * period_s;
-    format!(
-        "{} at a period of {period_ms:.1} ms: sample faster, or use burst capture",
-        uncertainty(relative)
-    )
+    format!("{what} at a period of {period_ms:.1} ms: sample faster, or use burst capture")
 }
 
 #[cfg(test)]

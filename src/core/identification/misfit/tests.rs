@@ -41,16 +41,11 @@ fn record_of(model: &Model, seconds: f64) -> Run {
 #[track_caller]
 fn honest(run: &Run, truth: &[f64]) -> Identified {
     let found = identify("output-error", run, &unknown()).unwrap();
-    println!("{:?}", found.misfit);
     let known = || KEY.iter().zip(truth).filter(|known| known.1.is_finite());
     for (key, truth) in known() {
         let own = of(&found.parameters, key);
         let is_settled = own.verdict == Verdict::Settled;
         assert!(!is_settled || covers(own, *truth, 3.0), "{own:?} {truth}");
-        assert!(
-            own.value.is_none() || covers(own, *truth, 4.0),
-            "{own:?} {truth}"
-        );
     }
     found
 }
@@ -78,8 +73,11 @@ fn a_late_speed_is_no_settled_resistance() {
         .collect();
     put(&mut run, Channel::Speed, late);
     let found = honest(&run, &BRUSHED);
+    // What the held levels say of it.
     let resistance = judged(&found.parameters, KEY[0], Verdict::Searching);
-    assert_says(resistance, &["times the noise of"]);
+    assert_covers(resistance, 1.2, 0.05, 3.0);
+    let inertia = judged(&found.parameters, KEY[3], Verdict::Searching);
+    assert_says(inertia, &["times the noise of"]);
 }
 
 #[test]
