@@ -53,7 +53,8 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
         let to_s = next.map_or(f64::INFINITY, |next| events[*next].0);
         let begin = times.partition_point(|time| *time <= from_s);
         let end = times.partition_point(|time| *time < to_s);
-        if end < begin + FEWEST_SAMPLES {
+        // A rest is one level of one current, whatever is recorded of it.
+        if end < begin + FEWEST_SAMPLES || events[*event].1.abs() <= 0.0 {
             return None;
         }
         let middle = begin.midpoint(end);
