@@ -183,13 +183,12 @@ pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Sc
         else {
             continue;
         };
-        let (least, most, why) = match MotorKey::from_key(&parameter.key) {
-            Some(key) => extents.range(key, motor),
-            None => {
-                let (most, why) = extents.of_effect(parameter.unit);
-                (-most, most, why)
-            }
+        let of_effect = || {
+            let (most, why) = extents.of_effect(parameter.unit);
+            (-most, most, why)
         };
+        let key = MotorKey::from_key(&parameter.key);
+        let (least, most, why) = key.map_or_else(of_effect, |key| extents.range(key, motor));
         // What is negative has its own reason.
         let is_small = value < least && (value > 0.0 || least < 0.0);
         if is_small || value > most {
