@@ -17,7 +17,9 @@ use crate::app::identify::{
 };
 use crate::config_text::help_for_unknown;
 use crate::identification::first_order::FirstOrder;
-use crate::identification::{nameplate, repeat, scheme};
+use crate::identification::nameplate;
+use crate::identification::repeat::{self, Repeated};
+use crate::identification::scheme::{self, Identified};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate, Verdict};
@@ -133,15 +135,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         name_voltage(&run.loaded.run, &run.scenario);
     }
     let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
-    let per_run = runs.iter().map(|run| run.found.parameters.clone());
     let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
     let joint = jointly(&runs, &file.model);
-    let of_all = joint.as_ref().map_or(&[][..], |joint| &joint.parameters);
-    let mut per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
-    for parameters in &mut per_run {
-        parameters.retain(|own| joint.is_none() || !FirstOrder::is_key(&own.key));
-    }
-    let combined = repeat::combine(&per_run, of_all);
+    let combined = combined(&runs, joint.as_ref());
     let caution = caution(&combined, absolute.as_deref());
     if let Some(caution) = &caution {
         for parameter in absolute.iter_mut().flatten() {
@@ -186,6 +182,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         answer.write(path, file)?;
     }
     verdict(&arguments.require, &answer.parameters())
+}
+
+/// What the runs say together, one by one and in one fit.
+fn combined(runs: &[OneRun], joint: Option<&Identified>) -> Vec<Repeated> {
+    let per_run = runs.iter().map(|run| run.found.parameters.clone());
+    let mut per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
+    for parameters in &mut per_run {
+        parameters.retain(|own| joint.is_none() || !FirstOrder::is_key(&own.key));
+    }
+    repeat::combine(&per_run, joint.map_or(&[], |joint| &joint.parameters))
 }
 
 fn one(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {

@@ -209,14 +209,14 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
 
 /// One step of voltage out of rest at 20 Hz, voltage and speed only: 2.4 rad/s/V and 0.12 s behind 0.4 V of friction.
 fn step_of(volts: f64) -> String {
-    let mut csv = "time_s,voltage_v,speed_rad_s\n".to_owned();
-    for row in 0..60 {
+    let row = |row: u8| {
         let time_s = 0.05 * f64::from(row);
         let speed = 2.4 * (volts - 0.4) * (1.0 - (-time_s / 0.12).exp());
         // Rounded as a counter gives it.
-        csv += &format!("{time_s:.2},{volts},{:.2}\n", speed);
-    }
-    csv
+        format!("{time_s:.2},{volts},{speed:.2}\n")
+    };
+    let rows = (0..60).map(row).collect::<String>();
+    format!("time_s,voltage_v,speed_rad_s\n{rows}")
 }
 
 #[test]
