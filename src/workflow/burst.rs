@@ -26,6 +26,9 @@ pub struct BurstResult {
     pub parameters: Vec<ParameterEstimate>,
     /// Effects that its voltage equation misses.
     pub effects: Vec<&'static str>,
+    /// Each of those with one that the burst alone does not tell from it: it has one direction.
+    #[serde(skip)]
+    confusable: Vec<[&'static str; 2]>,
     /// How well that equation holds, or why it could not be asked; never what is missing in the machine.
     pub sentence: String,
 }
@@ -58,9 +61,17 @@ impl BurstResult {
         model
     }
 
-    /// Beside the diagnosis of the runs, which has the last word on what is missing: the burst saw the circuit for a moment.
+    /// Beside the diagnosis of the runs, which decides what is missing: the burst is of the circuit alone, and of one moment. Of two
+    /// effects that the burst does not tell apart it is the one that the runs name.
     #[must_use]
     pub fn beside(mut self, diagnosis: &Diagnosis) -> Self {
+        let names = |id: &str| diagnosis.effects.contains(&id);
+        for id in &mut self.effects {
+            let mut pairs = self.confusable.iter().filter(|pair| pair[0] == *id);
+            if let Some([_, rival]) = pairs.find(|pair| !names(id) && names(pair[1])) {
+                *id = *rival;
+            }
+        }
         for id in &self.effects {
             let named = diagnosis.effects.contains(id);
             let judged = diagnosis.candidates.iter().find(|c| c.effect == *id);
@@ -106,14 +117,14 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst);
     if let Some(reason) = plain.why_nothing() {
-        return Ok(plain.result(Vec::new(), format!("it tells nothing: {reason}")));
+        return Ok(plain.result(None, format!("it tells nothing: {reason}")));
     }
     let leaves = format!("its voltage equation leaves {}", plain.level());
     if plain
         .over_noise
         .is_some_and(|over| over <= HOLDS_TIMES_NOISE)
     {
-        return Ok(plain.result(Vec::new(), leaves));
+        return Ok(plain.result(None, leaves));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
     let mut with = diagnosis.model.model;
@@ -123,14 +134,22 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let bears_out = |id: &&str| better.bears_out(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
     if found.is_empty() || better.rms_v > EXPLAINS_SHARE * plain.rms_v {
-        return Ok(plain.result(Vec::new(), leaves));
+        return Ok(plain.result(None, leaves));
     }
-    let sentence = format!(
-        "{leaves}, and with {} {}",
-        found.join(" and "),
-        better.level()
-    );
-    Ok(better.result(found, sentence))
+    let mut confusable = diagnosis.confusable;
+    confusable.retain(|pair| found.contains(&pair[0]));
+    let either = |id: &&'static str| {
+        let rivals = confusable.iter().filter(|pair| pair[0] == *id);
+        let all = std::iter::once(*id).chain(rivals.map(|pair| pair[1]));
+        all.collect::<Vec<&str>>().join(" or ")
+    };
+    let names = found.iter().map(either).collect::<Vec<_>>().join(" and ");
+    let sentence = format!("{leaves}, and with {names} {}", better.level());
+    Ok(BurstResult {
+        effects: found,
+        confusable,
+        ..better.result(Some(&names), sentence)
+    })
 }
 
 /// The voltage equation fitted to a burst by itself.
@@ -192,15 +211,14 @@ impl VoltageBalance {
 
     /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
     /// range of the current a drop builds up is no part of its equation, and goes into both.
-    fn result(self, effects: Vec<&'static str>, sentence: String) -> BurstResult {
+    fn result(self, effects: Option<&str>, sentence: String) -> BurstResult {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
         let doubt = match self.over_noise.filter(|over| *over > HOLDS_TIMES_NOISE) {
             Some(over) => Some(format!(
                 "the voltage equation of the burst leaves {} times its noise: something is missing in it",
                 fixed(over, 2)
             )),
-            None if effects.is_empty() => None,
-            None => Some(format!("it rests on the form of {}", effects.join(" and "))),
+            None => effects.map(|effects| format!("it rests on the form of {effects}")),
         };
         let mut parameters = self.parameters;
         parameters.retain(|estimate| electrical.contains(&estimate.key.as_str()));
@@ -212,7 +230,6 @@ impl VoltageBalance {
         }
         BurstResult {
             parameters,
-            effects,
             sentence,
             ..BurstResult::default()
         }
@@ -318,9 +335,9 @@ mod tests {
             let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
             told.parameters.iter().any(is_settled)
         };
-        assert!(settled(balance().result(Vec::new(), String::new())));
+        assert!(settled(balance().result(None, String::new())));
         assert!(!settled(
-            balance().result(vec!["voltage_drop"], String::new())
+            balance().result(Some("voltage_drop"), String::new())
         ));
     }
 
