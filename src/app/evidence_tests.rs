@@ -34,7 +34,7 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
     // The very samples of the run before it; and the beginning of a run that broke off.
     let said = refused(later(&fitted, &whole));
     assert!(said.contains("tests nothing"), "{said}");
-    let said = refused(later(&record(&model, 3), &|row| row > 80));
+    let said = refused(later(&record(&model, 3), &|row| row > 40));
     assert!(said.contains("at least"), "{said}");
     // A torque where the other has a voltage: newton metres are no volts.
     let driven = record(&model, 7);

@@ -170,6 +170,7 @@ pub(super) fn candidates(
     let run_s = length_s(&evidence.training);
     let base = &rungs[0];
     let best = &rungs[rungs.len() - 1].fit;
+    let best = &best.in_the_scale_of(&evidence.training);
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
     let candidate = |(rank, inferred): (usize, &Inferred)| {
         let id = inferred.effect.card().id;

@@ -26,8 +26,6 @@ use crate::sample::{ParameterEstimate, Verdict};
 
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
-/// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
-const NEARLY_WHITE: f64 = 1.3;
 /// Standard deviations by which the named effects must make the confirming run likelier.
 const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Error that needs no explanation, in units of a floor that is known.
@@ -394,7 +392,8 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
     let judged = |fit: &Fitted, rung: &Standing| {
-        fit.judged_by_what_is_left(rung.score.nrms, floor.expected())
+        let judged = fit.judged_by_what_is_left(rung.score.nrms, floor.expected());
+        judged.in_the_scale_of(&evidence.training)
     };
     let baseline = bench.with_deviations(base.fit.clone(), inference);
     let (baseline, model) = (judged(&baseline, base), judged(&best.fit, best));
@@ -550,7 +549,7 @@ fn verdict(
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
     // names that take nothing from its error, or leave innovations that are not white, are no answer.
     let is_led_astray = !bench.fits_at_once()
-        && inference.excess() < NEARLY_WHITE
+        && inference.is_nearly_white()
         && unexplained <= HALF_SHARE * explainable
         && floor.is_explained_in_part(base.nrms, best.nrms);
     if !is_led_astray && !at_floor && above(best.nrms) > HALF_SHARE * explainable {

@@ -6,7 +6,7 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 use crate::identification::balance::TorqueRows;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{Input, Model, MotorKey, ParameterSpec, Scenario, State, effect};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Figures of one signal.
@@ -166,6 +166,33 @@ pub struct Fitted {
 const SETTLED_BELOW_RATIO: f64 = 3.0;
 
 impl Fitted {
+    /// The same without the values that a run of voltage and speed alone does not have: resistance, torques and inertia are in
+    /// one ratio to each other there, and no run gives their scale unless one of them is given.
+    pub(super) fn in_the_scale_of(&self, run: &Scenario) -> Self {
+        let mut judged = self.clone();
+        let has_current = run.current_a.iter().any(|cell| cell.is_finite());
+        let has_scale = |own: &ParameterEstimate| match own.unit {
+            "ohm" | "H" | "kg.m2" => true,
+            "N.m/A" => false,
+            unit => unit.starts_with("N.m"),
+        };
+        let mut of_motor = judged
+            .parameters
+            .iter()
+            .filter(|own| MotorKey::from_key(&own.key).is_some());
+        let is_given = of_motor.any(|own| own.verdict == Verdict::Fixed && has_scale(own));
+        if run.input == Input::Voltage && !has_current && !is_given {
+            for own in &mut judged.parameters {
+                if has_scale(own) && own.value.is_some() {
+                    let reason = "no current was measured and none of resistance, inertia and load is given: only their \
+                                  ratios are determined";
+                    *own = ParameterEstimate::not_observable(&own.key, own.unit, reason);
+                }
+            }
+        }
+        judged
+    }
+
     /// The same with what its values are worth where it leaves `nrms` of a run whose noise leaves `floor`; zero where no noise is
     /// known.
     pub(super) fn judged_by_what_is_left(&self, nrms: f64, floor: f64) -> Self {

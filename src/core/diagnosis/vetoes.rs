@@ -50,6 +50,7 @@ pub(super) fn first(
     rungs: &[Standing],
 ) -> Option<Veto> {
     still(bench, named)
+        .or_else(|| unresolved(bench, named, rungs))
         .or_else(|| without_size(named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
@@ -62,6 +63,30 @@ pub(super) fn first(
 fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
     let last = *named.last()?;
     (!bench.evidence.holdout_moves()).then(|| Veto::new(last, STILL))
+}
+
+/// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
+/// not told from zero.
+fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    let fit = &rungs.last()?.fit;
+    let most_hz = 0.5 / bench.evidence.training.mean_period_s();
+    let of = |id: &'static str| {
+        let mut specs = effect::find(id)?.parameters().iter();
+        let key = format!("{id}.{}", specs.find(|spec| spec.unit == "Hz")?.key);
+        let own = fit.parameters.iter().find(|own| own.key == key)?;
+        let (value, std) = (own.value?, own.std.unwrap_or(0.0));
+        let reason = if value > most_hz {
+            format!(
+                "its frequency of {value:.1} Hz lies above half the rate of the samples, {most_hz:.1} Hz"
+            )
+        } else if value < std {
+            format!("its frequency is not determined ({value:.1} ± {std:.1} Hz)")
+        } else {
+            return None;
+        };
+        Some(Veto::new(id, reason))
+    };
+    named.iter().rev().find_map(|id| of(id))
 }
 
 /// The last named effect of which the fit with all of them does not tell whether it is there at all.
@@ -165,11 +190,13 @@ fn without_use(
             !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
             let is_little = held_out[0] < AS_GOOD * held_out[1];
+            // Where the innovations are white, the posterior has weighed the wander of the free run.
+            let is_white = inference.is_nearly_white() && !inference.is_cut();
             let by_chance = || {
                 let scores = [&pair[0].score, &pair[1].score];
                 ByBlocks::of(scores, bench.levels()).better != Better::Second
             };
-            !lowers(held_out, pair[1].score.samples()) || is_little && by_chance()
+            !lowers(held_out, pair[1].score.samples()) || is_little && !is_white && by_chance()
         }
     };
     let steps = rungs.windows(2).enumerate().rev();

@@ -51,6 +51,9 @@ pub struct NoiseFloor {
     pub memory: [f64; 2],
 }
 
+/// Level, independent samples and memory of the noise of one signal.
+type Known = (f64, usize, f64);
+
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
 const RARELY_EXCEEDED: f64 = 2.6;
 
@@ -91,7 +94,7 @@ impl NoiseFloor {
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rows = rest_rows(scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
-        let floor = |values: &[f64]| -> Option<(f64, usize, f64)> {
+        let floor = |values: &[f64]| -> Option<Known> {
             let at_rest = finite(&values[rows.clone()]);
             if at_rest.len() < FEWEST_SAMPLES {
                 return None;
@@ -125,9 +128,8 @@ impl NoiseFloor {
             return None;
         }
         let samples = known().map(|(_, samples, _)| *samples).min()?;
-        type Known = Option<(f64, usize, f64)>;
-        let level = |known: Known| known.map_or(f64::INFINITY, |(level, ..)| level);
-        let memory = |known: Known| known.map_or(0.0, |(.., memory)| memory);
+        let level = |known: Option<Known>| known.map_or(f64::INFINITY, |(level, ..)| level);
+        let memory = |known: Option<Known>| known.map_or(0.0, |(.., memory)| memory);
         Some(Self {
             current_a: level(current),
             speed_rad_s: level(speed),

@@ -31,6 +31,8 @@ use serde::Serialize;
 
 /// Plausible sets that bounds are asked of.
 const SETS: usize = 12;
+/// How many times as large as white noise what a set leaves of the innovations may be and still count as white.
+const NEARLY_WHITE: f64 = 1.3;
 /// Probability from which on an effect is named.
 const NAMED_PROBABILITY: f64 = 0.5;
 /// The same for two together that cannot be told apart.
@@ -217,6 +219,12 @@ impl Inference {
     /// How many times as large as white noise what the best set leaves of the innovations is.
     pub(in crate::diagnosis) const fn excess(&self) -> f64 {
         self.found.excess
+    }
+
+    /// Whether what the set leaves of the innovations is little more than white noise: a free run, which wanders, may then be left
+    /// aside.
+    pub(in crate::diagnosis) fn is_nearly_white(&self) -> bool {
+        self.found.excess < NEARLY_WHITE
     }
 
     /// Whether the search was ended by its budget.
