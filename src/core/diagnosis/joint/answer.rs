@@ -208,9 +208,8 @@ impl Inference {
 
     /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
     pub(in crate::diagnosis) fn names(&self, id: &str) -> bool {
-        let likely = self
-            .of(id)
-            .is_some_and(|found| found.probability > NAMED_PROBABILITY);
+        let found = self.of(id);
+        let likely = found.is_some_and(|found| found.probability > NAMED_PROBABILITY);
         likely && self.veto_of(id).is_none()
             || self.named.contains(&id)
             || self.confusable.iter().any(|pair| pair[1] == id)
@@ -221,8 +220,7 @@ impl Inference {
         self.found.excess
     }
 
-    /// Whether what the set leaves of the innovations is little more than white noise: a free run, which wanders, may then be left
-    /// aside.
+    /// Whether the set leaves little more than white noise of the innovations: a wandering free run may then be left aside.
     pub(in crate::diagnosis) fn is_nearly_white(&self) -> bool {
         self.found.excess < NEARLY_WHITE
     }
@@ -234,13 +232,10 @@ impl Inference {
 
     /// Why nothing is ruled out, where no linear solution of the search is believed.
     pub(in crate::diagnosis) fn why_open(&self) -> Option<&'static str> {
-        if self.is_cut() {
-            Some("the search was ended by its budget of work before a set of effects stood")
-        } else if self.found.excess > MOST_BELIEVED_EXCESS {
-            Some("the best model leaves several times the noise, so that bounds by it do not hold")
-        } else {
-            None
-        }
+        let cut = "the search was ended by its budget of work before a set of effects stood";
+        let far = "the best model leaves several times the noise, so that bounds by it do not hold";
+        let is_far = self.found.excess > MOST_BELIEVED_EXCESS;
+        self.is_cut().then_some(cut).or(is_far.then_some(far))
     }
 
     /// Keeps an effect from being named; its probability stays what it is.
