@@ -14,7 +14,7 @@ use crate::text::number::share;
 /// Lags that are looked at.
 const LAGS: usize = statistics::WHITENESS_LAGS;
 /// Samples below which a correlation says nothing.
-const FEWEST_SAMPLES: usize = 4 * LAGS;
+pub(super) const FEWEST_SAMPLES: usize = 4 * LAGS;
 /// Multiple of the band above which a light is red whatever the number of lags; chance alone exceeds it once in 10,000
 /// lights. Of a correlation with the input nothing else counts: where the input is slow, white noise that goes with it by
 /// chance at one lag does so at all of them.

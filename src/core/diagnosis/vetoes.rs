@@ -7,12 +7,18 @@
 use super::evidence::STILL;
 use super::joint::answer::Inference;
 use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
+use super::residual::FEWEST_SAMPLES;
 use super::score::Score;
 use super::versus::{Better, ByBlocks};
+use crate::identification::noise::FloorSource;
 use crate::plant::{MotorKey, ParameterRole, effect};
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
+
+/// Ratio of the errors before and after from which a fall is clear without a look at its blocks, a third of the squares; and
+/// where the samples are too few to show whether errors are alike, three quarters of them.
+const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
 /// An effect that is not named, and why.
 #[derive(Clone, Debug, PartialEq)]
@@ -166,7 +172,7 @@ fn without_weight(
 
 /// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
 /// what has another cause. On its rung it does not lower the held-out error by more than chance: neighbouring errors of a model
-/// that misses something are alike, so that of a little less the blocks of the run are asked. What happens once need not
+/// that misses something are alike, so that a fall that is not clear is judged by the blocks of the run. What happens once need not
 /// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
 fn without_use(
     bench: &Bench,
@@ -189,14 +195,17 @@ fn without_use(
             let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
             !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
-            let is_little = held_out[0] < AS_GOOD * held_out[1];
-            // Where the innovations are white, the posterior has weighed the wander of the free run.
-            let is_white = inference.is_nearly_white() && !inference.is_cut();
+            // Where the innovations are white beside a known noise, the posterior has weighed the wander of the free run.
+            let is_known = bench.evidence.noise.source != FloorSource::None;
+            let is_white = is_known && inference.is_nearly_white() && !inference.is_cut();
+            let samples = pair[1].score.samples();
+            let clear = CLEAR_FALL_RATIOS[usize::from(samples < FEWEST_SAMPLES)];
+            let is_little = held_out[0] < clear * held_out[1];
             let by_chance = || {
                 let scores = [&pair[0].score, &pair[1].score];
                 ByBlocks::of(scores, bench.levels()).better != Better::Second
             };
-            !lowers(held_out, pair[1].score.samples()) || is_little && !is_white && by_chance()
+            !lowers(held_out, samples) || is_little && !is_white && by_chance()
         }
     };
     let steps = rungs.windows(2).enumerate().rev();
