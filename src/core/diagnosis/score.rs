@@ -4,9 +4,10 @@
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
 use crate::identification::balance::TorqueRows;
+use crate::identification::claims::without_current;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Input, Model, MotorKey, ParameterSpec, Scenario, State, effect};
+use crate::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Figures of one signal.
@@ -166,30 +167,10 @@ pub struct Fitted {
 const SETTLED_BELOW_RATIO: f64 = 3.0;
 
 impl Fitted {
-    /// The same without the values that a run of voltage and speed alone does not have: resistance, torques and inertia are in
-    /// one ratio to each other there, and no run gives their scale unless one of them is given.
+    /// The same without the values that a run of voltage and speed alone does not have.
     pub(super) fn in_the_scale_of(&self, run: &Scenario) -> Self {
         let mut judged = self.clone();
-        let has_current = run.current_a.iter().any(|cell| cell.is_finite());
-        let has_scale = |own: &ParameterEstimate| match own.unit {
-            "ohm" | "H" | "kg.m2" => true,
-            "N.m/A" => false,
-            unit => unit.starts_with("N.m"),
-        };
-        let mut of_motor = judged
-            .parameters
-            .iter()
-            .filter(|own| MotorKey::from_key(&own.key).is_some());
-        let is_given = of_motor.any(|own| own.verdict == Verdict::Fixed && has_scale(own));
-        if run.input == Input::Voltage && !has_current && !is_given {
-            for own in &mut judged.parameters {
-                if has_scale(own) && own.value.is_some() {
-                    let reason = "no current was measured and none of resistance, inertia and load is given: only their \
-                                  ratios are determined";
-                    *own = ParameterEstimate::not_observable(&own.key, own.unit, reason);
-                }
-            }
-        }
+        without_current(&mut judged.parameters, run);
         judged
     }
 

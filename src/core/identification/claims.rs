@@ -40,30 +40,28 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
     notes
 }
 
-/// What voltage and speed leave open together, whatever is run: only L/R, R J/(Ke Kt) and R Mc/Kt stand in their equations.
-const TIED_TO_RESISTANCE: [MotorKey; 4] = [
-    MotorKey::Resistance,
-    MotorKey::Inductance,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
-
-/// Without a current no excitation tells these apart, which is another thing than a run that does not excite them.
-fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
+/// Without a current no excitation tells resistance, inductance, inertia and torques apart, which is another thing than a run that
+/// does not excite them: only L/R, R J/(Ke Kt) and R Mc/Kt stand in the equations of voltage and speed. Where none of them is
+/// given none has a value, of the motor or of an effect.
+pub(crate) fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     let has_current = scenario.current_a.iter().any(|current| current.is_finite());
-    let is_tied = |p: &ParameterEstimate| TIED_TO_RESISTANCE.iter().any(|key| key.key() == p.key);
-    let is_given = |p: &&ParameterEstimate| is_tied(p) && p.verdict == Verdict::Fixed;
-    if scenario.input != Input::Voltage || has_current || parameters.iter().any(|p| is_given(&p)) {
+    let is_tied = |own: &ParameterEstimate| match own.unit {
+        "ohm" | "H" | "kg.m2" => true,
+        "N.m/A" => false,
+        unit => unit.starts_with("N.m"),
+    };
+    let is_given = |own: &ParameterEstimate| {
+        let is_of_motor = MotorKey::from_key(&own.key).is_some();
+        is_of_motor && is_tied(own) && own.verdict == Verdict::Fixed
+    };
+    if scenario.input != Input::Voltage || has_current || parameters.iter().any(is_given) {
         return;
     }
-    for parameter in parameters.iter_mut() {
-        if is_tied(parameter) && parameter.verdict == Verdict::NotObservable {
-            parameter.reason = Some(
-                "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
-                 only L/R, R J and R Mc; measure the current, or fix one of them in the model file"
-                    .to_owned(),
-            );
-        }
+    let is_found = |own: &&mut ParameterEstimate| is_tied(own) && own.verdict != Verdict::Fixed;
+    for own in parameters.iter_mut().filter(is_found) {
+        let reason = "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
+                      only L/R, R J and R Mc; measure the current, or fix one of them in the model file";
+        *own = ParameterEstimate::not_observable(&own.key, own.unit, reason);
     }
 }
 

@@ -216,6 +216,9 @@ impl Misfit {
                 continue;
             }
             parameter.std = Some(own.1);
+            if wide > narrow && parameter.verdict == Verdict::Searching {
+                parameter.reason = Some(format!("relative uncertainty {:.1} %", 100.0 * wide));
+            }
             if let Some(left) = self.worst_text().filter(|_| wide > narrow && converged) {
                 let percent = 100.0 * wide;
                 let reason = format!("the model leaves {left}: uncertain by {percent:.1} %");
