@@ -80,7 +80,7 @@ fn script(seed: u64, run: Run) -> Log {
 /// friction of bearings and seals with a slope; the estimate of the torque wanders slowly. Runge-Kutta at 1 ms.
 pub(crate) const FAN: Case = Case {
     name: "fan by torque",
-    map: "time_s=Zeit,torque_n_m=M_ist,speed_rad_s=n_ist*0.104719755",
+    map: "time_s=Zeit,torque_n_m=Moment,speed_rad_s=Drehzahl*0.104719755",
     about: [f64::NAN; 5],
     has_nameplate: false,
     truth: Truth::Effects {
@@ -101,7 +101,7 @@ fn fan(seed: u64, run: Run) -> Log {
     })
     .along(400.0);
     let mut noise = Coloured::new(0.08, 0.06, 0.02);
-    let mut log = Log::new("Zeit,M_ist,n_ist");
+    let mut log = Log::new("Zeit,Moment,Drehzahl");
     // Torque, speed.
     let (mut state, mut held_n_m, mut goal_n_m) = ([0.0_f64; 2], 0.0_f64, 0.0);
     let step_s = 1e-3;
