@@ -151,8 +151,8 @@ fn by_chance(
     Some(Veto::new(id, reason))
 }
 
-/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed:
-/// its probabilities are those of a model that follows nothing.
+/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed or
+/// the innovations are far from white: its probabilities are those of a model that follows nothing.
 fn without_weight(
     bench: &Bench,
     inference: &Inference,
@@ -160,12 +160,15 @@ fn without_weight(
     rungs: &[Standing],
 ) -> Option<Veto> {
     let id = *named.last()?;
-    let why = inference.why_open()?;
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
-    if floor.is_explained_in_part(base, last) {
+    if inference.why_open().is_none() && inference.is_nearly_white()
+        || floor.is_explained_in_part(base, last)
+    {
         return None;
     }
+    let coloured = "its innovations are not white";
+    let why = inference.why_open().unwrap_or(coloured);
     let reason = format!("most stays unexplained with all that would be named, and {why}");
     Some(Veto::new(id, reason))
 }
