@@ -72,7 +72,7 @@ fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
 }
 
 /// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
-/// not told from zero.
+/// not distinguishable from zero.
 fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
     let most_hz = 0.5 / bench.evidence.training.mean_period_s();
