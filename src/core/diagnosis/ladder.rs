@@ -355,8 +355,15 @@ pub(super) fn climb(
             Standing::handed_on(fit, bench, inference)
         }
     };
-    // Of a rung that others follow the error counts, not how well each parameter is known.
+    // Of a rung that others follow the error counts, not how well each parameter is known. Where the budget is spent, all
+    // rungs together take no longer than one refit.
+    let most = Options::thrifty().most_iterations;
     let in_passing = Options {
+        most_iterations: if inference.is_cut() {
+            most / last.max(1)
+        } else {
+            most
+        },
         one_of_many: false,
         ..Options::thrifty()
     };
@@ -369,7 +376,6 @@ pub(super) fn climb(
         .with_max_len(1)
         .map(|place| {
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
-            // Where the budget is spent, no rung is fitted to the end.
             let is_last = place + 1 == last && !inference.is_cut();
             let options = if is_last {
                 Options::default()

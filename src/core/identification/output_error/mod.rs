@@ -373,22 +373,27 @@ pub fn predict(
         let options = Options::default();
         return predict_from(&held, scenario, noise, options).map(|(prediction, _)| prediction);
     }
-    // Each place costs one simulation; only the best few are worth a search.
+    // Each place costs one simulation; only the best few are worth a search. Events are placed one after the other: all
+    // places of one with all of the others are a power of their number.
     let placed_only = Options {
         most_iterations: 0,
         ..Options::default()
     };
-    let mut placed: Vec<(f64, Model)> = event_starts(&held, &events, scenario)
-        .into_iter()
-        .filter_map(|start| {
-            let (_, cost) = predict_from(&start, scenario, noise, placed_only).ok()?;
-            Some((cost, start))
-        })
-        .collect();
-    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut placed: Vec<(f64, Model)> = vec![(f64::INFINITY, held)];
+    for event in &events {
+        placed = placed
+            .iter()
+            .flat_map(|(_, model)| event_starts(model, event, scenario))
+            .filter_map(|start| {
+                let (_, cost) = predict_from(&start, scenario, noise, placed_only).ok()?;
+                Some((cost, start))
+            })
+            .collect();
+        placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+        placed.truncate(BEST_PLACES);
+    }
     placed
         .iter()
-        .take(BEST_PLACES)
         .filter_map(|(_, start)| predict_from(start, scenario, noise, Options::thrifty()).ok())
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(prediction, _)| prediction)
@@ -418,34 +423,21 @@ fn predict_from(
     Ok((prediction, minimum.cost))
 }
 
-/// The model with every event at every place of its grid, and behind the end: an event of another run stands anywhere in
-/// this one or nowhere, and a fit finds it only from nearby.
-fn event_starts(model: &Model, events: &[Slot], scenario: &Scenario) -> Vec<Model> {
-    let mut starts = vec![model.clone()];
+/// The model with an event at every place of its grid, and behind the end: an event of another run stands anywhere in this
+/// one or nowhere, and a fit finds it only from nearby.
+fn event_starts(model: &Model, event: &Slot, scenario: &Scenario) -> Vec<Model> {
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
-    for slot in events {
-        let Slot::Effect { spec, .. } = slot else {
-            continue;
-        };
-        starts = starts
-            .iter()
-            .flat_map(|start| {
-                let mut placed: Vec<Model> = vec![start.clone()];
-                let mut put = |time_s: f64| {
-                    let mut there = start.clone();
-                    there.set(slot, time_s);
-                    placed.push(there);
-                };
-                for share in spec.shapes {
-                    put(share * length_s);
-                }
-                // It need not happen in this run at all.
-                put(length_s + BEHIND_S);
-                placed
-            })
-            .collect();
-    }
-    starts
+    let Slot::Effect { spec, .. } = event else {
+        return vec![model.clone()];
+    };
+    let places = spec.shapes.iter().map(|share| share * length_s);
+    // It need not happen in this run at all.
+    let there = places.chain([length_s + BEHIND_S]).map(|time_s| {
+        let mut there = model.clone();
+        there.set(event, time_s);
+        there
+    });
+    std::iter::once(model.clone()).chain(there).collect()
 }
 
 #[cfg(test)]
