@@ -24,7 +24,15 @@ use crate::workflow::Discovery;
   drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
   drivebench run next.toml && drivebench diagnose runs/a --with runs/NEW
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
-  drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
+  drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first
+
+Answers:
+  EFFECT FOUND    these effects lower the held-out error; NOT SUFFICIENT where more than noise is left
+  AMBIGUOUS       several effects explain the runs alike
+  NOTHING FOUND   no effect of the catalogue pays on the hold-out
+  UNEXPLAINED     something is missing, and no effect of the catalogue explains it
+  NOT FITTED      the model predicts the hold-out no better than its mean, its last value or a first-order lag:
+                  nothing is named; `identify --full` has what the run carries of each parameter")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
@@ -220,6 +228,10 @@ fn go_on(
                 "drivebench diagnose {run}{model}{words}{bench} --next-bench next.toml"
             ));
         }
+    }
+    if diagnosis.verdict == DiagnosisVerdict::NotFitted {
+        let map = arguments.evidence.map_words();
+        card.go_on(format!("drivebench identify {run}{map} --full"));
     }
     if diagnosis.effect.is_none() && diagnosis.verdict == DiagnosisVerdict::None {
         card.go_on(if from == "baseline" {

@@ -16,7 +16,6 @@ use crate::app::identify::{
     trace_load,
 };
 use crate::config_text::help_for_unknown;
-use crate::identification::first_order::FirstOrder;
 use crate::identification::nameplate;
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Identified};
@@ -187,10 +186,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 /// What the runs say together, one by one and in one fit.
 fn combined(runs: &[OneRun], joint: Option<&Identified>) -> Vec<Repeated> {
     let per_run = runs.iter().map(|run| run.found.parameters.clone());
-    let mut per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
-    for parameters in &mut per_run {
-        parameters.retain(|own| joint.is_none() || !FirstOrder::is_key(&own.key));
-    }
+    let per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
     repeat::combine(&per_run, joint.map_or(&[], |joint| &joint.parameters))
 }
 

@@ -54,8 +54,10 @@ impl BurstResult {
     }
 
     /// The model from which the loop's own runs are fitted: what they cannot tell stays as the burst has it.
+    /// No motor has a negative one.
     pub fn improve(&self, mut model: Model) -> Model {
-        if let Some(inductance_h) = self.value(MotorKey::Inductance) {
+        let found = self.value(MotorKey::Inductance);
+        if let Some(inductance_h) = found.filter(|value| *value > 0.0) {
             model.motor.set(MotorKey::Inductance, inductance_h);
         }
         model
@@ -294,6 +296,16 @@ mod tests {
         let improved = result.improve(plate());
         assert_eq!(improved.motor.get(MotorKey::Inductance), Some(inductance_h));
         assert!(result.text().starts_with("1000 samples at 10000 Hz"));
+    }
+
+    #[test]
+    fn a_negative_inductance_of_a_burst_improves_nothing() {
+        let mut result = BurstResult::of(&plate(), &burst(0.0099), "c".to_owned());
+        for own in &mut result.parameters {
+            own.value = Some(-0.001);
+        }
+        let improved = result.improve(plate());
+        assert_eq!(improved.motor, plate().motor);
     }
 
     #[test]

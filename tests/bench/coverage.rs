@@ -214,8 +214,8 @@ fn the_weak_form_covers() {
     check("weak-form", fit_weak_form, 1.0, 0..5);
 }
 
-/// Records of a host that stamps what it sends and hears. Of every kind the intervals hold; believing the stamps, they do
-/// not: a command is applied, and a sample taken, somewhere within its exchange.
+/// Records of a host that stamps what it sends and hears. Of every kind the intervals hold; believing the stamps, the values are
+/// far off: a command is applied, and a sample taken, somewhere within its exchange.
 #[test]
 fn what_a_host_stamps_covers() {
     let runs = usize::try_from(MOTORS * SEEDS / 2).unwrap();
@@ -254,8 +254,9 @@ fn what_a_host_stamps_covers() {
         500_000,
         Told::StampsBelieved,
     );
-    assert!(believed.parameters[0].coverage() < 0.6, "{believed:?}");
-    assert!(believed.parameters[1].coverage() < 0.6, "{believed:?}");
+    // What the stamps do not say bends R and L by far more; the form of a late command, which it resembles, is in their intervals.
+    assert!(believed.parameters[0].error_percent > 1.0, "{believed:?}");
+    assert!(believed.parameters[1].error_percent > 10.0, "{believed:?}");
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 

@@ -73,6 +73,32 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
     lacks(&done.stderr, &["warning"]);
 }
 
+/// A torque and a speed that have nothing to do with each other: no names, no places, and where to look next.
+#[test]
+fn a_model_no_better_than_the_mean_is_not_fitted_and_names_nothing() {
+    let desk = Desk::new();
+    let mut text = "time_s,torque_n_m,speed_rad_s\n".to_owned();
+    for row in 0..4000 {
+        let t = 0.005 * f64::from(row);
+        let torque = 0.05 * ((7.3 * t).sin() + (2.9 * t + 1.0).sin() * (13.1 * t).cos());
+        let speed = 30.0 * (1.7 * t).sin() + 20.0 * (4.1 * t).sin();
+        text += &format!("{t:.3},{torque:.5},{speed:.3}\n");
+    }
+    let run = desk.put("run.csv", &text);
+    let done = call("diagnose {}", &[&run]).expect(0);
+    has(&done.stdout, &["NOT FITTED", "no effect is named"]);
+    has(
+        &done.stdout,
+        &["not observable", "drivebench identify", "--full"],
+    );
+    lacks(&done.stdout, &["settled", "ruled out "]);
+    let done = call("compare {}", &[&run]).expect(0);
+    has(&done.stdout, &["NOT FITTED"]);
+    let found = call("diagnose {} --json", &[&run]).expect(0).json();
+    assert_eq!(found["verdict"], "not_fitted", "{found:#}");
+    assert!(found["candidates"].as_array().unwrap().is_empty());
+}
+
 /// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
 #[test]
 fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {

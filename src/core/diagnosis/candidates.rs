@@ -8,7 +8,8 @@ use super::floor::Floor;
 use super::joint::answer::{Inference, Inferred, Onset, RunOf};
 use super::ladder::Standing;
 use super::reached::{self, Reached};
-use super::score::{by_key, parameters_of};
+use super::score::{Fitted, by_key, parameters_of};
+use crate::identification::claims::{has_no_scale, is_tied};
 use crate::identification::verdict::judge;
 use crate::plant::{Effect, Scenario, Slot, effect};
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
@@ -147,12 +148,13 @@ impl Candidate {
 }
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
-/// held-out error on its own rung of the ladder and its size beside the others.
+/// held-out error on its own rung of the ladder and its size beside the others, which `best`, the
+/// fit of the last rung as it is believed, gives.
 pub(super) fn candidates(
     evidence: &Evidence,
     floor: Floor<'_>,
     inference: &Inference,
-    rungs: &[Standing],
+    (rungs, best): (&[Standing], &Fitted),
 ) -> Vec<Candidate> {
     let place = |effect: &Inferred| {
         let id = effect.effect.card().id;
@@ -169,8 +171,7 @@ pub(super) fn candidates(
     });
     let run_s = length_s(&evidence.training);
     let base = &rungs[0];
-    let best = &rungs[rungs.len() - 1].fit;
-    let best = &best.in_the_scale_of(&evidence.training);
+    let has_no_scale = has_no_scale(&best.parameters, &evidence.training);
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
     let candidate = |(rank, inferred): (usize, &Inferred)| {
         let id = inferred.effect.card().id;
@@ -211,6 +212,9 @@ pub(super) fn candidates(
             }
         });
         let times = evidence.noise.source.times();
+        let is_sized = !(has_no_scale && is_tied(spec_unit(inferred.effect)));
+        let [bound, least] =
+            [inferred.upper_bound, inferred.detectable].map(|size| size.filter(|_| is_sized));
         let mut candidate = Candidate {
             effect: id,
             rank: rank + 1,
@@ -227,13 +231,17 @@ pub(super) fn candidates(
             explained_percent,
             as_good_as: None,
             // The size of what is named has an interval, and one bound is enough.
-            upper_bound: inferred
-                .upper_bound
-                .filter(|_| rung.is_none() && why_open.is_none()),
-            detectable: inferred.detectable.filter(|_| why_open.is_none()),
+            upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
+            detectable: least.filter(|_| why_open.is_none()),
             evidence: match open {
                 Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
-                None => evidence_sentence(inferred, status, rung, (times, run_s), happening),
+                None => evidence_sentence(
+                    inferred,
+                    (status, [bound, least]),
+                    rung,
+                    (times, run_s),
+                    happening,
+                ),
             },
             is_open: open.is_some(),
             run_s,
@@ -332,7 +340,7 @@ fn as_good_as(other: &str) -> String {
 
 fn evidence_sentence(
     inferred: &Inferred,
-    status: Status,
+    (status, [bound, least]): (Status, [Option<f64>; 2]),
     rung: Option<[&Standing; 2]>,
     (times, run_s): (&str, f64),
     happening: Option<String>,
@@ -342,9 +350,9 @@ fn evidence_sentence(
     let percent = probability(inferred.probability);
     let size = |size: f64| format!("{} {unit}", significant(size, 2));
     let unit_of_run = spec_unit(inferred.effect);
-    let most = told(inferred.upper_bound, unit_of_run, run_s)
+    let most = told(bound, unit_of_run, run_s)
         .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
-    let shown = told(inferred.detectable, unit_of_run, run_s).map_or_else(String::new, |least| {
+    let shown = told(least, unit_of_run, run_s).map_or_else(String::new, |least| {
         format!("; {} would have shown", size(least))
     });
     if let Some(reason) = inferred.why_not {

@@ -162,7 +162,7 @@ impl Comparison {
         } else if self.balances.iter().any(|own| own.fails) {
             "an equation fails, and its error follows no speed, current, angle or time"
         } else if self.balances.iter().any(|own| own.nres.is_none()) {
-            "not known: the errors follow nothing that was asked, and no noise is known"
+            "not known: the errors follow none of the variables examined, and no noise is known"
         } else if is_more_than_noise {
             "no equation fails beyond its noise in short windows, yet more than noise is left over the whole run: too little at \
              any one place, or too slow, to say where"

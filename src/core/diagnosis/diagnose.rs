@@ -387,16 +387,16 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     };
     let eta = floor.explained(base.score.nrms, best.score.nrms);
     let settled = floor.is_reached(best.score.nrms);
-    let candidates = candidates(evidence, floor, inference, rungs);
+    let believed = bench.as_believed(&best.fit);
+    let candidates = candidates(evidence, floor, inference, (rungs, &believed));
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
     let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
-    let judged = |fit: &Fitted, rung: &Standing| {
-        let judged = fit.judged_by_what_is_left(rung.score.nrms, floor.expected());
-        judged.in_the_scale_of(&evidence.training)
+    let judged = |believed: Fitted, rung: &Standing| {
+        believed.judged_by_what_is_left(rung.score.nrms, floor.expected())
     };
-    let baseline = bench.with_deviations(base.fit.clone(), inference);
-    let (baseline, model) = (judged(&baseline, base), judged(&best.fit, best));
+    let baseline = bench.as_believed(&bench.with_deviations(base.fit.clone(), inference));
+    let (baseline, model) = (judged(baseline, base), judged(believed, best));
     let mut diagnosis = Diagnosis {
         verdict,
         reason: None,

@@ -233,6 +233,16 @@ impl Bench {
         with_deviations(fit, &self.evidence.training, inference.noise)
     }
 
+    /// The fit with its values as far as they may be believed: those of a balance of torques as uncertain as the forms that it
+    /// may lack leave them, those of voltage and speed alone without what no such run has.
+    pub(super) fn as_believed(&self, fit: &Fitted) -> Fitted {
+        let training = &self.evidence.training;
+        match &self.balance {
+            None => fit.in_the_scale_of(training),
+            Some(balance) => mechanical::averaged_over_forms(fit, &balance.sides.training),
+        }
+    }
+
     /// What these runs cannot answer, and what errors are of.
     pub(super) fn limits(&self) -> Vec<String> {
         let mut limits: Vec<String> = self.aside.iter().cloned().collect();
@@ -528,7 +538,12 @@ fn change(
         reason = format!("{reason}; {words}");
     }
     let [compared_before, compared_after] = sides;
-    let owner = if adding { &after } else { &before };
+    let fit = bench.as_believed(&after.fit);
+    let believed = if adding {
+        fit.clone()
+    } else {
+        bench.as_believed(&before.fit)
+    };
     Ok(AddResult {
         effect: id,
         accepted: inference.names(id) == adding && refused.is_none(),
@@ -536,10 +551,10 @@ fn change(
         reason,
         before: compared_before,
         after: compared_after,
-        parameters: parameters_of(id, &owner.fit.parameters),
+        parameters: parameters_of(id, &believed.parameters),
         ladder: vec![before.rung(), after.rung()],
         confirm,
-        fit: after.fit,
+        fit,
     })
 }
 

@@ -21,6 +21,7 @@ use nalgebra::{DMatrix, DVector};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::score::{Fitted, Score};
 use crate::identification::balance::{Method, TorqueRows};
+use crate::identification::misfit::widen_by_forms_of_torque;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
@@ -359,7 +360,15 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     let scale = specs[parameter].scale.abs();
     let unit = alone(active.effect, &active.values_or_guess(), parameter, scale);
     let step = rows.at.len().div_ceil(LOOKS).max(1);
-    let some: Vec<Instant> = rows.at.iter().step_by(step).copied().collect();
+    // In either direction: a weight drives the shaft down, also where a run only lifts it.
+    let some: Vec<Instant> = (rows.at.iter().step_by(step))
+        .flat_map(|at| {
+            [1.0, -1.0].map(|turned| Instant {
+                speed_rad_s: turned * at.speed_rad_s,
+                ..*at
+            })
+        })
+        .collect();
     let powers = torque(active.effect, &unit, &some).into_iter().zip(&some);
     let powers: Vec<f64> = powers.map(|(torque, at)| torque * at.speed_rad_s).collect();
     !powers.iter().any(|power| *power < 0.0) && powers.iter().any(|power| *power > 0.0)
@@ -447,6 +456,21 @@ pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
         search(&mut model, &forms, rows);
     }
     finish(model, rows)
+}
+
+/// The fit with its deviations widened by the forms that the model may lack.
+pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
+    let mut wide = fit.clone();
+    // Friction that the data ask to be negative is held at zero: an offset of the torque, which it hides, takes its place.
+    let held = fit.parameters.iter();
+    let held = held.filter(|own| own.value == Some(0.0) && own.std.is_none());
+    let held: Vec<String> = held.map(|own| own.key.clone()).collect();
+    widen_by_forms_of_torque(&mut wide.parameters, rows.rows(), |form| {
+        let mut with = fit.model.with_effect(form).ok()?;
+        with.fixed.extend(held.iter().cloned());
+        finish(with, rows).map(|with| with.parameters)
+    });
+    wide
 }
 
 /// Gives the model the values that it has without what depends on the transmitted torque: from them that torque follows.

@@ -123,7 +123,9 @@ impl ResidualLights {
         let input = match self.independent_of_input {
             Some(true) => "independent of the input",
             Some(false) => "it goes with the input",
-            None => "the input never changes, so that nobody knows whether it goes with that",
+            None => {
+                "the input never changes, so that its correlation with the residual is undefined"
+            }
         };
         if self.white {
             return match self.independent_of_input {

@@ -164,7 +164,7 @@ pub struct Fitted {
 
 /// Error of a model in units of the noise from which none of its values is settled: what it lacks is in them, and deviations
 /// that count noise, or errors of neighbouring samples, do not bound that.
-const SETTLED_BELOW_RATIO: f64 = 3.0;
+pub(super) const SETTLED_BELOW_RATIO: f64 = 3.0;
 
 impl Fitted {
     /// The same without the values that a run of voltage and speed alone does not have.

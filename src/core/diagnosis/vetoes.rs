@@ -8,7 +8,7 @@ use super::evidence::STILL;
 use super::joint::answer::Inference;
 use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
 use super::residual::FEWEST_SAMPLES;
-use super::score::Score;
+use super::score::{SETTLED_BELOW_RATIO, Score};
 use super::versus::{Better, ByBlocks};
 use crate::identification::noise::FloorSource;
 use crate::plant::{MotorKey, ParameterRole, effect};
@@ -17,7 +17,7 @@ use crate::plant::{MotorKey, ParameterRole, effect};
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
 
 /// Ratio of the errors before and after from which a fall is clear without a look at its blocks, a third of the squares; and
-/// where the samples are too few to show whether errors are alike, three quarters of them.
+/// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
 const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
 /// An effect that is not named, and why.
@@ -55,7 +55,9 @@ pub(super) fn first(
     named: &[&'static str],
     rungs: &[Standing],
 ) -> Option<Veto> {
+    let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
     still(bench, named)
+        .or_else(|| unsearched(inference.is_cut(), named, &errors))
         .or_else(|| unresolved(bench, named, rungs))
         .or_else(|| without_size(named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
@@ -69,6 +71,18 @@ pub(super) fn first(
 fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
     let last = *named.last()?;
     (!bench.evidence.holdout_moves()).then(|| Veto::new(last, STILL))
+}
+
+/// The last named effect whose rung does not halve the held-out error, where the search was ended by its budget: no set of effects
+/// stood, so that the fall of the error alone speaks for a name. `errors` are those of the rungs.
+fn unsearched(is_cut: bool, named: &[&'static str], errors: &[f64]) -> Option<Veto> {
+    let [_, clear] = CLEAR_FALL_RATIOS;
+    let is_clear = |pair: &[f64]| pair[0] >= clear * pair[1];
+    let mut steps = errors.windows(2).zip(named).rev();
+    let (_, id) = steps.find(|(pair, _)| is_cut && !is_clear(pair))?;
+    let reason =
+        "the search was ended by its budget, and its refit alone does not halve the held-out error";
+    Some(Veto::new(id, reason))
 }
 
 /// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
@@ -151,8 +165,8 @@ fn by_chance(
     Some(Veto::new(id, reason))
 }
 
-/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed or
-/// the innovations are far from white: its probabilities are those of a model that follows nothing.
+/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed, the
+/// innovations are far from white, or several times the noise is left: its probabilities are those of a model that follows nothing.
 fn without_weight(
     bench: &Bench,
     inference: &Inference,
@@ -162,13 +176,17 @@ fn without_weight(
     let id = *named.last()?;
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
-    if inference.why_open().is_none() && inference.is_nearly_white()
-        || floor.is_explained_in_part(base, last)
-    {
+    let much_is_left = floor.expected() > 0.0 && last > SETTLED_BELOW_RATIO * floor.expected();
+    let is_believed = inference.why_open().is_none() && inference.is_nearly_white();
+    if is_believed && !much_is_left || floor.is_explained_in_part(base, last) {
         return None;
     }
-    let coloured = "its innovations are not white";
-    let why = inference.why_open().unwrap_or(coloured);
+    let otherwise = if inference.is_nearly_white() {
+        "several times the noise is left"
+    } else {
+        "its innovations are not white"
+    };
+    let why = inference.why_open().unwrap_or(otherwise);
     let reason = format!("most stays unexplained with all that would be named, and {why}");
     Some(Veto::new(id, reason))
 }
@@ -261,6 +279,18 @@ mod tests {
             let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
             assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
         }
+    }
+
+    #[test]
+    fn a_search_that_was_cut_names_what_halves_the_error() {
+        let named = ["backlash", "speed_delay"];
+        let of =
+            |is_cut, errors: &[f64]| unsearched(is_cut, &named, errors).map(|veto| veto.effect);
+        assert_eq!(of(true, &[3.48, 1.24, 1.14]), Some("speed_delay"));
+        assert_eq!(of(true, &[3.48, 2.0, 0.99]), Some("backlash"));
+        assert_eq!(of(true, &[3.48, 1.24, f64::NAN]), Some("speed_delay"));
+        assert_eq!(of(true, &[4.0, 2.0, 1.0]), None);
+        assert_eq!(of(false, &[3.48, 1.24, 1.14]), None);
     }
 
     #[test]

@@ -5,8 +5,9 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Sub-steps after which a search takes no further step. Two cores simulate 50 to 100 million a second.
-const MOST_STEPS: u64 = 150_000_000;
+/// Sub-steps, each as cheap as those of a linear machine, after which a search takes no further step. Two cores simulate some 80
+/// million a second.
+const MOST_STEPS: u64 = 400_000_000;
 /// Share of the budget that one refit may take.
 const REFIT_SHARE: f64 = 0.1;
 /// Fewest iterations of a refit: fewer do not reach the valley that they begin in.
@@ -49,7 +50,7 @@ mod tests {
     #[test]
     fn a_refit_of_a_short_run_takes_all_iterations_and_one_of_a_long_run_some() {
         assert_eq!(iterations_of(1000, 25), 25);
-        assert_eq!(iterations_of(1_500_000, 25), 10);
+        assert_eq!(iterations_of(4_000_000, 25), 10);
         assert_eq!(iterations_of(u64::MAX, 25), FEWEST_ITERATIONS);
     }
 

@@ -45,23 +45,42 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
 /// given none has a value, of the motor or of an effect.
 pub(crate) fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     let has_current = scenario.current_a.iter().any(|current| current.is_finite());
-    let is_tied = |own: &ParameterEstimate| match own.unit {
-        "ohm" | "H" | "kg.m2" => true,
-        "N.m/A" => false,
-        unit => unit.starts_with("N.m"),
-    };
-    let is_given = |own: &ParameterEstimate| {
-        let is_of_motor = MotorKey::from_key(&own.key).is_some();
-        is_of_motor && is_tied(own) && own.verdict == Verdict::Fixed
-    };
-    if scenario.input != Input::Voltage || has_current || parameters.iter().any(is_given) {
+    if scenario.input != Input::Voltage || has_current {
         return;
     }
-    let is_found = |own: &&mut ParameterEstimate| is_tied(own) && own.verdict != Verdict::Fixed;
+    let back_emf = MotorKey::BackEmf.key();
+    for own in parameters.iter_mut().filter(|own| own.key == back_emf) {
+        let reason = "without a current it includes viscous friction: it is Ke + R B/Kt";
+        lower(own, Verdict::Searching, reason);
+    }
+    if !has_no_scale(parameters, scenario) {
+        return;
+    }
+    let is_found =
+        |own: &&mut ParameterEstimate| is_tied(own.unit) && own.verdict != Verdict::Fixed;
     for own in parameters.iter_mut().filter(is_found) {
         let reason = "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
                       only L/R, R J and R Mc; measure the current, or fix one of them in the model file";
         *own = ParameterEstimate::not_observable(&own.key, own.unit, reason);
+    }
+}
+
+/// Whether the run has no current, and no resistance, inductance, inertia or torque is given that would take its place.
+pub(crate) fn has_no_scale(parameters: &[ParameterEstimate], scenario: &Scenario) -> bool {
+    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
+    let is_given = |own: &ParameterEstimate| {
+        let is_of_motor = MotorKey::from_key(&own.key).is_some();
+        is_of_motor && is_tied(own.unit) && own.verdict == Verdict::Fixed
+    };
+    scenario.input == Input::Voltage && !has_current && !parameters.iter().any(is_given)
+}
+
+/// Whether figures in this unit have no value where [`has_no_scale`].
+pub(crate) fn is_tied(unit: &str) -> bool {
+    match unit {
+        "ohm" | "H" | "kg.m2" => true,
+        "N.m/A" => false,
+        unit => unit.starts_with("N.m"),
     }
 }
 

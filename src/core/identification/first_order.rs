@@ -136,8 +136,7 @@ impl FirstOrder {
         self.root_mean_square(&known(&late, self.time_constant_s))
     }
 
-    /// Whether an estimate is one of a lag. Of one run alone it holds at its own level of the voltage: the mean of several is
-    /// no better one.
+    /// Whether an estimate is one of a lag.
     pub fn is_key(key: &str) -> bool {
         key.starts_with("first_order.")
     }

@@ -9,9 +9,10 @@
 //! ```
 //!
 //! Where noise is all that is left m is one, c zero, and this is (J'J)^-1. What a parameter imitates is not in the residual:
-//! friction that grows with the speed leaves little beside a wrong back-EMF constant. Of the forms that are missing most often
-//! the one that explains most of the residual is therefore let in, and what that moves a parameter by is added. The blocks of the fit's own covariance see what is
-//! alike within a quarter of a second, and the scores that they sum are zero where the fit has taken an error for a parameter.
+//! friction that grows with the speed leaves little beside a wrong back-EMF constant. The forms that are missing most often are
+//! therefore let in one by one, and the most that one of them moves a parameter by is added. The blocks of the fit's own
+//! covariance see what is alike within a quarter of a second, and the scores that they sum are zero where the fit has taken an
+//! error for a parameter.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -30,13 +31,22 @@ use crate::sample::{Channel, ParameterEstimate, Verdict};
 /// speed that comes late, viscous friction, a winding that warms up or an offset of the current.
 const WAYS: f64 = 20.0;
 /// What is missing most often, and bends parameters by more than it leaves: each is let in alone.
-const FORMS: [&str; 6] = [
+const FORMS: [&str; 8] = [
     "viscous_friction",
     "winding_heating",
     "current_offset",
     "voltage_offset",
     "voltage_drop",
     "speed_delay",
+    "command_delay",
+    "current_filter",
+];
+/// What a balance of torques lacks most often.
+const FORMS_OF_TORQUE: [&str; 4] = [
+    "viscous_friction",
+    "asymmetric_viscous",
+    "quadratic_load",
+    "constant_load",
 ];
 /// Share of its typical size, or of a period where it is a delay, over which the derivative of a form is taken.
 const SMALL: f64 = 0.05;
@@ -44,6 +54,10 @@ const SMALL: f64 = 0.05;
 const APART: f64 = 1e-5;
 /// Deviations of chance beyond which a form is let in.
 const SURE: f64 = 3.0;
+/// Multiple of the noise from which no figure of it says more.
+const MANY_TIMES: f64 = 1000.0;
+/// Share of a signal's largest value that no sensor resolves (24 bits): a noise below it is the rounding of a computation.
+const UNRESOLVED: f64 = 6e-8;
 /// Multiple of the noise up to which what is left counts as noise, as far as the noise itself is known.
 const NEAR_ONE: f64 = 1.1;
 
@@ -73,7 +87,12 @@ impl Left {
     /// `3.1 times the noise of current_a`.
     pub fn text(&self) -> Option<String> {
         let times = self.times_noise?;
-        Some(format!("{times:.1} times the noise of {}", self.signal))
+        let times = if times < MANY_TIMES {
+            format!("{times:.1}")
+        } else {
+            format!("more than {MANY_TIMES}")
+        };
+        Some(format!("{times} times the noise of {}", self.signal))
     }
 }
 
@@ -142,7 +161,10 @@ impl Misfit {
             } else {
                 (level, NoiseFrom::Standstill)
             };
-            let times = Some(power.sqrt() * level / noise).filter(|times| times.is_finite());
+            let finite = values.iter().filter(|value| value.is_finite());
+            let largest = finite.fold(0.0, |most: f64, value| most.max(value.abs()));
+            let is_resolved = noise > UNRESOLVED * largest;
+            let times = Some(power.sqrt() * level / noise).filter(|_| is_resolved);
             let common_share = common_share(&residual);
             let count = f64::max(own.len() as f64 / WAYS, 1.0);
             let lasting = 1.0 - common_share + common_share * count;
@@ -209,8 +231,7 @@ impl Misfit {
             let (Some(own), Some((value, Some(std)))) = (own, parameter.carried()) else {
                 continue;
             };
-            let of_motor = MotorKey::from_key(&parameter.key).is_some();
-            let narrow = if of_motor { SETTLED } else { SETTLED_EFFECT };
+            let narrow = settled_below(&parameter.key);
             let wide = own.1 / value.abs().max(f64::MIN_POSITIVE);
             if own.1 <= std {
                 continue;
@@ -229,8 +250,63 @@ impl Misfit {
     }
 }
 
-/// How far each coordinate moves where the form that explains most of the residual is let in beside it; `None` where none
-/// explains more than chance would.
+/// Widens what a balance of torques gave by the forms that it may lack. `beside` fits the balance with one of them as well,
+/// over so many `rows`.
+///
+/// Two models, without the form and with it, are averaged: the variance of a value grows by `p moved^2`. Schwarz's criterion
+/// gives the form's probability, `p / (1 - p) = exp(z^2 / 2) / sqrt(rows)` for a coefficient of `z` deviations (Hoeting,
+/// Madigan, Raftery and Volinsky, Bayesian Model Averaging, Statistical Science 14, 1999).
+pub(crate) fn widen_by_forms_of_torque(
+    parameters: &mut [ParameterEstimate],
+    rows: usize,
+    beside: impl Fn(&'static str) -> Option<Vec<ParameterEstimate>>,
+) {
+    let mut most: Vec<Option<(f64, f64, &str)>> = vec![None; parameters.len()];
+    for form in FORMS_OF_TORQUE {
+        let Some(with) = beside(form) else {
+            continue;
+        };
+        let is_own = |found: &&ParameterEstimate| !parameters.iter().any(|p| p.key == found.key);
+        let own = with
+            .iter()
+            .find(is_own)
+            .and_then(ParameterEstimate::carried);
+        let Some((size, Some(std))) = own.filter(|own| own.1 > Some(0.0)) else {
+            continue;
+        };
+        let odds = (0.5 * (size / std).powi(2)).exp() / (rows as f64).sqrt();
+        let share = 1.0 - 1.0 / (1.0 + odds);
+        for (parameter, most) in parameters.iter().zip(&mut most) {
+            let other = with.iter().find(|found| found.key == parameter.key);
+            let other = other.and_then(ParameterEstimate::carried);
+            if let (Some((value, _)), Some((other, _))) = (parameter.carried(), other) {
+                let moved = (other - value).abs();
+                let grown = share * moved * moved;
+                if most.is_none_or(|most| most.0 < grown) {
+                    *most = Some((grown, moved, form));
+                }
+            }
+        }
+    }
+    for (parameter, most) in parameters.iter_mut().zip(most) {
+        let (Some((grown, moved, form)), Some((value, Some(std)))) = (most, parameter.carried())
+        else {
+            continue;
+        };
+        let wide = std.hypot(grown.sqrt());
+        parameter.std = Some(wide);
+        let value = value.abs().max(f64::MIN_POSITIVE);
+        let narrow = settled_below(&parameter.key) * value;
+        if wide > narrow && (std <= narrow || grown > std * std) {
+            let percent = 100.0 * moved / value;
+            parameter.verdict = Verdict::Searching;
+            parameter.reason = Some(format!("{form}, if it acts, moves it by {percent:.1} %"));
+        }
+    }
+}
+
+/// How far each coordinate moves where a form is let in beside it, of those that explain more of the residual than chance would;
+/// `None` where none does.
 fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Option<DVector<f64>> {
     let minimum = &fit.minimum;
     let at = |model: &Model| {
@@ -264,9 +340,15 @@ fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opti
         (power > APART * column.norm_squared())
             .then(|| (score * score / power, along * (score / power)))
     });
-    let most = explained.max_by(|a, b| a.0.total_cmp(&b.0));
-    most.filter(|(gain, _)| *gain > chance)
-        .map(|(_, moved)| moved)
+    let sure = explained.filter(|(gain, _)| *gain > chance);
+    let sizes = sure.map(|(_, moved)| moved.abs());
+    sizes.reduce(|a, b| a.sup(&b))
+}
+
+/// Relative deviation below which a parameter is settled.
+fn settled_below(key: &str) -> f64 {
+    let of_motor = MotorKey::from_key(key).is_some();
+    if of_motor { SETTLED } else { SETTLED_EFFECT }
 }
 
 /// Correlation of neighbouring residuals, where it is no chance.

@@ -6,6 +6,7 @@
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use super::first_order::FirstOrder;
 use super::verdict::{SETTLED, SETTLED_EFFECT};
 use crate::numerics::statistics::{mean, variance};
 use crate::plant::MotorKey;
@@ -75,6 +76,13 @@ fn one(
     let within = carried.iter().map(|(_, std)| std * std).sum::<f64>() / count;
     let std = (spread.max(within) / count).sqrt();
     let differs = !by_chance(spread, within, values.len());
+    if let Some(joint) = joint.filter(|own| FirstOrder::is_key(&own.key)) {
+        return Some(Repeated {
+            estimate: differing(joint, differs.then_some(spread.sqrt())),
+            runs,
+            run_to_run_std: Some(spread.sqrt()),
+        });
+    }
     // Of runs that do not differ one fit to all of them knows more than the mean of their fits, where it is the surer one.
     let is_surer = |own: &&ParameterEstimate| !differs && own.std.is_some_and(|own| own < std);
     if let Some(joint) = joint.filter(is_surer) {
@@ -125,6 +133,24 @@ fn one(
         runs: values.len(),
         run_to_run_std: Some(spread.sqrt()),
     })
+}
+
+/// A lag of one run holds at that run's level of the voltage, and the mean of several at none: what one fit to all of them gives
+/// is as uncertain as they differ.
+fn differing(joint: &ParameterEstimate, spread: Option<f64>) -> ParameterEstimate {
+    let mut joint = joint.clone();
+    let (Some(spread), Some(value)) = (spread, joint.value) else {
+        return joint;
+    };
+    joint.std = joint.std.map(|std| std.max(spread));
+    let percent = 100.0 * spread / value.abs().max(f64::MIN_POSITIVE);
+    if percent > 100.0 * SETTLED {
+        joint.verdict = Verdict::Searching;
+        joint.reason = Some(format!(
+            "the runs one by one differ by {percent:.1} %, more than their noise: it is another at another level of the voltage"
+        ));
+    }
+    joint
 }
 
 /// Whether values that scatter with variance `spread` may be one value seen with variance `within` (chi-square test of
@@ -192,6 +218,24 @@ mod tests {
         assert_eq!(verdict(&[run(1.1, 0.002), missing]), Verdict::Searching);
         let wide = of(0.025, "relative uncertainty 2.3 %");
         assert_eq!(verdict(&[wide.clone(), wide]), Verdict::Settled);
+    }
+
+    #[test]
+    fn a_lag_that_differs_from_run_to_run_is_not_settled_by_one_fit_to_all() {
+        let lag = |value: f64| {
+            let key = "first_order.gain_rad_s_per_v";
+            vec![ParameterEstimate::found(key, "rad/s/V", value, 0.005, None)]
+        };
+        let of = |runs: &[f64]| {
+            let runs: Vec<_> = runs.iter().map(|gain| lag(*gain)).collect();
+            combine(&runs, &lag(2.48)).remove(0)
+        };
+        let apart = of(&[2.61, 2.57, 2.51, 2.43]);
+        assert_eq!(apart.estimate.verdict, Verdict::Searching);
+        assert_eq!((apart.estimate.value, apart.runs), (Some(2.48), 4));
+        assert!(apart.estimate.std.unwrap() > 0.07, "{apart:?}");
+        let alike = of(&[2.483, 2.478, 2.481, 2.479]);
+        assert_eq!(alike.estimate, lag(2.48)[0]);
     }
 
     #[test]

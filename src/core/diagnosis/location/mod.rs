@@ -318,7 +318,7 @@ impl EquationBalance {
         match (self.fails, first) {
             (false, _) if self.nres.is_none() => {
                 format!(
-                    "the {name} equation: its error is {size} and follows nothing, as noise does"
+                    "the {name} equation: its error is {size} and follows none of the variables examined"
                 )
             }
             (false, _) => format!("the {name} equation holds: its error is {size}{moved}"),
@@ -329,7 +329,7 @@ impl EquationBalance {
                 )
             }
             (true, None) => format!(
-                "the {name} equation fails: its error is {size}{moved} and follows no variable that was asked"
+                "the {name} equation fails: its error is {size}{moved} and follows none of the variables examined"
             ),
         }
     }

@@ -3,7 +3,8 @@
 use super::*;
 use crate::identification::scheme::Identified;
 use crate::identification::testing::*;
-use crate::plant::Model;
+use crate::identification::weak_form;
+use crate::plant::{Input, Model};
 use crate::sample::Run;
 
 /// A small brushed motor: L/R 0.5 ms, R J/Ke^2 19 ms.
@@ -93,4 +94,45 @@ fn a_motor_that_warms_up_has_no_settled_back_emf() {
     let mut known = BRUSHED;
     known[0] = f64::NAN;
     honest(&record_of(&truth, 20.0), &known);
+}
+
+/// The torque balance of a record without a voltage.
+fn balance_of(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
+    let mut model = model.clone();
+    model.motor.set(MotorKey::TorqueConstant, BRUSHED[2]);
+    let balances = weak_form::fit(&model, scenario).into_iter();
+    balances.flat_map(|own| own.parameters).collect()
+}
+
+#[test]
+fn a_balance_that_lacks_viscous_friction_is_no_settled_friction() {
+    let model = brushed_with("viscous_friction", &[1.5e-5]);
+    let mut scenario = record(&model, steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0, 3);
+    scenario.input = Input::Current;
+    let mut found = balance_of(&unknown(), &scenario);
+    assert!(!covers(of(&found, KEY[4]), BRUSHED[4], 3.0), "{found:?}");
+    widen_by_forms_of_torque(&mut found, 500, |form| {
+        Some(balance_of(&unknown().with_effect(form).ok()?, &scenario))
+    });
+    let friction = judged(&found, KEY[4], Verdict::Searching);
+    assert!(covers(friction, BRUSHED[4], 1.5), "{friction:?}");
+    assert_says(friction, &["viscous_friction, if it acts"]);
+}
+
+#[test]
+fn a_balance_that_lacks_nothing_keeps_its_verdicts() {
+    let mut scenario = record(&brushed(), steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0, 3);
+    scenario.input = Input::Current;
+    let before = balance_of(&unknown(), &scenario);
+    let mut found = before.clone();
+    widen_by_forms_of_torque(&mut found, 500, |form| {
+        Some(balance_of(&unknown().with_effect(form).ok()?, &scenario))
+    });
+    judged(&found, KEY[4], Verdict::Settled);
+    for place in [3, 4] {
+        let [before, after] = [&before, &found].map(|all| of(all, KEY[place]));
+        assert_eq!(before.verdict, after.verdict, "{after:?}");
+        assert!(covers(after, BRUSHED[place], 3.0), "{after:?}");
+        assert!(after.std.unwrap() < 1.3 * before.std.unwrap(), "{after:?}");
+    }
 }

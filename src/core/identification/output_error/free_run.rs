@@ -8,12 +8,13 @@ use crate::identification::stamps;
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::numerics::statistics;
 use crate::plant::{
-    Model, ModelError, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range,
+    Input, Model, ModelError, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range,
     typical_size,
 };
 
-/// Where a fit of a Coulomb level starts that was given as zero, whose logarithm does not exist, N.m.
-const SMALLEST_LOAD_N_M: f64 = 1e-6;
+/// Share of the torque that the largest input drives, at which a fit of a Coulomb level starts that was given as zero, whose
+/// logarithm does not exist.
+const SMALLEST_LOAD_SHARE: f64 = 1e-6;
 
 /// Unit in which the start of a signal without a measurement is fitted: A or rad/s.
 const UNMEASURED_START: f64 = 30.0;
@@ -132,9 +133,9 @@ impl<'a> FreeRun<'a> {
                     model.set(&slot, size);
                 }
                 (Slot::Motor(MotorKey::LoadTorque), Some(value))
-                    if value < SMALLEST_LOAD_N_M && !model.fixed.contains(&slot.key()) =>
+                    if !model.fixed.contains(&slot.key()) =>
                 {
-                    model.set(&slot, SMALLEST_LOAD_N_M);
+                    model.set(&slot, value.max(smallest_load_n_m(&model, scenario)));
                 }
                 _ => {}
             }
@@ -359,6 +360,19 @@ impl Problem for FreeRun<'_> {
             *x = scaling.clamp(*x);
         }
     }
+}
+
+/// Torque of a Coulomb level that no input of the run shows.
+fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
+    let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
+    let kt = model.motor.torque_constant().unwrap_or(1.0);
+    let per_unit = match scenario.input {
+        Input::Voltage => kt / model.motor.get(MotorKey::Resistance).unwrap_or(1.0),
+        Input::Current => kt,
+        Input::Torque => 1.0,
+    };
+    let driven = SMALLEST_LOAD_SHARE * per_unit.abs() * statistics::largest(&inputs);
+    driven.max(f64::MIN_POSITIVE)
 }
 
 fn first_finite(values: &[f64]) -> f64 {

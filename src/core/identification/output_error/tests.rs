@@ -199,3 +199,30 @@ fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
     assert!(!said.concat().contains("steady state"), "{said:?}");
     assert!(said.concat().contains("does not follow them"), "{said:?}");
 }
+
+/// Without a current R and L times any factor, J and Mc over it, are the same machine.
+#[test]
+fn a_scale_that_no_current_tells_changes_no_residual() {
+    let truth = paper();
+    let mut scenario = record(&truth, 0.005, 2);
+    scenario.current_a.fill(f64::NAN);
+    let scaled = |factor: f64| {
+        let mut model = truth.clone();
+        for (key, over) in [
+            (MotorKey::Resistance, 1.0),
+            (MotorKey::Inductance, 1.0),
+            (MotorKey::Inertia, -1.0),
+            (MotorKey::LoadTorque, -1.0),
+        ] {
+            let value = truth.motor.get(key).unwrap();
+            model.motor.set(key, value * factor.powf(over));
+        }
+        let problem = FreeRun::new(&model, &scenario, NOISE).unwrap();
+        let mut out = vec![0.0; problem.residual_len()];
+        assert!(problem.residual(&problem.start(), &mut out));
+        out.iter().map(|cell| cell * cell).sum::<f64>()
+    };
+    for factor in [1e-6, 1e6] {
+        assert_near(scaled(factor), scaled(1.0), 1e-6);
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::balance::{as_ratio, lacks_torque_constant, why_no_regressor};
-use crate::identification::misfit::Misfit;
+use crate::identification::misfit::{Misfit, widen_by_forms_of_torque};
 use crate::identification::{inverse_dynamics, missing_cells, weak_form};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
@@ -55,13 +55,27 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
             ));
         }
     }
-    let found = balances.into_iter().flat_map(|balance| balance.parameters);
-    let found = once_each(found.collect());
+    let electrical = data.scenario.input == Input::Voltage;
+    let rows = balances.last().map_or(0, |torque| torque.rows);
+    let of_all = |balances: Vec<inverse_dynamics::Balanced>| {
+        let all = balances.into_iter().flat_map(|balance| balance.parameters);
+        once_each(all.collect())
+    };
+    let mut found = of_all(balances);
+    if !electrical {
+        widen_by_forms_of_torque(&mut found, rows, |form| {
+            let with = data.model.with_effect(form).ok()?;
+            Some(of_all(inverse_dynamics::fit(
+                &with,
+                data.run,
+                data.scenario,
+            )))
+        });
+    }
     let (weak, _) = parameters(data.model, data.scenario);
     notes.extend(compared(&found, &weak));
     let mut identified = Identified::new(id, data.model, found);
     identified.notes = notes;
-    let electrical = data.scenario.input == Input::Voltage;
     Ok(identified.leaving_out(data.model, of_balances(data.model, electrical)))
 }
 
@@ -106,6 +120,7 @@ fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Mi
     }
     let balances = weak_form::fit(&model, scenario);
     let misfit = Misfit::of_balances(&balances);
+    let rows = balances.last().map_or(0, |torque| torque.residual.len());
     let in_ratio = |found: ParameterEstimate| match found.verdict {
         Verdict::Fixed => found,
         _ if relative => as_ratio(found),
@@ -115,7 +130,18 @@ fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Mi
         .into_iter()
         .flat_map(|balance| balance.parameters)
         .map(in_ratio);
-    (once_each(found.collect()), misfit)
+    let mut found = once_each(found.collect());
+    if scenario.input != Input::Voltage {
+        widen_by_forms_of_torque(&mut found, rows, |form| {
+            let with = weak_form::fit(&model.with_effect(form).ok()?, scenario);
+            Some(
+                with.into_iter()
+                    .flat_map(|balance| balance.parameters)
+                    .collect(),
+            )
+        });
+    }
+    (found, misfit)
 }
 
 /// Both methods' values side by side, and why they differ.
