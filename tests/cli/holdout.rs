@@ -77,14 +77,14 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
 #[test]
 fn a_model_no_better_than_the_mean_is_not_fitted_and_names_nothing() {
     let desk = Desk::new();
-    let mut text = "time_s,torque_n_m,speed_rad_s\n".to_owned();
-    for row in 0..4000 {
+    let row = |row: u16| {
         let t = 0.005 * f64::from(row);
         let torque = 0.05 * ((7.3 * t).sin() + (2.9 * t + 1.0).sin() * (13.1 * t).cos());
         let speed = 30.0 * (1.7 * t).sin() + 20.0 * (4.1 * t).sin();
-        text += &format!("{t:.3},{torque:.5},{speed:.3}\n");
-    }
-    let run = desk.put("run.csv", &text);
+        format!("{t:.3},{torque:.5},{speed:.3}\n")
+    };
+    let rows: String = (0..4000).map(row).collect();
+    let run = desk.put("run.csv", &format!("time_s,torque_n_m,speed_rad_s\n{rows}"));
     let done = call("diagnose {}", &[&run]).expect(0);
     has(&done.stdout, &["NOT FITTED", "no effect is named"]);
     has(
