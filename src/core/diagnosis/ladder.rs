@@ -233,8 +233,8 @@ impl Bench {
         with_deviations(fit, &self.evidence.training, inference.noise)
     }
 
-    /// The fit with its values as far as they may be believed: those of a balance of torques as uncertain as the forms that it
-    /// may lack leave them, those of voltage and speed alone without what no such run has.
+    /// The fit as it is reported, not as vetoes judge it: values of a balance of torques as uncertain as the forms that it may lack
+    /// leave them, those of voltage and speed alone without what no such run has.
     pub(super) fn as_believed(&self, fit: &Fitted) -> Fitted {
         let training = &self.evidence.training;
         match &self.balance {

@@ -6,7 +6,8 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Sub-steps, each as cheap as those of a linear machine, after which a search takes no further step. Two cores simulate some 80
-/// million a second.
+/// million a second, and two records of 25,500 rows are answered in 15 s; with less a shaft with play at 100 Hz was not searched to
+/// the end, and got two false names more.
 const MOST_STEPS: u64 = 400_000_000;
 /// Share of the budget that one refit may take.
 const REFIT_SHARE: f64 = 0.1;

@@ -13,7 +13,8 @@ use crate::plant::{
 };
 
 /// Share of the torque that the largest input drives, at which a fit of a Coulomb level starts that was given as zero, whose
-/// logarithm does not exist.
+/// logarithm does not exist: a millionth, which no sensor of torque or speed shows. As a share it follows the scale of the model,
+/// which no run without a current fixes.
 const SMALLEST_LOAD_SHARE: f64 = 1e-6;
 
 /// Unit in which the start of a signal without a measurement is fitted: A or rad/s.
