@@ -388,15 +388,16 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let eta = floor.explained(base.score.nrms, best.score.nrms);
     let settled = floor.is_reached(best.score.nrms);
     let believed = bench.as_believed(&best.fit);
-    let candidates = candidates(evidence, floor, inference, (rungs, &believed));
-    let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
-    let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
     let judged = |believed: Fitted, rung: &Standing| {
         believed.judged_by_what_is_left(rung.score.nrms, floor.expected())
     };
     let baseline = bench.as_believed(&bench.with_deviations(base.fit.clone(), inference));
-    let (baseline, model) = (judged(baseline, base), judged(believed, best));
+    let model = judged(believed, best).judged_beside(&inference.confusable);
+    let baseline = judged(baseline, base);
+    let candidates = candidates(evidence, floor, inference, (rungs, &model));
+    let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
+    let excited = candidates.iter().any(is_excited);
     let mut diagnosis = Diagnosis {
         verdict,
         reason: None,

@@ -4,6 +4,7 @@ use super::kit::{candidate, nameplate, record, truth};
 use super::*;
 use crate::diagnosis::joint::answer::RunOf;
 use crate::plant::{Model, Scenario, effect, testing};
+use crate::sample::Verdict;
 
 /// Steps of the voltage all along, in both directions: at every moment the shaft turns and its speed changes.
 fn lively(model: &Model, shift: usize, seed: u64) -> Scenario {
@@ -113,6 +114,14 @@ fn in_one_direction_a_pull_is_not_told_from_a_friction() {
     let mut pair = found.confusable[0];
     pair.sort_unstable();
     assert_eq!(pair, ["load_step", "one_sided_load"], "{said}");
+    // Neither is the likelier one for having been fitted, and no value holds before it is known which.
+    for id in pair {
+        let own = candidate(&found, id).probability;
+        assert!((0.3..0.7).contains(&own), "{id}: {own}");
+    }
+    let values = found.model.parameters.iter();
+    let mut of_pair = values.filter(|own| own.key.starts_with(found.effects[0]));
+    assert!(of_pair.all(|own| own.verdict != Verdict::Settled));
 }
 
 #[test]

@@ -192,6 +192,24 @@ impl Fitted {
         judged
     }
 
+    /// The same with the values of effects that runs do not tell from others, the second of each pair, unsettled: they hold only if
+    /// the others are not there.
+    pub(super) fn judged_beside(mut self, confusable: &[[&'static str; 2]]) -> Self {
+        for [id, rival] in confusable {
+            let is_own = |key: &str| {
+                let rest = key.strip_prefix(id);
+                rest.is_some_and(|rest| rest.starts_with('.'))
+            };
+            for own in self.parameters.iter_mut().filter(|own| is_own(&own.key)) {
+                if own.verdict == Verdict::Settled {
+                    own.verdict = Verdict::Searching;
+                    own.reason = Some(format!("these runs do not tell {id} from {rival}"));
+                }
+            }
+        }
+        self
+    }
+
     /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
     /// shape is all that there is, of that. None where no size is known.
     pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {

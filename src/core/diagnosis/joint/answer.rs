@@ -6,12 +6,13 @@ use super::columns::{Around, Candidate};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
-use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
+use super::refits::has_drop_of_brushes;
+use super::rivals::{confusable, share_among_events, share_with_drop};
 use super::search::{self, SearchResult};
 use super::select::Set;
 use super::shown::{
-    BOUND_SIGMAS, NAMED_IN_95_SIGMAS, SAYS_NOTHING_SLABS, is_amplitude, moments, shortest_seen,
-    size_in, spread_slabs, whenever, without,
+    BOUND_SIGMAS, SAYS_NOTHING_SLABS, detectable, moments, shortest_seen, size_in, spread_slabs,
+    whenever,
 };
 use super::solution::{self, Happened};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
@@ -34,9 +35,9 @@ const SETS: usize = 12;
 /// How many times as large as white noise what a set leaves of the innovations may be and still count as white.
 const NEARLY_WHITE: f64 = 1.3;
 /// Probability from which on an effect is named.
-const NAMED_PROBABILITY: f64 = 0.5;
+pub(super) const NAMED_PROBABILITY: f64 = 0.5;
 /// The same for two together that cannot be told apart.
-const TOGETHER_PROBABILITY: f64 = 0.9;
+pub(super) const TOGETHER_PROBABILITY: f64 = 0.9;
 
 /// Share of the error from which on what follows an axis is a part of the answer.
 const LEAST_PART_SHARE: f64 = 0.03;
@@ -98,7 +99,7 @@ pub struct Unknown {
 }
 
 impl Inferred {
-    fn id(&self) -> &'static str {
+    pub(super) fn id(&self) -> &'static str {
         self.effect.card().id
     }
 }
@@ -362,7 +363,9 @@ pub(in crate::diagnosis) fn infer(
     let mut effects: Vec<Inferred> = asked.iter().map(inferred).collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
-    let mut confusable = confusable(&found);
+    let rivals = confusable(&found);
+    share_among_events(&mut effects, &rivals);
+    let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
     if has_drop_of_brushes(&found.hypothesis.model) {
         share_with_drop(&mut effects, &mut confusable);
     }
@@ -635,127 +638,26 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         let mut with = reduced.cleared(best, k);
         with[k] = Some(form);
         let sd = size_in(reduced, &with, k).map(|(_, sd)| sd);
-        let detectable = sd.and_then(|sd| detectable(found, &with, k, sd));
+        let detectable = sd.and_then(|sd| detectable(reduced, &with, k, sd));
         out.detectable = match (out.detectable, detectable) {
             (Some(a), Some(b)) => Some(a.max(b)),
             (a, b) => a.or(b),
         };
     }
-    out.probability = (1.0 - absent).clamp(0.0, 1.0);
+    let weighed = (1.0 - absent).clamp(0.0, 1.0);
+    out.probability = if found.is_cut {
+        half_believed(weighed, effect.card().share_beforehand)
+    } else {
+        weighed
+    };
     out
 }
 
-/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
-/// against it.
-fn detectable(found: &SearchResult, with: &Set, k: usize, sd: f64) -> Option<f64> {
-    let reduced = &found.reduced;
-    let candidate = &reduced.linear.candidates[k];
-    let variant = &candidate.variants[with[k]?];
-    let others = reduced.columns(&without(with, k));
-    let wave = is_amplitude(candidate.effect);
-    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
-    let directions: Vec<(f64, f64)> = if wave {
-        (0..8).map(eighth).collect()
-    } else if variant.positive {
-        vec![(1.0, 0.0)]
-    } else {
-        vec![(1.0, 0.0), (-1.0, 0.0)]
-    };
-    let unit = variant.columns[0].unit;
-    let injection = reduced.injection(&others, k, with[k]?)?;
-    let is_named = |size: f64| {
-        let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
-        let named = |(a, b): &(f64, f64)| {
-            let added = [against * a, if wave { against * b } else { 0.0 }];
-            injection.log_odds(&added) > 0.0
-        };
-        directions.iter().all(named)
-    };
-    let (mut low, mut high) = (0.0, unit);
-    for _ in 0..12 {
-        if is_named(high) {
-            break;
-        }
-        low = high;
-        high *= 2.0;
-    }
-    if !is_named(high) {
-        return None;
-    }
-    for _ in 0..12 {
-        let middle = 0.5 * (low + high);
-        if is_named(middle) {
-            high = middle;
-        } else {
-            low = middle;
-        }
-    }
-    Some(high)
-}
-
-/// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
-const SERVES_AS_WELL_NATS: f64 = 3.0;
-
-/// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
-/// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
-fn confusable(found: &SearchResult) -> Vec<[&'static str; 2]> {
-    let reduced = &found.reduced;
-    let candidates = &reduced.linear.candidates;
-    let best = &found.posterior.best;
-    let likelihood = |set: &Set| reduced.log_likelihood(&reduced.columns(set));
-    let mut pairs: Vec<[&'static str; 2]> = Vec::new();
-    for (j, present) in candidates.iter().enumerate() {
-        let Some(own) = best[j].filter(|_| !present.is_unknown()) else {
-            continue;
-        };
-        // What another form of its onset explains it would of the rival's: it is left out of both.
-        let mut columns = reduced.columns(best);
-        if present.is_event() {
-            let bends = present.variants[own].columns.iter();
-            let bends = bends.filter(|column| column.parameter.is_none());
-            let bends: Vec<usize> = bends.map(|column| column.at).collect();
-            columns.retain(|column| !bends.contains(&(column + reduced.linear.nuisances.len())));
-        }
-        let most = reduced.log_likelihood(&columns);
-        for (k, rival) in candidates.iter().enumerate() {
-            let pair = [present.id, rival.id];
-            let is_open = best[k].is_none() && !rival.is_unknown() && !rival.is_whole();
-            if !is_open || present.id == rival.id || pairs.contains(&pair) {
-                continue;
-            }
-            let serves = (0..rival.variants.len()).any(|form| {
-                let mut set = reduced.cleared(&without(best, j), k);
-                set[k] = Some(form);
-                likelihood(&set) > most - SERVES_AS_WELL_NATS && reduced.signs_are_right(&set)
-            });
-            if serves {
-                pairs.push(pair);
-            }
-        }
-    }
-    pairs
-}
-
-/// Halves the probability of gaps that end where no converter's do between them and a drop of brushes too soft for its own
-/// form, unless the gaps were given: nothing in these runs tells the two apart. What the drop's own form says of its size,
-/// beside gaps or in their place, is no bound then.
-fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str; 2]>) {
-    let (drop, gaps) = SIMPLE_FOR_RICH;
-    let place = |id| effects.iter().position(|own| own.id() == id);
-    let (Some(drop_at), Some(gaps_at)) = (place(drop), place(gaps)) else {
-        return;
-    };
-    if effects[gaps_at].given {
-        return;
-    }
-    let half = 0.5 * effects[gaps_at].probability;
-    effects[gaps_at].probability = half;
-    let soft = &mut effects[drop_at];
-    soft.probability = half.max(soft.probability.min(NAMED_PROBABILITY));
-    (soft.upper_bound, soft.detectable) = (None, None);
-    if !confusable.contains(&[gaps, drop]) {
-        confusable.push([gaps, drop]);
-    }
+/// Probability of an effect by its weight among the sets where no set stood: the weight counts half, the other half is what was
+/// believed beforehand. Of 61 effects to which such searches gave a weight of 0.5 or more, on 15 of 730 emulated machines, 30 were
+/// there.
+const fn half_believed(weighed: f64, beforehand: f64) -> f64 {
+    0.5 * (weighed + beforehand)
 }
 
 #[cfg(test)]
@@ -766,39 +668,12 @@ mod tests {
     use crate::plant::{effect, testing};
 
     #[test]
-    fn gaps_that_end_early_and_a_soft_drop_are_one_of_two_unless_the_gaps_were_given() {
-        let inferred = |id, probability, given| Inferred {
-            effect: effect::find(id).unwrap(),
-            given,
-            probability,
-            excited: true,
-            why_not: None,
-            upper_bound: Some(0.18),
-            detectable: Some(0.05),
-            log_odds: 0.0,
-        };
-        for given in [false, true] {
-            let mut effects = [
-                inferred("discontinuous_conduction", 1.0, given),
-                inferred("voltage_drop", 0.0, false),
-            ];
-            let mut pairs = vec![];
-            share_with_drop(&mut effects, &mut pairs);
-            let [gaps, drop] = &effects;
-            if given {
-                assert!(
-                    pairs.is_empty()
-                        && gaps.probability > NAMED_PROBABILITY
-                        && drop.upper_bound.is_some()
-                );
-                continue;
-            }
-            assert_eq!(pairs, [["discontinuous_conduction", "voltage_drop"]]);
-            // A model holds one of them: neither is named for itself, together they are certain.
-            assert!(gaps.probability <= NAMED_PROBABILITY && drop.probability <= NAMED_PROBABILITY);
-            assert!(gaps.probability + drop.probability > TOGETHER_PROBABILITY);
-            assert!(drop.upper_bound.is_none() && drop.detectable.is_none());
-        }
+    fn a_search_that_was_cut_is_certain_of_nothing() {
+        let [there, absent] = [1.0, 0.0].map(|weighed| half_believed(weighed, 0.1));
+        // It still names; what it names is not certain, and neither is what it does not.
+        assert!(there > NAMED_PROBABILITY && there < TOGETHER_PROBABILITY);
+        assert!(absent > 0.0 && absent < 0.1);
+        assert!((half_believed(0.2, 0.2) - 0.2).abs() < 1e-12);
     }
 
     #[test]

@@ -390,8 +390,9 @@ pub(super) struct Part {
 }
 
 impl Part {
-    pub(super) fn new(effect: &'static dyn Effect, log_odds: f64) -> Self {
-        Self::named(effect.card().id, Some(effect), log_odds)
+    pub(super) fn new(effect: &'static dyn Effect) -> Self {
+        let share = effect.card().share_beforehand;
+        Self::named(effect.card().id, Some(effect), (share / (1.0 - share)).ln())
     }
 
     pub(super) fn named(
@@ -451,14 +452,11 @@ impl Form {
     }
 }
 
-/// Log of the odds beforehand of an effect of the catalogue.
-const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
-
 /// An effect of the model: its parameters, and what else its form may be.
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
     let id = effect.card().id;
     let specs = effect.parameters();
-    let mut part = Part::new(effect, LOG_ODDS);
+    let mut part = Part::new(effect);
     part.candidate.in_model = true;
     let mut effects = model.effects.iter();
     let values = effects.find(|active| active.id() == id)?.values_or_guess();
@@ -515,7 +513,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
 fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
     let id = effect.card().id;
     let specs = effect.parameters();
-    let mut part = Part::new(effect, LOG_ODDS);
+    let mut part = Part::new(effect);
     let coefficients = (0..specs.len()).filter(|k| specs[*k].is_coefficient());
     let coefficients: Vec<usize> = coefficients.collect();
     let slab = |k: &usize| SLAB * typical_size(effect, *k, model, scenario);

@@ -18,9 +18,6 @@ use crate::plant::{
     typical_size,
 };
 
-/// Log of the odds beforehand of a step of the load, and of each of the other events.
-const LOG_ODDS_STEP: f64 = -2.197_224_577_336_219_6;
-const LOG_ODDS_OTHER: f64 = -3.5;
 /// Moments of a run that are tried are parts of so many, of a step of the load and of each of the others.
 const PLACES: usize = 96;
 const PLACES_OTHER: usize = 48;
@@ -260,11 +257,6 @@ pub(super) fn parts(
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
     let slab = |run: &Around<'_>| SLAB * typical_size(effect, size, model, run.scenario);
-    let log_odds = if id == "load_step" {
-        LOG_ODDS_STEP
-    } else {
-        LOG_ODDS_OTHER
-    };
     let of_size = |unit, moment, present| Column {
         moment: Some(moment),
         ..Column::of(Some(size), unit, present)
@@ -273,7 +265,7 @@ pub(super) fn parts(
     let own: Vec<&Event> = hypothesis.events.iter().filter(is_own).collect();
     let mut parts = Vec::new();
     if !own.is_empty() {
-        let mut part = Part::new(effect, log_odds);
+        let mut part = Part::new(effect);
         part.candidate.in_model = true;
         let log_prior = match own.len() {
             1 => log_share_of_one(id, runs.len()),
@@ -301,13 +293,12 @@ pub(super) fn parts(
         parts.push(part);
     }
     // Beside what the model has, the other run may have it too.
-    let (log_odds, log_share) = if own.is_empty() {
-        (log_odds, log_share_of_one(id, runs.len()))
-    } else {
-        let also = log_share_of_two(id) - log_share_of_one(id, runs.len());
-        (0.0, also)
-    };
-    let mut part = Part::new(effect, log_odds);
+    let mut part = Part::new(effect);
+    let mut log_share = log_share_of_one(id, runs.len());
+    if !own.is_empty() {
+        part.candidate.log_odds = 0.0;
+        log_share = log_share_of_two(id) - log_share;
+    }
     for (number, run) in runs.iter().enumerate() {
         if own.iter().any(|event| event.run == number) {
             continue;

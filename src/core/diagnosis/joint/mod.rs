@@ -16,6 +16,7 @@
 //! free_run: what a model leaves of a run: error that none can foretell, excess over white noise, likelihood ratio
 //! foresight: what the same problem with a run more, as it is expected, would show
 //! shown:    how sharply runs show an effect, and one that happens once whenever it came
+//! rivals:   what these runs do not tell apart
 //! answer:   probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
@@ -33,6 +34,7 @@ mod noise;
 mod nuisances;
 mod prediction_error;
 mod refits;
+mod rivals;
 mod search;
 mod select;
 mod shown;

@@ -64,6 +64,53 @@ fn of_most(mut seen: Vec<f64>) -> Option<f64> {
     seen.get(enough.checked_sub(1)?).copied()
 }
 
+/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
+/// against it.
+pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Option<f64> {
+    let candidate = &reduced.linear.candidates[k];
+    let variant = &candidate.variants[with[k]?];
+    let others = reduced.columns(&without(with, k));
+    let wave = is_amplitude(candidate.effect);
+    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
+    let directions: Vec<(f64, f64)> = if wave {
+        (0..8).map(eighth).collect()
+    } else if variant.positive {
+        vec![(1.0, 0.0)]
+    } else {
+        vec![(1.0, 0.0), (-1.0, 0.0)]
+    };
+    let unit = variant.columns[0].unit;
+    let injection = reduced.injection(&others, k, with[k]?)?;
+    let is_named = |size: f64| {
+        let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
+        let named = |(a, b): &(f64, f64)| {
+            let added = [against * a, if wave { against * b } else { 0.0 }];
+            injection.log_odds(&added) > 0.0
+        };
+        directions.iter().all(named)
+    };
+    let (mut low, mut high) = (0.0, unit);
+    for _ in 0..12 {
+        if is_named(high) {
+            break;
+        }
+        low = high;
+        high *= 2.0;
+    }
+    if !is_named(high) {
+        return None;
+    }
+    for _ in 0..12 {
+        let middle = 0.5 * (low + high);
+        if is_named(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    Some(high)
+}
+
 /// Each length that a late start may have, with the squared distance that it makes; `None` for what has other shapes, or has
 /// its length in the model. The likeliest of lengths that are refuted is always the shortest, and how much of that shows is
 /// left to the voltage of one command. Those that the beginning of a run refuted have no form any more.

@@ -15,6 +15,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "several speeds before and after the moment: at one speed it looks like a load step",
     remedy: "stop and look at the bearing where nothing was switched on; else feed-forward of B1 w \
         from the signal that switches",
+    share_beforehand: 0.03,
     parameters: &[
         ParameterSpec::coefficient("viscous_n_m_s_per_rad", "N.m.s/rad", 8e-4),
         ParameterSpec::EVENT_TIME,

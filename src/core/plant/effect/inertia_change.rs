@@ -17,6 +17,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "the same accelerations before and after the moment, both ways",
     remedy: "schedule the speed loop's gains with the signal that announces the change, or let it \
         adapt",
+    share_beforehand: 0.03,
     parameters: &[
         ParameterSpec {
             min: LEAST_RATIO,

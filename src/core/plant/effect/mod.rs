@@ -178,6 +178,9 @@ pub struct Card {
     /// Stribeck curve of the wrong sign, gaps of a converter that would give power). A voltage drop may be
     /// over-compensated by the drive, so that it is not among them.
     pub takes_power: bool,
+    /// Share of machines and runs in which it shows, as far as is known beforehand: one in ten. Drag is in every bearing; what
+    /// happens within a run, but for a step of the load, is rare.
+    pub share_beforehand: f64,
     /// Equation and axis of the curve that it is; `None` where it is more than a curve.
     pub curve: Option<(Balance, Axis)>,
     /// Effects that say the same thing, of which a model holds one: simple ones that this one contains, or nearly, and
@@ -204,6 +207,7 @@ impl Card {
         remedy: "",
         needs_angle: false,
         takes_power: false,
+        share_beforehand: 0.1,
         curve: None,
         alternatives: &[],
         parameters: &[],

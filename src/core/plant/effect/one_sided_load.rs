@@ -15,6 +15,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "let the load come within a run that turns both ways: in one direction it looks like \
         friction",
     remedy: "a load observer; feed-forward where the load announces itself",
+    share_beforehand: 0.03,
     parameters: &[
         ParameterSpec::coefficient("load_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,

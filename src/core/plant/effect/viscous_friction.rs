@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "check grease quantity and temperature; compensate by feed-forward B w",
     takes_power: true,
     curve: Some((Balance::Torque, Axis::Speed)),
+    share_beforehand: 0.2,
     parameters: &[ParameterSpec::coefficient(
         "viscous_n_m_s_per_rad",
         "N.m.s/rad",
