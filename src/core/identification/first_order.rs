@@ -9,6 +9,7 @@
 
 use nalgebra::DVector;
 
+use super::misfit::lasting;
 use super::output_error::BLOCK_S;
 use super::verdict::SETTLED;
 use crate::numerics::count::whole;
@@ -282,10 +283,13 @@ impl<'a> Refined<'a> {
             .map(|row| whole((row.0 - run.begin_s()).max(0.0) / BLOCK_S))
             .collect();
         let residual = DVector::from_column_slice(&minimum.residual);
+        // The lag has no other form than its own: what it leaves along the whole run counts like any model's misfit.
+        let power = minimum.cost / problem.rows as f64 * lasting(&minimum.residual);
+        let misfit = bread.diagonal() * power;
         let covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
         let mut deviations = [f64::NAN; 4];
-        for (place, variance) in covariance.diagonal().iter().enumerate() {
-            deviations[place] = variance.sqrt() * problem.scale[place].abs();
+        for (place, blocks) in covariance.diagonal().iter().enumerate() {
+            deviations[place] = blocks.max(misfit[place]).sqrt() * problem.scale[place].abs();
         }
         deviations[1] *= found.time_constant_s;
         Some((found, deviations))
@@ -359,6 +363,34 @@ mod tests {
         assert_near(found.dead_time_s, 0.06, 0.1);
         assert_near(found.friction_v, 0.4, 0.1);
         assert!(found.left_of(&steps_of(&[10.0])) < 0.1, "{found:?}");
+    }
+
+    #[test]
+    fn what_a_lag_leaves_along_the_whole_run_widens_it_more_than_noise_of_that_size() {
+        let gain = |error: &dyn Fn(usize, f64) -> f64| {
+            let mut run = steps_of(&[4.0, 8.0, 6.0]);
+            for (row, speed) in run.speed_rad_s.iter_mut().enumerate() {
+                *speed += error(row, *speed);
+            }
+            let left_rad_s = FirstOrder::with_dead_time(&run).unwrap().left_rad_s;
+            let found = FirstOrder::estimates(&run);
+            let own = of(&found, "first_order.gain_rad_s_per_v");
+            (own.std.unwrap(), left_rad_s)
+        };
+        // A speed that reads too little the faster it is, and one that errs to either side in turn.
+        let (bent, left_rad_s) = gain(&|_, speed| -4e-3 * speed * speed);
+        let (noisy, of_noise) = gain(&|row, _| {
+            if row % 2 == 0 {
+                left_rad_s
+            } else {
+                -left_rad_s
+            }
+        });
+        assert!(
+            (of_noise / left_rad_s - 1.0).abs() < 0.1,
+            "{of_noise} {left_rad_s}"
+        );
+        assert!(bent > 2.0 * noisy, "{bent} {noisy}");
     }
 
     #[test]

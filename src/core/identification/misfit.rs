@@ -166,9 +166,7 @@ impl Misfit {
             let is_resolved = noise > UNRESOLVED * largest;
             let times = Some(power.sqrt() * level / noise).filter(|_| is_resolved);
             let common_share = common_share(&residual);
-            let count = f64::max(own.len() as f64 / WAYS, 1.0);
-            let lasting = 1.0 - common_share + common_share * count;
-            shares.push((jacobian.tr_mul(&jacobian) * power, lasting));
+            shares.push((jacobian.tr_mul(&jacobian) * power, lasting(&residual)));
             all.push(Left {
                 signal: channel.key(),
                 times_noise: times,
@@ -349,6 +347,12 @@ fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opti
 fn settled_below(key: &str) -> f64 {
     let of_motor = MotorKey::from_key(key).is_some();
     if of_motor { SETTLED } else { SETTLED_EFFECT }
+}
+
+/// Factor by which what a residual has in common from sample to sample raises variances: `1 - c + c n/D`.
+pub(super) fn lasting(residual: &[f64]) -> f64 {
+    let common = common_share(residual);
+    1.0 - common + common * f64::max(residual.len() as f64 / WAYS, 1.0)
 }
 
 /// Correlation of neighbouring residuals, where it is no chance.
