@@ -298,7 +298,7 @@ impl Survey {
             Some(Fit::No) => Err(Failure::with_help(
                 REFUSED,
                 format!("{link}: something answers, and no built-in profile fits it"),
-                "write a profile from its manual: docs/adding-a-drive.md; then probe with --drive FILE",
+                "write a profile from its manual: docs/drives.md; then probe with --drive FILE",
             )),
             _ => Err(Failure::link(
                 format!("{link}: nothing answers with the settings of any built-in profile"),

@@ -147,9 +147,9 @@ pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
     CheckItem {
         name: "signals",
         passed: refusal.is_none(),
-        help: refusal.as_ref().map(|_| {
-            "the profile says what the drive has: docs/adding-a-drive.md tells how to complete it"
-        }),
+        help: refusal.as_ref().map(
+            |_| "the profile states what the drive has: docs/drives.md shows how to complete it",
+        ),
         text: refusal.unwrap_or_else(|| "they carry what is asked".to_owned()),
     }
 }

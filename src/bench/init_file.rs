@@ -177,7 +177,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
         (Some(why), Some(also)) => {
             return Err(InitError::new(
                 format!("{why}; and no speed loop: {also}"),
-                "the profile says what the drive has: docs/adding-a-drive.md tells how to complete it",
+                "the profile states what the drive has: docs/drives.md shows how to complete it",
             ));
         }
     };

@@ -16,7 +16,7 @@ use crate::app::analyse::{Analysed, AnalysisRequest, Form, analyse, analysis_of}
   drivebench analyse 'runs/2026-*' --out fleet.parquet        a pattern, as columns
   drivebench analyse runs --shard 3/8 --out part-3.csv        the third of eight blocks, on one of eight machines
 
-The columns do not depend on the runs; docs/many-runs.md lists them, with queries in DuckDB and Polars. A run that cannot be
+The columns do not depend on the runs; docs/suites.md lists them, with queries in DuckDB and Polars. A run that cannot be
 read is a row that says why. Killed at any time, --resume goes on where it was.
 Exit status: 0 every run was read; 1 some could not be; 2 none.")]
 pub(super) struct Arguments {

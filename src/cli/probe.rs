@@ -99,19 +99,19 @@ fn verdict(report: &ProbeReport) -> Result<(), Failure> {
         ProbeVerdict::Plausible => return Ok(()),
         ProbeVerdict::Implausible if report.is_unknown_everywhere => (
             REFUSED,
-            "see the remark on stdout: address_base, address or table of the profile; docs/adding-a-drive.md tells how the profile is mended",
+            "see the remark on stdout: address_base, address or table of the profile; docs/drives.md shows how to correct the profile",
         ),
         ProbeVerdict::Implausible if !advises => (
             REFUSED,
-            "stop the drive, let the shaft stand still, and compare with the drive's own display; docs/adding-a-drive.md tells how the profile is mended",
+            "stop the drive, let the shaft stand still, and compare with the drive's own display; docs/drives.md shows how to correct the profile",
         ),
         ProbeVerdict::Implausible => (
             REFUSED,
-            "let the shaft stand still, compare with the drive's own display, and see the other ways of reading on stdout; docs/adding-a-drive.md tells how the profile is mended",
+            "let the shaft stand still, compare with the drive's own display, and see the other ways of reading on stdout; docs/drives.md shows how to correct the profile",
         ),
         ProbeVerdict::Unjudged => (
             REFUSED,
-            "give the profile a signal that can be judged at rest (current, speed, voltage, a temperature) or an [[identity]]; docs/adding-a-drive.md tells how",
+            "give the profile a signal that can be judged at rest (current, speed, voltage, a temperature) or an [[identity]]; docs/drives.md shows how",
         ),
         ProbeVerdict::WrongDrive => (
             LINK,

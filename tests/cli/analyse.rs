@@ -246,7 +246,7 @@ fn blocks(page: &str, tool: &str) -> Vec<(String, String)> {
 
 #[test]
 fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
-    let page = include_str!("../../docs/many-runs.md");
+    let page = include_str!("../../docs/suites.md");
     let desk = Desk::new();
     let runs = fleet(&desk);
     let whole = table(&desk, &runs, "fleet.csv", "--diagnose");
@@ -278,47 +278,31 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
             .starts_with('1');
         if !is_there {
             eprintln!(
-                "SKIPPED: {module} for Python is not installed: its queries of docs/many-runs.md were not run"
+                "SKIPPED: {module} for Python is not installed: its queries of docs/suites.md were not run"
             );
         }
         is_there
     };
     if is_there("duckdb") {
-        call(
-            "analyse {} --out {} --diagnose",
-            &[&runs, &desk.path("fleet.parquet")],
-        )
-        .expect(1);
-        for form in ["fleet.csv", "fleet.parquet"] {
-            let found = queries.iter().map(|(_, query)| {
-                let query = query.replace("fleet.csv", form);
-                let code = format!(
-                    "import duckdb, json\nprint(json.dumps(duckdb.sql({query:?}).fetchall()))"
-                );
-                let rows: Value = serde_json::from_str(&python(&code).expect(0).stdout).unwrap();
-                rows
-            });
-            let found: Vec<Value> = found.collect();
-            let [drift, worst, effects, unread] = &found[..] else {
-                panic!("{found:?}")
-            };
-            // Twelve per cent more friction, beyond all doubt; the other two as they were.
-            let serial = |row: &Value| row[1].to_string().replace('"', "");
-            assert_eq!(serial(&drift[0]), "12", "{form}: {drift}");
-            assert!(
-                (number(&drift[0], "/3") - 12.0).abs() < 1.0,
-                "{form}: {drift}"
-            );
-            assert!(number(&drift[0], "/4") > 30.0, "{form}: {drift}");
-            assert!(number(&drift[1], "/3").abs() < 1.5, "{form}: {drift}");
-            assert_eq!(serial(&worst[0]), "13", "{form}: {worst}");
-            assert_eq!(
-                effects[0],
-                json!(["stribeck_friction", 2, 1]),
-                "{form}: {effects}"
-            );
-            assert!(word(&unread[0], "/0").ends_with("torn"), "{form}: {unread}");
-        }
+        let found = queries.iter().map(|(_, query)| {
+            let code =
+                format!("import duckdb, json\nprint(json.dumps(duckdb.sql({query:?}).fetchall()))");
+            let rows: Value = serde_json::from_str(&python(&code).expect(0).stdout).unwrap();
+            rows
+        });
+        let found: Vec<Value> = found.collect();
+        let [drift, worst, effects, unread] = &found[..] else {
+            panic!("{found:?}")
+        };
+        // Twelve per cent more friction, beyond all doubt; the other two as they were.
+        let serial = |row: &Value| row[1].to_string().replace('"', "");
+        assert_eq!(serial(&drift[0]), "12", "{drift}");
+        assert!((number(&drift[0], "/3") - 12.0).abs() < 1.0, "{drift}");
+        assert!(number(&drift[0], "/4") > 30.0, "{drift}");
+        assert!(number(&drift[1], "/3").abs() < 1.5, "{drift}");
+        assert_eq!(serial(&worst[0]), "13", "{worst}");
+        assert_eq!(effects[0], json!(["stribeck_friction", 2, 1]), "{effects}");
+        assert!(word(&unread[0], "/0").ends_with("torn"), "{unread}");
     }
     if is_there("polars") {
         let (_, code) = blocks(page, "polars").pop().unwrap();

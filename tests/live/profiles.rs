@@ -50,7 +50,7 @@ fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent
         "run {} --port {} --headless --hardware --out {}",
         &[&bench, &pty, &runs],
     )
-    .fails(2, &["takes no armature voltage", "docs/adding-a-drive.md"]);
+    .fails(2, &["takes no armature voltage", "docs/drives.md"]);
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn a_command_that_the_drive_does_not_take_leads_to_its_setpoints() {
 
 /// The example of the manual page, as a file of a newcomer.
 fn example(desk: &Desk) -> PathBuf {
-    let page = include_str!("../../docs/adding-a-drive.md");
+    let page = include_str!("../../docs/drives.md");
     let (_, rest) = page.split_once("```toml\n").unwrap();
     desk.put("acme-40.toml", rest.split_once("```").unwrap().0)
 }

@@ -26,7 +26,7 @@ use crate::drive::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
 use crate::sample::Channel;
 use crate::units::rad_s_from_rpm;
 
-const HELP: &str = "see docs/adding-a-drive.md for every key, its unit and its default";
+const HELP: &str = "see docs/drives.md for every key, its unit and its default";
 /// The schema that this program reads.
 const SCHEMA: u32 = 1;
 /// Function codes of Modbus.

@@ -226,7 +226,7 @@ fn a_command_that_a_drive_does_not_have_may_be_declared_empty() {
 
 #[test]
 fn the_example_of_the_manual_page_is_a_profile() {
-    let page = include_str!("../../../docs/adding-a-drive.md");
+    let page = include_str!("../../../docs/drives.md");
     let (_, rest) = page.split_once("```toml\n").unwrap();
     let (example, _) = rest.split_once("```").unwrap();
     let profile = DriveProfile::parse("acme-40.toml", example).unwrap();

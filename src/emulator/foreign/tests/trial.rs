@@ -3,7 +3,7 @@
 use super::*;
 
 fn acme() -> String {
-    let page = include_str!("../../../../docs/adding-a-drive.md");
+    let page = include_str!("../../../../docs/drives.md");
     let (_, rest) = page.split_once("```toml\n").unwrap();
     rest.split_once("```").unwrap().0.to_owned()
 }
