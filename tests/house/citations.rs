@@ -71,6 +71,66 @@ fn no_file_cites_a_page_that_is_not_there() {
     );
 }
 
+/// Targets of the links and pictures of a page, outside its code.
+fn links(page: &str) -> Vec<&str> {
+    let prose = page.split("```").step_by(2);
+    let ends = prose.flat_map(|text| text.split("](").skip(1));
+    let targets = ends.filter_map(|rest| Some(rest.split_once(')')?.0));
+    targets.filter(|to| !to.contains("://")).collect()
+}
+
+/// The anchor of a heading, as GitHub makes it.
+fn anchor(heading: &str) -> String {
+    let heading = heading.trim_start_matches('#').trim().to_lowercase();
+    let kept = heading
+        .chars()
+        .filter(|c| c.is_alphanumeric() || "-_ ".contains(*c));
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+/// Whether a link of a page leads to a file, and to a heading of it where it names one.
+fn leads_somewhere(page: &Path, to: &str) -> bool {
+    let (file, place) = to.split_once('#').unwrap_or((to, ""));
+    let target = match file {
+        "" => root().join(page),
+        _ => root().join(page.parent().unwrap_or(page)).join(file),
+    };
+    if place.is_empty() {
+        return target.exists();
+    }
+    let text = fs::read_to_string(target).unwrap_or_default();
+    let mut headings = text.lines().filter(|line| line.starts_with('#'));
+    headings.any(|heading| anchor(heading) == place)
+}
+
+#[test]
+fn every_link_of_a_page_leads_somewhere() {
+    let below = ["docs", "firmware-protocol", "examples", ".github"].map(files);
+    let own = [
+        "README.md",
+        "ARCHITECTURE.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+    ];
+    let pages = below.into_iter().flatten().chain(own.map(Into::into));
+    let mut broken = Vec::new();
+    for page in pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")) {
+        let text = fs::read_to_string(root().join(&page)).unwrap_or_default();
+        let lost = links(&text)
+            .into_iter()
+            .filter(|to| !leads_somewhere(&page, to));
+        broken.extend(lost.map(|to| format!("{}: {to}", page.display())));
+    }
+    assert!(broken.is_empty(), "broken links:\n{}", broken.join("\n"));
+    let page = Path::new("docs/tutorial.md");
+    assert_eq!(
+        links("[a](method.md#c) ```[d](e)``` [f](http://g)"),
+        ["method.md#c"]
+    );
+    assert!(leads_somewhere(page, "method.md#9-limits") && leads_somewhere(page, "../README.md"));
+    assert!(!leads_somewhere(page, "method.md#90-limits") && !leads_somewhere(page, "README.md"));
+}
+
 #[test]
 fn the_check_of_citations_can_fail() {
     let here = Path::new("src/core/plant/mod.rs");
