@@ -15,10 +15,10 @@ use serde_json::Value;
 struct Figure {
     id: String,
     what: String,
-    asked_ns: Option<f64>,
+    target_ns: Option<f64>,
 }
 
-/// Id, nanoseconds that are asked (or `-`), what is measured.
+/// Id, target in nanoseconds (or `-`), what is measured.
 const FIGURES: &str = "\
 rls/guarded_4 | 40 | recursive least squares, guarded form, 4 parameters, one update
 rls/guarded_2 | 20 | the same, 2 parameters
@@ -58,17 +58,17 @@ fn figures() -> Vec<Figure> {
     let figure = |line: String| {
         let mut cells = line.split(" | ").map(str::to_owned);
         let mut cell = || cells.next().unwrap_or_default();
-        let (id, asked) = (cell(), cell());
+        let (id, target) = (cell(), cell());
         Figure {
             id,
-            asked_ns: asked.parse().ok(),
+            target_ns: target.parse().ok(),
             what: cell(),
         }
     };
     let of_effect = CATALOGUE.iter().map(|effect| {
         let id = effect.card().id;
-        let asked = if TWO_MASS.contains(&id) { "4e6" } else { "2e6" };
-        format!("free_run/{id} | {asked} | free run with `{id}`")
+        let target = if TWO_MASS.contains(&id) { "4e6" } else { "2e6" };
+        format!("free_run/{id} | {target} | free run with `{id}`")
     });
     let all = FIGURES.lines().map(str::to_owned).chain(of_effect);
     all.map(figure).collect()
@@ -135,36 +135,35 @@ fn machine() -> String {
 fn table(measurements: &Path, before: &str) -> String {
     let mut out = format!(
         "# Benchmarks\n\n\
-         `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
-         latest measurements, and leaves what was not measured anew on this machine as it is. Single figures: `cargo bench\n\
-         --bench hot_paths -- rls`.\n\n\
-         Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
-         and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
-         parameters took the computer of paper A 8 and 3 ms.\n\n\
-         | what | asked | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
+         `cargo bench` measures these figures and writes this page; `cargo bench --bench table` writes it again from the\n\
+         latest measurements and keeps the others. Single figures: `cargo bench --bench hot_paths -- rls`.\n\n\
+         Machine: {}. It is shared: the least time is nearest to the cost of the code; the median and\n\
+         the 95 % quantile show the load by other work. For scale: one update with 4 and with 2 parameters took the computer\n\
+         of paper A 8 and 3 ms.\n\n\
+         | what | target | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
         machine()
     );
     let is_same = before.contains(&format!("Machine: {}. ", machine()));
     for figure in figures() {
-        let asked = figure
-            .asked_ns
+        let limit = figure
+            .target_ns
             .map_or_else(|| "-".to_owned(), |ns| format!("<= {}", text(ns)));
         let line = match measured(&measurements.join(&figure.id).join("new")) {
             None => {
-                let begin = format!("| {} | {asked} |", figure.what);
+                let begin = format!("| {} | {limit} |", figure.what);
                 let mut lines = before.lines().filter(|_| is_same);
                 let kept = lines.find(|line| line.starts_with(&begin));
                 kept.map_or_else(|| begin.clone() + " not measured | | | |", str::to_owned)
             }
             Some(found) => {
-                let verdict = match figure.asked_ns {
+                let verdict = match figure.target_ns {
                     None => "",
                     Some(ns) if found.median <= ns => "reached",
                     Some(ns) if found.least <= ns => "reached by the least",
                     Some(_) => "missed",
                 };
                 format!(
-                    "| {} | {asked} | {} | {} | {} | {verdict} |",
+                    "| {} | {limit} | {} | {} | {} | {verdict} |",
                     figure.what,
                     text(found.least),
                     text(found.median),

@@ -18,7 +18,7 @@ use drivebench::plant::{ActiveEffect, Model, Motor, testing};
 use drivebench::report::{effect_picture, plot};
 use drivebench::text::number::{significant, with_unit};
 
-/// An effect is drawn at least so large that it is seen beside the noise: root mean squares of the error without and with it.
+/// Least ratio of the root mean squares of the error without and with an effect, so that its size exceeds the noise.
 const SEEN: f64 = 2.0;
 /// Doublings of the first guess after which it is left as it is.
 const MOST_DOUBLINGS: u32 = 8;
@@ -124,11 +124,10 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
 pub fn gallery() -> Result<Vec<(String, String)>, FitError> {
     let mut page = String::from(
         "# Gallery of effects\n\n\
-         What each effect of the catalogue looks like: the emulated motor of paper A carries it, and the model does not. Circles\n\
-         are what the equation lacks without the effect, dots what it lacks with it, each the mean of some windows with its 95 %\n\
-         interval; the line is the effect. Where it is no curve over one axis it is drawn along the one that it follows most.\n\
-         `cargo run --release --example gallery` writes this page; on a machine of yours `drivebench diagnose --html` draws the\n\
-         same of what it finds, and `drivebench effects` lists them in the terminal.\n",
+         How each effect of the catalogue looks. The emulated motor of paper A has the effect, the model does not. Circles: what the\n\
+         equation lacks without the effect; dots: with it; each is the mean of some windows with its 95 % interval; line: the effect. An\n\
+         effect that is no curve over one axis is drawn along the axis that it follows most. `cargo run --release --example gallery`\n\
+         writes this page; `drivebench diagnose --html` draws the same for your machine, and `drivebench effects` lists the effects.\n",
     );
     let mut files = Vec::new();
     for effect in CATALOGUE {

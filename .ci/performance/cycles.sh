@@ -51,9 +51,9 @@ python3 - "$work/rows" <<'SUM'
 import sys
 rows = [[float(x) for x in line.split()] for line in open(sys.argv[1])]
 ours, plain = (sum(r[1] for r in rows) / sum(r[0] + r[1] for r in rows), sum(r[6] for r in rows) / sum(r[5] + r[6] for r in rows))
-print(f"missed: ours {100 * ours:.3f} % of the cycles, plain C {100 * plain:.3f} % (asked: no more than the plain loop)")
+print(f"missed: ours {100 * ours:.3f} % of the cycles, plain C {100 * plain:.3f} % (target: no more than the plain loop)")
 ratios = sorted(r[4] / r[9] for r in rows if r[9] > 0)
 p99 = [sorted(r[k] for r in rows)[len(rows) // 2] for k in (4, 9)]
-print(f"lateness: 99 % below {p99[0]:.0f} us, plain C {p99[1]:.0f} us (median round); ratio {ratios[len(ratios) // 2]:.2f}, {ratios[0]:.2f} to {ratios[-1]:.2f} (asked at most 1.3)")
+print(f"lateness: 99 % below {p99[0]:.0f} us, plain C {p99[1]:.0f} us (median round); ratio {ratios[len(ratios) // 2]:.2f}, {ratios[0]:.2f} to {ratios[-1]:.2f} (target: at most 1.3)")
 print(f"lost: ours {sum(r[2] for r in rows):.0f}, plain C {sum(r[7] for r in rows):.0f}")
 SUM

@@ -4,7 +4,7 @@
 #
 #   .ci/performance/rates.sh PROGRAM [READS] [ROUNDS]
 #
-# Prints each round, then the ratios and what was asked: rate >= 0.9 of libmodbus without a gap, 99th percentile
+# Prints each round, then the ratios and the targets: rate >= 0.9 of libmodbus without a gap, 99th percentile
 # <= 1.2 of its, and with the standard's gap of 1.75 ms within 5 % of what the gap and the exchange itself allow.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -40,9 +40,9 @@ python3 - "$work/rows" <<'SUM'
 import statistics, sys
 columns = list(zip(*[[float(x) for x in line.split()] for line in open(sys.argv[1])]))
 m = [statistics.median(c) for c in columns]
-print(f"no gap: ours {m[0]:.0f}/s, libmodbus {m[3]:.0f}/s, ratio {m[0] / m[3]:.3f} (asked 0.9)")
-print(f"no gap: p50 {m[1]:.1f} / {m[4]:.1f} us, p99 {m[2]:.1f} / {m[5]:.1f} us, ratio {m[2] / m[5]:.2f} (asked at most 1.2)")
+print(f"no gap: ours {m[0]:.0f}/s, libmodbus {m[3]:.0f}/s, ratio {m[0] / m[3]:.3f} (target: 0.9)")
+print(f"no gap: p50 {m[1]:.1f} / {m[4]:.1f} us, p99 {m[2]:.1f} / {m[5]:.1f} us, ratio {m[2] / m[5]:.2f} (target: at most 1.2)")
 limit = 1e6 / (1750 + m[7])
-print(f"gap 1750 us: ours {m[6]:.0f}/s, libmodbus {m[9]:.0f}/s, limit 1/(gap + p50) {limit:.0f}/s: {100 * (1 - m[6] / limit):.1f} % below (asked 5 %)")
+print(f"gap 1750 us: ours {m[6]:.0f}/s, libmodbus {m[9]:.0f}/s, limit 1/(gap + p50) {limit:.0f}/s: {100 * (1 - m[6] / limit):.1f} % below (target: 5 %)")
 print(f"gap 1750 us: of the gap alone, {1e6 / 1750:.0f}/s: {100 * (1 - m[6] * 1750e-6):.1f} % below")
 SUM
