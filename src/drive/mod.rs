@@ -21,18 +21,14 @@
 //! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
+#[cfg(test)]
+mod bounded_tests;
 mod budget;
 pub mod burst;
 mod command_times;
-#[cfg(test)]
-mod fake;
-#[cfg(test)]
-mod fault_tests;
 mod link;
 mod link_core;
 mod link_error;
-#[cfg(test)]
-mod link_tests;
 mod modbus;
 pub mod offer;
 mod open;
@@ -47,6 +43,8 @@ pub mod register_map;
 mod reopen;
 mod reply;
 mod reply_filter;
+#[cfg(test)]
+mod scripted;
 pub mod serial_ports;
 mod settings;
 mod stream;

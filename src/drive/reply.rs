@@ -265,7 +265,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::drive::fake::rtu_frame as frame;
+    use crate::drive::scripted::frame;
 
     #[test]
     fn a_write_to_the_asked_unit_that_is_not_ours_is_another_masters() {

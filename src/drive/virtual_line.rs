@@ -22,6 +22,10 @@ use super::open::dressed;
 use super::port::TimedPort;
 use super::profile::DriveProfile;
 use super::reply::FrameKind;
+#[cfg(test)]
+use super::settings::Protocol;
+#[cfg(test)]
+use super::stream::StreamLink;
 use super::timing::LineTiming;
 use super::transaction::{CutIn, LineCounts};
 use super::waiting::now;
@@ -66,12 +70,16 @@ impl VirtualClock {
 /// A Modbus link over a line in memory; the thread has to be in virtual time.
 pub(super) fn modbus_link<D: Device + 'static>(
     name: &str,
+    kind: FrameKind,
     settings: &LinkSettings,
     device: &Arc<Mutex<D>>,
 ) -> ModbusLink {
-    let timing = LineTiming::serial(settings, settings.baud, true);
+    let timing = match kind {
+        FrameKind::Rtu => LineTiming::serial(settings, settings.baud, true),
+        FrameKind::Tcp => LineTiming::network(settings),
+    };
     let port = Box::new(VirtualPort::new(Arc::clone(device)));
-    let (name, kind, unit) = (name.to_owned(), FrameKind::Rtu, settings.unit);
+    let (name, unit) = (name.to_owned(), settings.unit);
     ModbusLink::new(name, Waiting::Virtual, port, kind, unit, timing, now())
 }
 
@@ -190,6 +198,11 @@ pub(crate) trait FarEnd: Send {
 pub(crate) struct LineTime(Instant);
 
 impl LineTime {
+    #[cfg(test)]
+    pub(crate) fn start() -> Self {
+        Self(now())
+    }
+
     pub(crate) fn now_s(self) -> f64 {
         now().saturating_duration_since(self.0).as_secs_f64()
     }
@@ -232,7 +245,8 @@ impl VirtualLink {
         let origin = now();
         let _virtual = InVirtualTime::at(origin);
         let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
-        let link = modbus_link(name, &profile.link, &Arc::new(Mutex::new(far)));
+        let far = Arc::new(Mutex::new(far));
+        let link = modbus_link(name, FrameKind::Rtu, &profile.link, &far);
         Self {
             link: dressed(link, profile),
             clock,
@@ -353,7 +367,7 @@ impl Burst for VirtualLink {
 
 /// Works in virtual time.
 #[cfg(test)]
-pub(super) fn paused<R>(work: impl FnOnce() -> R) -> R {
+pub(crate) fn paused<R>(work: impl FnOnce() -> R) -> R {
     let _virtual = InVirtualTime::at(now());
     work()
 }
@@ -368,7 +382,34 @@ pub(crate) fn on_a_line<F: FarEnd + 'static, R>(
     paused(|| {
         let time = LineTime(now());
         let far = Arc::new(Mutex::new(Far(time, far)));
-        let link = modbus_link("virtual", &profile.link, &far);
+        let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &far);
         work(dressed(link, profile).as_mut(), time)
     })
+}
+
+/// A Modbus link to the far end, RTU or TCP; the thread has to be in virtual time.
+#[cfg(test)]
+pub(crate) fn modbus_to<F: FarEnd + 'static>(
+    protocol: Protocol,
+    settings: &LinkSettings,
+    far: &Arc<Mutex<F>>,
+) -> ModbusLink {
+    let kind = match protocol {
+        Protocol::ModbusTcp => FrameKind::Tcp,
+        _ => FrameKind::Rtu,
+    };
+    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
+    modbus_link("virtual", kind, settings, &far)
+}
+
+/// A link of the stream to the far end; the thread has to be in virtual time.
+#[cfg(test)]
+pub(crate) fn stream_to<F: FarEnd + 'static>(
+    settings: &LinkSettings,
+    far: &Arc<Mutex<F>>,
+) -> StreamLink {
+    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
+    let timing = LineTiming::serial(settings, settings.baud, false);
+    let port = Box::new(VirtualPort::new(far));
+    StreamLink::new("virtual".to_owned(), port, timing, now())
 }

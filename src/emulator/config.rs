@@ -64,9 +64,9 @@ pub enum EmulatorConfigError {
         "{file}: two hidden effects put a second inertia behind the shaft (expected one at most)"
     )]
     TwoShafts { file: String },
-    #[error("[[fault]] kind = {kind} does nothing {on} (expected {allowed})")]
+    #[error("[[fault]] kind = {kind:?} does nothing {on} (expected {allowed})")]
     Idle {
-        kind: String,
+        kind: &'static str,
         on: &'static str,
         allowed: &'static str,
     },

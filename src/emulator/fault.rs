@@ -1,7 +1,7 @@
 //! Faults of line and drive as an emulator's file has them: which, from when, for how long, in which share of the replies.
 //!
 //! ```text
-//! [[fault]] -> FaultEntry -> spoiler.rs (what is done to the bytes) | drive/ (what the drive does)
+//! [[fault]] -> FaultEntry, a kind of the table -> spoiler.rs (what is done to the bytes) | drive/ (what the drive does)
 //! ```
 
 use rand::Rng;
@@ -48,84 +48,87 @@ const fn is_one(value: &f64) -> bool {
     value.to_bits() == 1.0_f64.to_bits()
 }
 
-/// What goes wrong. Those down to `SecondMaster` happen on the line, and need one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FaultKind {
-    /// One byte of the reply is missing.
-    ByteDropped,
-    /// One byte too many.
-    ByteInserted,
-    /// One bit to three are wrong.
-    BitFlipped,
-    /// The reply comes twice.
-    DoubledReply,
-    /// The reply comes `late_ms` late.
-    LateReply,
-    /// The reply is held back until something else is asked.
-    HeldReply,
-    /// Two copies of it are.
-    HeldTwice,
-    /// Under the name of another unit.
-    WrongUnit,
-    /// To another request: its function or its length differ.
-    WrongRequest,
-    /// The request is refused with `code`, and not carried out.
-    Exception,
-    /// The end of the reply is missing.
-    Truncated,
-    /// Bytes that mean nothing, up to 64 KiB, before the reply or behind it.
-    Garbage,
-    /// The reply is split, and its second part comes 16 ms later.
-    SplitReply,
-    /// The line returns the request before the reply.
-    Echo,
-    /// Nothing on the line can be read, as with another baud rate.
-    WrongBaud,
-    /// The drive hears, and is not heard.
-    Silence,
-    /// Neither side hears the other.
-    BlackHole,
-    /// Something talks all the time.
-    Babble,
-    /// A master and a unit talk to each other.
-    ForeignFrames,
-    /// Another master commands this drive.
-    SecondMaster,
-    /// It is switched off, and comes back as after power-up.
-    PowerLost,
-    /// It trips by a fault of its own.
-    Trip,
-    /// Somebody commands it at its keypad; only in a guise that has one.
-    LocalControl,
-    /// Set-points are acknowledged and not followed.
-    SetPointIgnored,
-    /// It is told to run, acknowledges, and does not.
-    EnableIgnored,
-    /// Stops are acknowledged and not followed.
-    StopIgnored,
-    /// Its watchdog does nothing.
-    WatchdogDead,
-    /// The shaft is held.
-    Blocked,
-    /// The encoder tells `factor` times the truth: -1 reversed, 0 stuck at zero.
-    SpeedScaled,
-    /// The current sensor does.
-    CurrentScaled,
-    /// Speed and current are not available.
-    SignalMissing,
-    /// All that is measured stays as it is.
-    FrozenRegisters,
-    /// Its clock begins so that it wraps `wraps_after_s` after its power-up.
-    ClockWraps,
-    /// It speaks another version of the protocol; only our own drive.
-    OtherVersion,
+/// Where a fault is injected. What happens to the host itself (signals, terminals, disks) is injected by its tests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Injector {
+    /// The bytes between drive and host: spoiler.rs.
+    Bytes,
+    /// The drive: drive/, and its supply.
+    Drive,
+}
+
+/// The table of kinds: identifier, name in files, what happens; by injector.
+macro_rules! kinds {
+    ($($injector:ident { $($kind:ident $name:literal $what:literal)+ })+) => {
+        /// What goes wrong.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum FaultKind {
+            $($(
+                #[doc = $what]
+                #[serde(rename = $name)]
+                $kind,
+            )+)+
+        }
+
+        impl FaultKind {
+            /// Every kind with its name, where it is injected, and what happens.
+            pub const TABLE: &[(Self, &str, Injector, &str)] =
+                &[$($((Self::$kind, $name, Injector::$injector, $what),)+)+];
+        }
+    };
+}
+
+kinds! {
+    Bytes {
+        ByteDropped "byte_dropped" "a byte of the reply is missing"
+        ByteInserted "byte_inserted" "a byte too many"
+        BitFlipped "bit_flipped" "one bit to three are wrong"
+        DoubledReply "doubled_reply" "the reply comes twice"
+        LateReply "late_reply" "it comes late_ms late"
+        HeldReply "held_reply" "it is held back until something else is asked"
+        HeldTwice "held_twice" "two copies of it are"
+        WrongUnit "wrong_unit" "under the name of another unit; not on the stream"
+        WrongRequest "wrong_request" "with another function or length; not on the stream"
+        Exception "exception" "the request is refused with `code`; not on the stream"
+        Truncated "truncated" "the end of the reply is missing"
+        Garbage "garbage" "up to 64 KiB that mean nothing, before the reply or behind it"
+        SplitReply "split_reply" "its second part comes 16 ms later"
+        Echo "echo" "the line returns the request first"
+        WrongBaud "wrong_baud" "nothing can be read"
+        Silence "silence" "the drive hears and is not heard"
+        BlackHole "black_hole" "neither side hears the other"
+        Babble "babble" "something talks all the time"
+        ForeignFrames "foreign_frames" "a master and another unit talk to each other; only on modbus-rtu"
+        SecondMaster "second_master" "another master commands this drive; only on modbus-rtu"
+    }
+    Drive {
+        PowerLost "power_lost" "it is off, and comes back as after power-up"
+        Trip "trip" "it trips by a fault of its own"
+        LocalControl "local_control" "somebody commands it at its keypad; only in a guise"
+        SetPointIgnored "set_point_ignored" "set-points are acknowledged and not followed"
+        EnableIgnored "enable_ignored" "told to run, it does not"
+        StopIgnored "stop_ignored" "stops are acknowledged and not followed"
+        WatchdogDead "watchdog_dead" "its watchdog does nothing"
+        Blocked "blocked" "the shaft is held"
+        SpeedScaled "speed_scaled" "speed and angle are read `factor` times: -1 reversed, 0 stuck at zero"
+        CurrentScaled "current_scaled" "the current is"
+        SignalMissing "signal_missing" "speed and current are not available"
+        FrozenRegisters "frozen_registers" "all that is measured stays as it is"
+        ClockWraps "clock_wraps" "its clock wraps `wraps_after_s` after the power-up; not in a guise"
+        OtherVersion "other_version" "it speaks another version of the protocol; not in a guise, nor on the stream"
+    }
 }
 
 impl FaultKind {
+    fn row(self) -> Option<&'static (Self, &'static str, Injector, &'static str)> {
+        Self::TABLE.iter().find(|(kind, ..)| *kind == self)
+    }
+
     /// It needs bytes, or a drive that can be off.
     pub(super) fn needs_line(self) -> bool {
-        self <= Self::PowerLost
+        let is_of_bytes =
+            |(.., injector, _): &(Self, &str, Injector, &str)| *injector == Injector::Bytes;
+        self == Self::PowerLost || self.row().is_some_and(is_of_bytes)
     }
 
     /// Where it would do nothing, as `(on what, what is allowed)`.
@@ -151,6 +154,21 @@ impl FaultKind {
 }
 
 impl FaultEntry {
+    /// From the power-up on, for good, in every reply.
+    #[cfg(test)]
+    pub(super) const fn new(kind: FaultKind) -> Self {
+        Self {
+            kind,
+            from_s: None,
+            for_s: None,
+            share: 1.0,
+            late_ms: None,
+            code: None,
+            factor: None,
+            wraps_after_s: None,
+        }
+    }
+
     /// Refuses what would do nothing on such a drive.
     pub(super) fn suits(
         &self,
@@ -160,7 +178,7 @@ impl FaultEntry {
         self.kind
             .idle(in_a_guise, protocol)
             .map_or(Ok(()), |(on, allowed)| {
-                let kind = serde_json::to_string(&self.kind).unwrap_or_default();
+                let kind = self.kind.row().map_or("", |(_, name, ..)| name);
                 Err(EmulatorConfigError::Idle { kind, on, allowed })
             })
     }

@@ -3,7 +3,9 @@
 use super::dialogue::{Answering, Dialogue, UNIT};
 use super::pace::Pace;
 use super::spoiler::{Spoiled, Spoiler};
-use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
+use super::{
+    EmulatorConfig, EmulatorConfigError, FaultEntry, ForeignDrive, Guise, LineConfig, SoftDrive,
+};
 use crate::drive::virtual_line::{FarEnd, VirtualLink};
 use crate::drive::{DriveLink, DriveProfile, Protocol, VirtualClock};
 
@@ -27,13 +29,7 @@ pub fn open_line(
     let mut line = guise.map_or(&config.line, |guise| &guise.line).clone();
     line.baud = profile.link.baud;
     let unit = guise.map_or(UNIT, |guise| guise.unit);
-    let far = DriveOnLine {
-        spoiler: Spoiler::new(&config.faulty, protocol, unit, seed),
-        drive,
-        dialogue: Dialogue::new(protocol, unit),
-        pace: Pace::serial(&line, true),
-        silent_from_s: 0.0,
-    };
+    let far = DriveOnLine::new(drive, protocol, unit, &line, &config.faulty, seed);
     Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
 }
 
@@ -91,6 +87,23 @@ impl FarEnd for DriveOnLine {
 }
 
 impl DriveOnLine {
+    fn new(
+        drive: Box<dyn Answering>,
+        protocol: Protocol,
+        unit: u8,
+        line: &LineConfig,
+        faults: &[FaultEntry],
+        seed: u64,
+    ) -> Self {
+        Self {
+            spoiler: Spoiler::new(faults, protocol, unit, seed),
+            drive,
+            dialogue: Dialogue::new(protocol, unit),
+            pace: Pace::serial(line, protocol == Protocol::ModbusRtu),
+            silent_from_s: 0.0,
+        }
+    }
+
     fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
@@ -99,6 +112,9 @@ impl DriveOnLine {
         }
     }
 }
+
+#[cfg(test)]
+mod fault_tests;
 
 #[cfg(test)]
 mod tests {

@@ -36,12 +36,9 @@ pub use config::{
 };
 pub use dialogue::UNIT;
 pub use drive::SoftDrive;
-pub use fault::{FaultEntry, FaultKind};
+pub use fault::{FaultEntry, FaultKind, Injector};
 pub use foreign::{ForeignBus, ForeignDrive, Guise};
-pub use journal::{Journal, JournalRow};
+pub use journal::Journal;
 pub use line::open_line;
 pub use memory::{Latency, MemoryLink};
-#[cfg(target_os = "linux")]
-pub(crate) use pty::PtyPort;
 pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};
-pub(crate) use session::Port;

@@ -14,7 +14,7 @@
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::AsFd;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
@@ -138,11 +138,6 @@ impl PtyPort {
         }
         symlink(&self.slave, &fresh)?;
         fs::rename(&fresh, stable)
-    }
-
-    /// To wait for bytes of the host together with other things.
-    pub(crate) fn as_fd(&self) -> BorrowedFd<'_> {
-        self.master.as_fd()
     }
 
     /// Removes `stable` if it still leads here.

@@ -1,7 +1,10 @@
-//! The table of faults in docs/links.md: every number has its row, and what a row cites as its proof is there.
+//! The table of faults in docs/links.md: every number has its row, what a row cites as its proof is there, and every kind of
+//! fault of the software drive stands in it, in a suite and in the example.
 
 use std::collections::BTreeMap;
 use std::fs;
+
+use drivebench::emulator::FaultKind;
 
 use super::architecture::{files, root};
 
@@ -19,7 +22,7 @@ type Proof = (String, bool);
 fn rows(page: &str) -> Vec<(usize, Vec<Proof>)> {
     let cells = page.lines().filter_map(|line| {
         let cells: Vec<&str> = line.trim_matches('|').split(" | ").collect();
-        let [number, _, _, proofs] = cells[..] else {
+        let [number, _, _, _, proofs] = cells[..] else {
             return None;
         };
         let pieces: Vec<&str> = proofs.split('`').skip(1).collect();
@@ -82,5 +85,67 @@ fn every_fault_has_a_proof_that_is_there() {
                 );
             }
         }
+    }
+}
+
+/// Number, injector and kinds of each row, as `bytes `late_reply``.
+fn injected(page: &str) -> Vec<(usize, String, Vec<String>)> {
+    let cells = page.lines().filter_map(|line| {
+        let cells: Vec<&str> = line.trim_matches('|').split(" | ").collect();
+        let [number, _, injected, ..] = cells[..] else {
+            return None;
+        };
+        let (injector, kinds) = injected.split_once(' ').unwrap_or((injected, ""));
+        let kinds = kinds.split('`').skip(1).step_by(2).map(str::to_owned);
+        let number = number.trim().parse().ok()?;
+        Some((number, injector.to_owned(), kinds.collect()))
+    });
+    cells.collect()
+}
+
+/// Cases of the suite with the tag of a fault.
+fn cases(suite: &str, number: usize) -> Vec<&str> {
+    let tag = format!("\"fault-{number:02}\"");
+    let cases = suite.split("[[case]]");
+    cases.filter(|case| case.contains(&tag)).collect()
+}
+
+#[test]
+fn every_kind_of_fault_has_its_row_its_case_and_its_line_in_the_example() {
+    let rows = injected(&read("docs/links.md"));
+    let suite = read("bench-configs/suites/faults-line.toml");
+    let example = read("bench-configs/emulators/example.toml");
+    for (number, injector, kinds) in &rows {
+        let is_known = ["bytes", "drive", "host", "file"].contains(&injector.as_str());
+        assert!(is_known, "fault {number}: injector {injector}");
+        for kind in kinds {
+            let mut table = FaultKind::TABLE.iter();
+            let row = table.find(|(_, name, ..)| name == kind);
+            let (.., own, _) = row.unwrap_or_else(|| panic!("fault {number}: no kind {kind}"));
+            assert_eq!(
+                format!("{own:?}").to_lowercase(),
+                *injector,
+                "{number}: {kind}"
+            );
+        }
+    }
+    for (_, name, _, what) in FaultKind::TABLE {
+        let key = format!("kind = \"{name}\"");
+        let of_kind = rows
+            .iter()
+            .filter(|(.., kinds)| kinds.iter().any(|kind| kind == name));
+        let numbers: Vec<usize> = of_kind.map(|(number, ..)| *number).collect();
+        assert!(!numbers.is_empty(), "docs/links.md has no row with {name}");
+        for number in numbers {
+            let mut cases = cases(&suite, number).into_iter();
+            let mut is_tried = cases.any(|case| case.contains(&key));
+            // A reply is held back alone among all other faults.
+            is_tried |= *name == "held_reply" && suite.contains(&key);
+            assert!(is_tried, "fault {number}: no case with {key}");
+        }
+        let mut lines = example.lines();
+        let line = lines.find(|line| line.contains(&key));
+        let is_told = line.is_some_and(|line| line.contains(what));
+        assert!(is_told, "example.toml: {key} is not told as {what:?}");
     }
 }

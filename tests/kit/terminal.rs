@@ -155,6 +155,18 @@ impl Session {
         options.open(path).expect("the program has a terminal")
     }
 
+    /// The terminal has another number of columns and rows from now on.
+    pub(crate) fn resize(&mut self, (cols, rows): (u16, u16)) {
+        let size = PtySize {
+            rows,
+            cols,
+            ..PtySize::default()
+        };
+        self.other().master.resize(size).expect("a terminal");
+        let [rows, cols] = [rows, cols].map(|count| count.try_into().expect("more than none"));
+        self.screen.set_size(rows, cols);
+    }
+
     pub(crate) fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.id().cast_signed()), signal).unwrap();
     }

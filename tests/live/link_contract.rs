@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use drivebench::drive::{DriveLink, DriveProfile, Protocol, Target, open};
+use drivebench::drive::{DriveLink, DriveProfile, LinkError, Protocol, Target, open};
 use drivebench::emulator::{
     EmulatorConfig, Endpoint, Latency, MemoryLink, ServerHandle, SoftDrive, VirtualClock, spawn,
 };
@@ -125,4 +125,34 @@ fn modbus_over_tcp() {
 fn stream_over_tcp() {
     let (_server, mut link) = served(Protocol::Stream, any_port(), 0);
     contract(&mut *link, || ());
+}
+
+#[test]
+fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
+    for (kind, endpoint) in [
+        (Protocol::ModbusRtu, Endpoint::temporary_pty()),
+        (Protocol::ModbusTcp, any_port()),
+        (Protocol::Stream, Endpoint::temporary_pty()),
+        (Protocol::Stream, any_port()),
+    ] {
+        let name = format!("{kind:?} {endpoint:?}");
+        let (server, mut link) = served(kind, endpoint, 0);
+        let volts = |seq| Command {
+            seq,
+            demand: Demand::Voltage(1.0),
+        };
+        link.exchange(volts(1)).unwrap();
+        server.join().unwrap();
+        let start = now();
+        for seq in 2..5 {
+            let error = link.exchange(volts(seq)).unwrap_err();
+            assert!(matches!(error, LinkError::Gone { .. }), "{name}: {error}");
+        }
+        assert!(!link.has_sent_command(), "{name}");
+        assert!(matches!(link.stop(), Err(LinkError::Gone { .. })));
+        // Its deadline is three seconds.
+        assert!(start.elapsed().as_secs_f64() < 2.0, "{name}");
+        let statistics = link.statistics();
+        assert!(statistics.aborted <= 1 && statistics.balances(), "{name}");
+    }
 }

@@ -24,6 +24,6 @@ mod reopen;
 mod run;
 mod screen;
 mod speed;
-mod suite_host;
+mod suite;
 mod tools;
 mod ways_out;

@@ -145,6 +145,27 @@ fn a_second_host_on_the_same_port_is_status_3_and_the_first_goes_on() {
     });
 }
 
+/// Only root may open a port that another program has for itself.
+#[test]
+fn a_program_that_reads_the_port_as_well_is_named() {
+    if !rustix::process::geteuid().is_root() {
+        let told = "not tried: another program may read the port only as root\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
+        return;
+    }
+    let lab = Lab::new("modbus-rtu");
+    let bench = BenchFile::long("modbus-rtu").text();
+    let run = lab.desk.until_turning(&bench, &lab.port(), "--reopen-s 1");
+    let mut reader = std::process::Command::new("cat");
+    reader.arg(lab.port()).stdin(std::process::Stdio::null());
+    let reader = Process::of(reader);
+    // It takes the replies; what the drive is told still arrives.
+    run.end().fails(3, &["(cat) has the port open as well"]);
+    drop(reader);
+    let (status, ..) = wait_for("an answer", || telemetry(&lab.port()));
+    assert_ne!(status & STATE, RUNNING, "status {status:#x}");
+}
+
 #[test]
 fn an_interrupt_stops_the_motor_and_keeps_the_record() {
     let lab = Lab::new("modbus-rtu");

@@ -7,7 +7,7 @@ use std::time::Duration;
 use nix::sys::termios::{FlowArg, tcflow};
 
 use crate::kit::prelude::*;
-use crate::kit::process::{RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
+use crate::kit::process::{FAULT, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
 struct Lab {
@@ -141,6 +141,24 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
     assert!(is_ordered, "{times:?}");
 }
 
+#[test]
+fn a_terminal_of_one_cell_holds_up_nothing() {
+    const SMALL_ROWS: usize = 150;
+    let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 3.0");
+    let mut session = lab.on_screen("run");
+    session.resize((1, 1));
+    let before = commands(&lab).len();
+    wait_for("rows beside a terminal of one cell", || {
+        session.now();
+        (commands(&lab).len() >= before + SMALL_ROWS).then_some(())
+    });
+    session.resize((120, 40));
+    session.wait_for("DONE");
+    session.press("q");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    lab.expect_stopped("a small terminal");
+}
+
 fn commands(lab: &Lab) -> Vec<f64> {
     column(&lab.desk.read("samples.csv"), "voltage_cmd_v")
 }
@@ -182,6 +200,21 @@ fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
         run.end().fails(130, &["stopped before"]);
         lab.expect_stopped(signal.as_str());
     });
+}
+
+#[test]
+fn a_process_that_is_halted_is_stopped_by_the_watchdog_and_stays_stopped() {
+    let lab = Lab::new();
+    let run = lab.headless();
+    run.signal(Signal::SIGSTOP);
+    // Beyond the watchdog of the drive, 1 s.
+    std::thread::sleep(Duration::from_millis(2500));
+    run.signal(Signal::SIGCONT);
+    let done = run.end();
+    assert!([3, 4].contains(&done.status), "{}", done.stderr);
+    let words = wait_for("an answer", || telemetry(&lab.drive.port()));
+    assert_eq!(words[0] & STATE, FAULT, "status {:#x}", words[0]);
+    assert_ne!(words[0] & WATCHDOG_TRIPPED, 0, "status {:#x}", words[0]);
 }
 
 /// Whatever it would like to say: nobody reads it any more, and that neither ends the program nor holds it up.

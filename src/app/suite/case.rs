@@ -1,36 +1,26 @@
 //! One case of a suite, with one seed: its steps one after the other in a folder of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use serde_json::Value;
 
 use super::baseline::{self, Baseline};
-use super::host::{self, STOOD_STILL_S, Stage};
-use super::line::Line;
-use super::own_drive::{self, DriveOrder, OwnDrive};
-use super::process::{self, Done, End, Watch, error_said, monotonic_s};
-use crate::app::failure::{INTERRUPTED, LINK, REFUSED, TRIP};
+use super::own_drive::{DriveOrder, OwnDrive};
+use super::process::{self, Done, End, Watch, error_said};
+use crate::app::failure::{INTERRUPTED, REFUSED};
 use crate::app::files::read_text;
 use crate::app::{opening, output};
 use crate::bench::BenchFile;
 use crate::recording::open_run;
 use crate::sample::Channel;
 use crate::workflow::suite::{
-    Act, Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, HostAct, Limit,
-    SignalLimit, Step, StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
+    Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, Limit, SignalLimit, Step,
+    StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
-
-/// Attempts at a case in which this machine stood still.
-pub(super) const ATTEMPTS: u32 = 4;
-/// Keeps the other drive of a case apart from its own.
-const ANOTHER: u64 = 1000;
-/// Watchdog of a drive in the guise of another, of which the emulator's file says nothing, s.
-const GUISE_WATCHDOG_S: f64 = 3.0;
 
 /// What all cases of a suite have in common.
 pub(super) struct Bench<'a> {
@@ -88,80 +78,11 @@ struct Progress<'a> {
     outcomes: Vec<StepOutcome>,
     /// The drive in a process of its own, with the keys that it was started with.
     drive: Option<(OwnDrive, toml::Table)>,
-    /// Longest time for which this machine stood still around an act, s.
-    stood_still_s: f64,
-    /// A command lost its link, or tripped, before anything could be done to it, as one does that stood still itself.
-    is_early: bool,
     answers: Vec<Answered>,
 }
 
-impl Progress<'_> {
-    /// Why what did not pass says nothing.
-    fn disturbance(&self) -> Option<String> {
-        if self.stood_still_s > STOOD_STILL_S {
-            let ms = self.stood_still_s * 1e3;
-            return Some(format!("this machine stood still for {ms:.0} ms"));
-        }
-        let text = "the command ended before anything was done to it";
-        self.is_early.then(|| text.to_owned())
-    }
-}
-
-/// Carries a case out. `folder` is made for it. Where this machine stood still while something was done to a command, what
-/// did not pass says nothing: it is tried again, and at last not judged.
+/// Carries a case out. `folder` is made for it.
 pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path) -> CaseOutcome {
-    let mut attempts = 1;
-    let mut set_aside = Vec::new();
-    loop {
-        let (mut outcome, disturbance) = attempt(bench, case, seed, folder);
-        outcome.attempts = attempts;
-        outcome.set_aside.clone_from(&set_aside);
-        let disturbance = disturbance.filter(|_| outcome.verdict != Verdict::Passed);
-        let Some(why) = disturbance.filter(|_| !bench.stop.load(Ordering::Acquire)) else {
-            return outcome;
-        };
-        let (Verdict::Failed(reason) | Verdict::Error(reason) | Verdict::Skipped(reason)) =
-            &outcome.verdict
-        else {
-            return outcome;
-        };
-        if attempts == ATTEMPTS {
-            let text = format!("not judged: {why}, in the last of {attempts} attempts: {reason}");
-            outcome.verdict = Verdict::Error(text);
-            return outcome;
-        }
-        let kept = beside(folder, attempts);
-        if let Err(error) = fs::rename(folder, &kept) {
-            let text = format!("{reason}; {why}, and {}: {error}", kept.display());
-            outcome.verdict = Verdict::Error(text);
-            return outcome;
-        }
-        let said = format!(
-            "attempt {attempts} of {ATTEMPTS}: {reason}; {why} ({})",
-            kept.display()
-        );
-        output::message(&format!(
-            "again   {:>7.1} s  {}: {said}",
-            outcome.took_s, case.name
-        ));
-        set_aside.push(said);
-        attempts += 1;
-    }
-}
-
-/// Where the evidence of an attempt that is not the last is kept.
-fn beside(folder: &Path, attempt: u32) -> PathBuf {
-    let mut name = folder.as_os_str().to_owned();
-    name.push(format!("-attempt-{attempt}"));
-    PathBuf::from(name)
-}
-
-fn attempt(
-    bench: &Bench<'_>,
-    case: &Case,
-    seed: u64,
-    folder: &Path,
-) -> (CaseOutcome, Option<String>) {
     let watch = Watch::start();
     let mut progress = Progress {
         bench,
@@ -174,8 +95,6 @@ fn attempt(
         changed: toml::Table::new(),
         outcomes: Vec::new(),
         drive: None,
-        stood_still_s: 0.0,
-        is_early: false,
         answers: Vec::new(),
     };
     let made = fs::create_dir_all(folder)
@@ -187,24 +106,20 @@ fn attempt(
     };
     // Ended and waited for before the time is told.
     progress.drive = None;
-    let disturbance = progress.disturbance();
-    let outcome = CaseOutcome {
+    CaseOutcome {
         name: case.name.clone(),
         seed,
         tags: case.tags.clone(),
         verdict,
         took_s: watch.took_s(),
-        attempts: 1,
-        set_aside: Vec::new(),
         status,
         evidence: Some(folder.display().to_string()),
         steps: progress.outcomes,
         answers: progress.answers,
-    };
-    (outcome, disturbance)
+    }
 }
 
-impl<'a> Progress<'a> {
+impl Progress<'_> {
     fn step(&mut self, step: &Step) -> Result<(), Ended> {
         match &step.action {
             Action::Fault(keys) => {
@@ -216,8 +131,7 @@ impl<'a> Progress<'a> {
                 verb,
                 options,
                 statuses,
-                host,
-            } => self.command(step, *verb, options, statuses, *host),
+            } => self.command(step, *verb, options, statuses),
             Action::Assert {
                 of,
                 limits,
@@ -232,16 +146,11 @@ impl<'a> Progress<'a> {
         verb: Verb,
         options: &[(String, toml::Value)],
         statuses: &[u8],
-        host: Option<HostAct>,
     ) -> Result<(), Ended> {
-        let has_own_drive = self.case.has_own_drive() && verb.has_link();
-        let mut line = None;
-        if has_own_drive {
-            line = self.plug_in(host)?;
+        if self.case.has_own_drive() && verb.has_link() {
+            self.start_drive()?;
         }
-        let port = self.port(host, line.as_ref());
-        let has_screen = host.is_some_and(|host| host.act.has_screen());
-        let words = self.words(verb, options, &port, has_screen)?;
+        let words = self.words(verb, options, &self.port())?;
         let number = self.outcomes.len() + 1;
         let file = |ending: &str| {
             self.folder
@@ -250,37 +159,9 @@ impl<'a> Progress<'a> {
         let (stdout, stderr) = (file("json"), file("txt"));
         let command = self.command_of(&words);
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
-        let before = host::runs_in(&self.folder.join("runs"));
-        let begin_s = monotonic_s();
-        let cannot = |error| Ended::error(format!("{}: {error}", step.name));
-        let mut host_said = None;
-        let mut act_s = None;
-        let done = if let Some(host) = host {
-            let came = self.act_on(
-                command,
-                host,
-                line.as_ref(),
-                &words,
-                [&stdout, &stderr],
-                timeout_s,
-            );
-            let came = came?;
-            self.stood_still_s = self.stood_still_s.max(came.stood_still_s);
-            (host_said, act_s) = (Some(came.found), came.act_s);
-            came.done
-        } else {
-            process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
-                .map_err(cannot)?
-        };
-        drop(line);
-        let motor = self
-            .drive
-            .as_mut()
-            .filter(|_| has_own_drive)
-            .map(|(drive, _)| {
-                let end_s = monotonic_s();
-                host::motor(drive.rows_at_rest(), begin_s, act_s.unwrap_or(end_s))
-            });
+        let before = runs_in(&self.folder.join("runs"));
+        let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
+            .map_err(|error| Ended::error(format!("{}: {error}", step.name)))?;
         let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
@@ -296,16 +177,9 @@ impl<'a> Progress<'a> {
             identified: None,
         });
         let error = error_said(&stderr);
-        let is_late_machine = matches!(done.end, End::Status(LINK | TRIP));
-        let is_early = host.is_some() && act_s.is_none();
-        self.is_early = is_early && is_late_machine;
         self.judge_end(step, &done, statuses, timeout_s, error.as_deref())?;
-        if is_early {
-            let reason = format!("{}: it ended before anything was done to it", step.name);
-            return Err(Ended::error(reason));
-        }
         let run = if verb.is_live() {
-            host::newest(&self.folder.join("runs"), &before)
+            newest(&self.folder.join("runs"), &before)
         } else if verb.has_run() {
             self.run_about(options)?
         } else {
@@ -321,8 +195,6 @@ impl<'a> Progress<'a> {
             let said = said.filter(|line| !line.starts_with("{\"error\""));
             let said = said.collect::<String>().replace("\n  ", " ");
             figures.insert("said".to_owned(), said.into());
-            figures.extend(motor.map(|motor| ("motor".to_owned(), motor)));
-            figures.extend(host_said.map(|said| ("host".to_owned(), said)));
         }
         if verb == Verb::Identify {
             self.compare_with_baseline(step, options, timeout_s)?;
@@ -346,7 +218,7 @@ impl<'a> Progress<'a> {
             let same = options.iter().filter(|(key, _)| key != "run").cloned();
             let run = toml::Value::String(run.display().to_string());
             let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
-            let words = self.words(Verb::Identify, &options, &self.bench.port, false);
+            let words = self.words(Verb::Identify, &options, &self.bench.port);
             let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
             let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
             let files = ["json", "txt"].map(|ending| self.folder.join(format!("{name}.{ending}")));
@@ -377,101 +249,43 @@ impl<'a> Progress<'a> {
         command
     }
 
-    fn act_on(
-        &mut self,
-        mut command: Command,
-        act: HostAct,
-        line: Option<&Line>,
-        words: &[String],
-        files: [&Path; 2],
-        timeout_s: f64,
-    ) -> Result<host::Came, Ended> {
-        let cannot = |error: io::Error| Ended::error(format!("host: {error}"));
-        let order = self.order(self.seed.wrapping_add(ANOTHER), "other-drive")?;
-        let mut other = || OwnDrive::start(&order);
-        let runs = self.folder.join("runs");
-        let before = host::runs_in(&runs);
-        let gone = || Ended::error("the software drive is gone".to_owned());
-        let (drive, _) = self.drive.as_mut().ok_or_else(gone)?;
-        let port = PathBuf::from(drive.port());
-        host::prepare(act.act, &mut command, &port, &runs).map_err(cannot)?;
-        let mut second = Command::new(self.bench.program);
-        // Its runs would be taken for those of the command.
-        let elsewhere = self.folder.join("second-host").display().to_string();
-        let runs_word = runs.display().to_string();
-        let words = words
-            .iter()
-            .map(|word| if *word == runs_word { &elsewhere } else { word });
-        second.args(words);
-        let stage = Stage {
-            act,
-            drive,
-            line,
-            other: &mut other,
-            second,
-            runs: &runs,
-            before: &before,
-            folder: self.folder,
-            timeout_s,
-            stop: self.bench.stop,
-        };
-        host::run(stage, command, files).map_err(cannot)
-    }
-
-    /// A drive in a process of its own, with the keys as they are now; and the line before it, where that is to fail.
-    fn plug_in(&mut self, host: Option<HostAct>) -> Result<Option<Line>, Ended> {
-        let is_as_asked =
-            |(drive, keys): &mut (OwnDrive, toml::Table)| *keys == self.changed && !drive.is_gone();
-        let is_there = self.drive.as_mut().is_some_and(is_as_asked);
-        let cannot = |error: io::Error| Ended::error(format!("software drive: {error}"));
-        if !is_there {
-            // One after the other under one name, which the next command is given.
-            self.drive = None;
-            let name = format!("drive-{}", self.outcomes.len() + 1);
-            let order = self.order(self.seed, &name)?;
-            let drive = OwnDrive::start(&order).map_err(cannot)?;
-            self.drive = Some((drive, self.changed.clone()));
+    /// A drive in a process of its own, with the keys as they are now.
+    fn start_drive(&mut self) -> Result<(), Ended> {
+        let is_there = self
+            .drive
+            .as_mut()
+            .is_some_and(|(drive, keys)| *keys == self.changed && !drive.is_gone());
+        if is_there {
+            return Ok(());
         }
-        let on_line = host.is_some_and(|host| host.act.is_on_line());
-        let drive = self.drive.as_ref().filter(|_| on_line);
-        let line = drive.map(|(drive, _)| drive.behind_a_line(&own_drive::beside(self.folder)));
-        line.transpose().map_err(cannot)
-    }
-
-    /// What a software drive of this case is started with.
-    fn order(&self, seed: u64, name: &str) -> Result<DriveOrder<'a>, Ended> {
+        // One after the other under one name, which the next command is given.
+        self.drive = None;
         let bench = match self.bench_path()? {
             None => BenchFile::embedded_default(),
             Some(path) => opening::bench_file(&path)
                 .map_err(|failure| Ended::error(failure.headline().to_owned()))?,
         };
-        let named = self.emulator()?;
-        let named = named.unwrap_or_else(|| bench.emulator.config.clone());
-        let is_own = bench.drive.profile.starts_with("own");
-        let watchdog_s = opening::emulator_config(&named).map_or(GUISE_WATCHDOG_S, |config| {
-            f64::from(config.watchdog_ms) * 1e-3
-        });
-        Ok(DriveOrder {
+        let order = DriveOrder {
             program: self.bench.program,
             folder: self.folder,
-            name: name.to_owned(),
-            emulator: named,
+            name: format!("drive-{}", self.outcomes.len() + 1),
+            emulator: self.emulator()?.unwrap_or(bench.emulator.config),
             profile: bench.drive.profile,
             protocol: bench.link.protocol,
-            seed,
-            watchdog_s: if is_own { watchdog_s } else { GUISE_WATCHDOG_S },
+            seed: self.seed,
             stop: self.bench.stop,
-        })
+        };
+        let drive = OwnDrive::start(&order)
+            .map_err(|error| Ended::error(format!("software drive: {error}")))?;
+        self.drive = Some((drive, self.changed.clone()));
+        Ok(())
     }
 
     /// Where a live command finds its drive.
-    fn port(&self, host: Option<HostAct>, line: Option<&Line>) -> String {
-        let own = self.drive.as_ref().filter(|_| self.case.has_own_drive());
-        match (host.map(|host| host.act), line, own) {
-            (Some(Act::PortAbsent), ..) => self.folder.join("absent.pty").display().to_string(),
-            (_, Some(line), _) => line.port.clone(),
-            (_, None, Some((drive, _))) => drive.port(),
-            (_, None, None) => self.bench.port.clone(),
+    fn port(&self) -> String {
+        match &self.drive {
+            Some((drive, _)) => drive.port(),
+            None => self.bench.port.clone(),
         }
     }
 
@@ -540,7 +354,7 @@ impl<'a> Progress<'a> {
         let text = fs::read_to_string(stdout)
             .ok()
             .filter(|text| !text.is_empty());
-        // On a screen, and where it was killed, there is only what its run has kept.
+        // Where it was killed, there is only what its run has kept.
         let of_run = run.as_ref().filter(|_| verb.is_live());
         let text = text.or_else(|| fs::read_to_string(of_run?.join("result.json")).ok());
         let text = text.unwrap_or_default();
@@ -586,7 +400,6 @@ impl<'a> Progress<'a> {
         verb: Verb,
         options: &[(String, toml::Value)],
         port: &str,
-        has_screen: bool,
     ) -> Result<Vec<String>, Ended> {
         let mut words = vec![verb.command().to_owned()];
         let option = |key: &str| {
@@ -652,9 +465,7 @@ impl<'a> Progress<'a> {
         if verb == Verb::Connect {
             words.push("--check".to_owned());
         }
-        if !has_screen {
-            words.push("--json".to_owned());
-        }
+        words.push("--json".to_owned());
         Ok(words)
     }
 
@@ -775,6 +586,22 @@ impl<'a> Progress<'a> {
     }
 }
 
+/// The folders in a folder of runs; the link to the newest is none.
+fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
+    let entries = fs::read_dir(runs).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path());
+    folders
+        .filter(|path| path.is_dir() && !path.is_symlink())
+        .collect()
+}
+
+/// The newest run that was not there `before`.
+fn newest(runs: &Path, before: &BTreeSet<PathBuf>) -> Option<PathBuf> {
+    let mut runs = runs_in(runs);
+    runs.retain(|run| !before.contains(run));
+    runs.pop_last()
+}
+
 fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
     let run = run.ok_or("signal: no run was recorded")?;
     let loaded = open_run(run, None).map_err(|error| error.to_string())?;
@@ -832,6 +659,7 @@ fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::failure::LINK;
 
     #[test]
     fn only_the_command_says_how_it_left_its_motor() {

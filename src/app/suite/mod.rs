@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
-//!            host.rs acts on a command, line.rs fails between it and own_drive.rs, a software drive in a process of its own
+//!                                                own_drive.rs: a software drive in a process of its own
 //! ```
 //!
 //! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other, but for cases
@@ -11,8 +11,6 @@
 pub(crate) mod baseline;
 mod case;
 pub(crate) mod golden;
-mod host;
-mod line;
 mod own_drive;
 mod process;
 
@@ -27,8 +25,7 @@ use super::{opening, output, signals};
 use crate::bench::Port;
 use crate::recording::utc_stamp;
 use crate::workflow::suite::{
-    Act, Action, Case, CaseOutcome, Need, Step, Suite, SuiteOutcome, Verb, Verdict, junit,
-    open_metrics,
+    Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
 use baseline::Baseline;
 use case::Bench;
@@ -245,12 +242,6 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
         return Some("it compares with an earlier run, and there is no --baseline".to_owned());
     }
-    let reads = |step: &Step| matches!(step.action, Action::Command { host: Some(host), .. } if host.act == Act::SecondReader);
-    if case.steps.iter().any(reads) && !rustix::process::geteuid().is_root() {
-        return Some(
-            "another program reads the port in it, which only root may open twice".to_owned(),
-        );
-    }
     let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
     let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();
     (is_in_memory && wants_line)
@@ -337,20 +328,9 @@ fn line(outcome: &CaseOutcome, repeats: u64) -> String {
         Verdict::Error(reason) => ("ERROR", Some(reason)),
         Verdict::Skipped(reason) => ("skipped", Some(reason)),
     };
-    let attempt = match outcome.attempts {
-        0 | 1 => String::new(),
-        attempts => format!(", attempt {attempts} of {}", case::ATTEMPTS),
-    };
-    let mut line = format!(
-        "{word:<8}{:>7.1} s  {}{seed}{attempt}",
-        outcome.took_s, outcome.name
-    );
+    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
     let evidence = outcome.evidence.as_ref().filter(|_| reason.is_some());
-    for text in reason
-        .into_iter()
-        .chain(evidence)
-        .chain(outcome.set_aside.first())
-    {
+    for text in reason.into_iter().chain(evidence) {
         line.push_str("\n                   ");
         line.push_str(text);
     }

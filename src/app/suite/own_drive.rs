@@ -1,22 +1,17 @@
-//! A software drive in a process of its own: it outlives the command that a case does something to, and its journal says what
-//! the motor did.
+//! A software drive in a process of its own: it outlives the commands of its case.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
 
-use super::line::Line;
 use super::process::{self, Watch};
 use crate::drive::Protocol;
-use crate::emulator::JournalRow;
 
-/// Time for the last rows after the command has ended, beside the watchdog of the drive, s.
-const SETTLES_S: f64 = 0.3;
 /// Longest wait for a drive that can be opened, s.
 const READY_S: f64 = 60.0;
 /// Longest wait beyond that, s: a machine that stands still.
@@ -33,7 +28,6 @@ pub(super) struct DriveOrder<'a> {
     pub(super) profile: String,
     pub(super) protocol: Protocol,
     pub(super) seed: u64,
-    pub(super) watchdog_s: f64,
     /// Nobody waits for it any more.
     pub(super) stop: &'a AtomicBool,
 }
@@ -42,24 +36,20 @@ pub(super) struct DriveOrder<'a> {
 pub(super) struct OwnDrive {
     child: Child,
     /// Path of the terminal, or HOST:PORT.
-    pub(super) address: String,
+    address: String,
     is_network: bool,
-    watchdog_s: f64,
-    journal: Follower,
 }
 
 impl OwnDrive {
     /// Starts the process; returns once the drive can be opened.
     pub(super) fn start(order: &DriveOrder<'_>) -> io::Result<Self> {
         let file = |ending: &str| order.folder.join(format!("{}{ending}", order.name));
-        let journal = file(".csv");
         let is_network = order.protocol == Protocol::ModbusTcp;
         let mut command = Command::new(order.program);
         command.args(["emulate", &order.emulator]);
         command.args(["--profile", &order.profile]);
         command.args(["--link", order.protocol.name()]);
         command.args(["--seed", &order.seed.to_string(), "--json"]);
-        command.arg("--journal").arg(&journal);
         if is_network {
             command.args(["--listen", "127.0.0.1:0"]);
         } else {
@@ -68,15 +58,11 @@ impl OwnDrive {
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         command.stderr(File::create(file(".txt"))?);
         let mut child = process::start(command)?;
-        let opened = ready(&mut child, order.stop, READY_S)
-            .and_then(|address| Ok((address, Follower::open(&journal)?)));
-        match opened {
-            Ok((address, journal)) => Ok(Self {
+        match ready(&mut child, order.stop, READY_S) {
+            Ok(address) => Ok(Self {
                 address,
                 child,
                 is_network,
-                watchdog_s: order.watchdog_s,
-                journal,
             }),
             Err(error) => {
                 let _ = child.kill();
@@ -98,17 +84,8 @@ impl OwnDrive {
         }
     }
 
-    /// A line that can fail, between this drive and whoever opens it.
-    pub(super) fn behind_a_line(&self, path: &Path) -> io::Result<Line> {
-        if self.is_network {
-            Line::to_server(&self.address)
-        } else {
-            Line::to_terminal(&self.address, path)
-        }
-    }
-
     /// It is gone at once, and its motor with it.
-    pub(super) fn kill(&mut self) {
+    fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
         if !self.is_network {
@@ -117,34 +94,9 @@ impl OwnDrive {
         }
     }
 
-    /// Everything that it has noted so far.
-    pub(super) fn rows(&mut self) -> &[JournalRow] {
-        self.journal.read();
-        &self.journal.rows
-    }
-
-    /// The same once it has noted whatever a watchdog would still do, if it is there to note anything.
-    pub(super) fn rows_at_rest(&mut self) -> &[JournalRow] {
-        let settles_s = self.watchdog_s + SETTLES_S;
-        let until_s = process::monotonic_s() + settles_s;
-        let watch = Watch::start();
-        while watch.took_s() < settles_s + PATIENCE_S
-            && self.child.try_wait().is_ok_and(|ended| ended.is_none())
-            && self.rows().last().is_none_or(|row| row.time_s < until_s)
-        {
-            std::thread::sleep(process::LOOK);
-        }
-        self.rows()
-    }
-
     /// It has ended.
     pub(super) fn is_gone(&mut self) -> bool {
         !self.child.try_wait().is_ok_and(|ended| ended.is_none())
-    }
-
-    /// Number of its process.
-    pub(super) fn id(&self) -> u32 {
-        self.child.id()
     }
 }
 
@@ -189,40 +141,6 @@ fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<Strin
     let ready: Value = serde_json::from_slice(line.unwrap_or_default()).unwrap_or_default();
     let address = ready.get("address").and_then(Value::as_str);
     address.map(str::to_owned).ok_or_else(no_line)
-}
-
-/// Reads what has been added to a journal.
-struct Follower {
-    file: File,
-    /// The last line, as far as it is there.
-    rest: Vec<u8>,
-    rows: Vec<JournalRow>,
-}
-
-impl Follower {
-    fn open(path: &Path) -> io::Result<Self> {
-        Ok(Self {
-            file: File::open(path)?,
-            rest: Vec::new(),
-            rows: Vec::new(),
-        })
-    }
-
-    fn read(&mut self) {
-        // What cannot be read now is read the next time.
-        let _ = self.file.read_to_end(&mut self.rest);
-        while let Some(end) = self.rest.iter().position(|byte| *byte == b'\n') {
-            let line: Vec<u8> = self.rest.drain(..=end).collect();
-            let text = String::from_utf8_lossy(&line[..end]);
-            // The heading is no row.
-            self.rows.extend(JournalRow::parse(&text));
-        }
-    }
-}
-
-/// A path for a line beside that of the drive.
-pub(super) fn beside(folder: &Path) -> PathBuf {
-    folder.join("line.pty")
 }
 
 #[cfg(test)]

@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use rustix::time::{ClockId, clock_gettime};
 use serde_json::Value;
 
 /// Between two looks at a process.
@@ -57,43 +56,25 @@ impl Watch {
     }
 }
 
-/// `CLOCK_MONOTONIC`, which all processes of this machine share, s.
-pub(super) fn monotonic_s() -> f64 {
-    let time = clock_gettime(ClockId::Monotonic);
-    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
-}
-
 /// Starts `command` in a group of its own. A key at the terminal is for the suite, which asks the command to end: twice at
 /// once would cut its ramp short.
 pub(super) fn start(mut command: Command) -> io::Result<Child> {
     command.process_group(0);
-    tied(&mut command, false);
-    command.spawn()
-}
-
-/// Starts `command`, whose streams are a terminal, with that terminal as its own: it hears when it is closed or changes size.
-pub(super) fn start_at_terminal(mut command: Command) -> io::Result<Child> {
-    tied(&mut command, true);
+    #[cfg(target_os = "linux")]
+    end_with_parent(&mut command);
     command.spawn()
 }
 
 /// The process is asked to end when the thread that starts it is gone, however that came about.
-fn tied(command: &mut Command, has_terminal: bool) {
-    #[cfg(target_os = "linux")]
-    let parent = rustix::process::getpid();
+#[cfg(target_os = "linux")]
+fn end_with_parent(command: &mut Command) {
+    use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
+    let parent = getpid();
     let prepare = move || {
-        #[cfg(target_os = "linux")]
-        {
-            use rustix::process::{Signal, getppid, set_parent_process_death_signal};
-            set_parent_process_death_signal(Some(Signal::TERM))?;
-            // It may have gone before this was asked.
-            if getppid() != Some(parent) {
-                return Err(io::Error::from(io::ErrorKind::NotConnected));
-            }
-        }
-        if has_terminal {
-            rustix::process::setsid()?;
-            rustix::process::ioctl_tiocsctty(rustix::stdio::stdin())?;
+        set_parent_process_death_signal(Some(Signal::TERM))?;
+        // The parent may have ended before this call.
+        if getppid() != Some(parent) {
+            return Err(io::Error::from(io::ErrorKind::NotConnected));
         }
         Ok(())
     };
@@ -134,34 +115,17 @@ pub(super) fn finish(
     command.stdin(Stdio::null());
     command.stdout(File::create(stdout)?);
     command.stderr(File::create(stderr)?);
-    attend(start(command)?, timeout_s, stop, LOOK, |_| Ok(()))
-}
-
-/// Waits for the end of a process, with a `look` at it every `period`, and a last one at what it left: there is no process any
-/// more that anything could be done to, and its number may be another's.
-pub(super) fn attend(
-    mut child: Child,
-    timeout_s: f64,
-    stop: &AtomicBool,
-    period: Duration,
-    mut look: impl FnMut(Option<&Child>) -> io::Result<()>,
-) -> io::Result<Done> {
+    let mut child = start(command)?;
     let watch = Watch::start();
     let end = loop {
-        if let Err(error) = look(Some(&child)) {
-            // Whatever became of the look, no command runs on unwatched.
-            end(&mut child, period, &mut |_| Ok(()))?;
-            return Err(error);
-        }
         if let Some(status) = child.try_wait()? {
             break code_of(status).map_or(End::Killed, End::Status);
         }
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
-            break end(&mut child, period, &mut look)?;
+            break end(&mut child)?;
         }
-        std::thread::sleep(period);
+        std::thread::sleep(LOOK);
     };
-    look(None)?;
     Ok(Done {
         end,
         took_s: watch.took_s(),
@@ -173,20 +137,14 @@ fn code_of(status: ExitStatus) -> Option<u8> {
 }
 
 /// Asks a process to end, and kills it where it does not.
-pub(super) fn end(
-    child: &mut Child,
-    period: Duration,
-    look: &mut impl FnMut(Option<&Child>) -> io::Result<()>,
-) -> io::Result<End> {
+fn end(child: &mut Child) -> io::Result<End> {
     signal(child, Signal::SIGTERM);
     let asked = Watch::start();
     while asked.took_s() < GRACE.as_secs_f64() {
-        // What it looks at may be gone with the end that was asked for.
-        let _ = look(Some(child));
         if let Some(status) = child.try_wait()? {
             return Ok(End::Asked(code_of(status)));
         }
-        std::thread::sleep(period);
+        std::thread::sleep(LOOK);
     }
     child.kill()?;
     child.wait()?;
@@ -217,28 +175,6 @@ mod tests {
         command.args(["-c", script]);
         let done = finish(command, &out, &err, timeout_s, &AtomicBool::new(false)).unwrap();
         (done, std::fs::read_to_string(out).unwrap())
-    }
-
-    #[test]
-    fn the_last_look_has_no_process_that_anything_could_be_done_to() {
-        for (script, timeout_s) in [("sleep 0.1", 60.0), ("exec sleep 60", 0.1)] {
-            let mut command = Command::new("sh");
-            command.args(["-c", script]);
-            let mut looks = Vec::new();
-            let look = |child: Option<&Child>| {
-                // While it is shown it is there, though it may have ended.
-                let is_there = child.map(|child| {
-                    let id = i32::try_from(child.id()).unwrap();
-                    kill(Pid::from_raw(id), None).is_ok()
-                });
-                looks.push(is_there);
-                Ok(())
-            };
-            let child = start(command).unwrap();
-            attend(child, timeout_s, &AtomicBool::new(false), LOOK, look).unwrap();
-            assert_eq!(looks.pop(), Some(None));
-            assert!(looks.len() > 1 && looks.iter().all(|look| *look == Some(true)));
-        }
     }
 
     #[test]

@@ -41,16 +41,12 @@ fn write_case(text: &mut String, suite: &str, case: &CaseOutcome) {
         case.seed,
         case.took_s
     );
-    let mut body = match &case.verdict {
+    let body = match &case.verdict {
         Verdict::Passed => String::new(),
         Verdict::Skipped(reason) => format!("      <skipped message=\"{}\"/>\n", escaped(reason)),
         Verdict::Failed(reason) => with_details("failure", "limit", reason, case),
         Verdict::Error(reason) => with_details("error", "error", reason, case),
     };
-    if !case.set_aside.is_empty() {
-        let said = escaped(&case.set_aside.join("\n"));
-        let _ = writeln!(body, "      <system-out>{said}</system-out>");
-    }
     if body.is_empty() {
         text.push_str("/>\n");
     } else {
@@ -139,16 +135,12 @@ mod tests {
                 status: Some(1),
                 evidence: Some("]]>".to_owned()),
                 steps: Vec::new(),
-                attempts: 2,
-                set_aside: vec![reason.clone()],
                 answers: Vec::new(),
             };
             let outcome = SuiteOutcome::of(&name, "2026-01-02T03:04:05Z".to_owned(), String::new(), 1.0, vec![case]);
             let text = document(&outcome);
-            // The head, five elements with their ends, and nothing that a name has opened.
-            prop_assert_eq!(text.matches('<').count(), 11);
-            let said = format!("<system-out>{}</system-out>", escaped(&reason));
-            prop_assert!(text.contains(&said), "{}", text);
+            // The head, four elements with their ends, and nothing that a name has opened.
+            prop_assert_eq!(text.matches('<').count(), 9);
             prop_assert_eq!(attribute(&text, "<testcase", "name"), kept(&format!("{name} [seed 7]")));
             prop_assert_eq!(attribute(&text, "<failure", "message"), kept(&reason));
             prop_assert_eq!(attribute(&text, "<testsuites", "name"), kept(&name));

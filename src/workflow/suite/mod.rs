@@ -9,10 +9,8 @@
 //! command that moved it and, where that is gone, by the drive's watchdog; no step of a suite has to do it.
 
 pub mod golden;
-mod host;
 pub mod junit;
 mod limit;
-mod motor;
 pub mod open_metrics;
 mod outcome;
 
@@ -23,9 +21,7 @@ use toml::Spanned;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::Channel;
-pub use host::{Act, HostAct};
 pub use limit::{Limit, answered, entry, figure, find};
-pub use motor::{MotorFigures, figures};
 pub use outcome::{
     Answered, CaseOutcome, Check, Confusion, IdentifiedStep, Spread, StepOutcome, SuiteOutcome,
     Verdict,
@@ -61,8 +57,7 @@ pub struct Case {
 impl Case {
     /// Whether its software drive is a process of its own.
     pub fn has_own_drive(&self) -> bool {
-        let has_act = |step: &Step| matches!(step.action, Action::Command { host: Some(_), .. });
-        self.needs.contains(&Need::Process) || self.steps.iter().any(has_act)
+        self.needs.contains(&Need::Process)
     }
 }
 
@@ -76,8 +71,7 @@ pub enum Need {
     Emulator,
     /// An earlier run of the same machine, given by `--baseline`.
     Baseline,
-    /// The software drive in a process of its own, which outlives the command and keeps a journal of its motor. So it is for
-    /// every case in which something is done to the command.
+    /// The software drive in a process of its own, which outlives the command.
     Process,
 }
 
@@ -100,8 +94,6 @@ pub enum Action {
         options: Vec<(String, toml::Value)>,
         /// Exit statuses that are as they should be.
         statuses: Vec<u8>,
-        /// What is done to it while it runs.
-        host: Option<HostAct>,
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
     Fault(toml::Table),
@@ -297,7 +289,7 @@ struct StepKeys {
     timeout_s: Option<Spanned<f64>>,
     status: Option<Statuses>,
     probe: Option<Spanned<toml::Table>>,
-    host: Option<HostAct>,
+    host: Option<Spanned<toml::Value>>,
     connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
@@ -352,6 +344,19 @@ const TIMEOUT_S: f64 = 300.0;
 /// are made, is not for a step to say.
 const GIVEN: [&str; 8] = [
     "port", "emulator", "seed", "out", "hardware", "headless", "json", "screen",
+];
+/// What a suite has in the place of acts on its own commands.
+const HOST_HELP: &str = "allowed: faults of line and drive, as fault = { fault = [{ kind = \"black_hole\", from_s = 1.0 }] }; \
+                         signals, terminals, ports and disks are no concern of a suite";
+/// How keys begin that were figures of acts on a command, and of what its motor did; no result has them.
+const NO_FIGURES: [&str; 7] = [
+    "host.",
+    "motor.armed_again",
+    "motor.falls_after_s",
+    "motor.fault",
+    "motor.on_at_end",
+    "motor.peak_",
+    "motor.zero_after_s",
 ];
 /// Options that name a file to be written; a suite writes nowhere but into the folder of its case.
 const WRITTEN: [&str; 5] = ["tap", "output", "html", "next-bench", "load-torque"];
@@ -474,9 +479,9 @@ fn read_step(
         Some(Statuses::One(status)) => vec![status],
         Some(Statuses::Any(statuses)) => statuses,
     };
-    let host = keys.host;
-    if let Some((what, help)) = host.and_then(|host| host.refusal()) {
-        return Err((at, what, help));
+    if let Some(host) = &keys.host {
+        let what = format!("host = {} is not allowed", host.get_ref());
+        return Err((host.span().start, what, HOST_HELP.to_owned()));
     }
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
@@ -485,7 +490,6 @@ fn read_step(
                 verb,
                 options,
                 statuses: statuses.clone(),
-                host,
             };
             found.push((word, action));
         }
@@ -524,12 +528,6 @@ fn read_step(
     if has_status && !is_command {
         let what = "status stands without a command".to_owned();
         let help = "give it to the step whose exit status it is".to_owned();
-        return Err((at, what, help));
-    }
-    let is_live = matches!(action, Action::Command { verb, .. } if verb.is_live());
-    if host.is_some() && !is_live {
-        let what = "host stands without a command that opens a link".to_owned();
-        let help = "give it to connect, commission, excite or speed".to_owned();
         return Err((at, what, help));
     }
     Ok(Step {
@@ -591,6 +589,12 @@ fn read_assert(
 ) -> Result<Action, StepError> {
     let mut limits = Vec::new();
     for (key, value) in keys.into_iter().flatten() {
+        if NO_FIGURES.iter().any(|of| key.get_ref().starts_with(of)) {
+            let what = format!("{} = {} is not allowed", key.get_ref(), value.get_ref());
+            let help = "allowed: figures of the result of a command, as its --json prints them; \
+                        `drivebench emulate --journal FILE` writes what the motor of a software drive does";
+            return Err((key.span().start, what, help.to_owned()));
+        }
         let limit = Limit::parse(value.get_ref()).map_err(|(what, help)| {
             let what = format!("{}: {what}", key.get_ref());
             (value.span().start, what, help)
@@ -775,13 +779,13 @@ timeout_s = 9.0
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
             (
                 "speed = {}",
-                "speed = {}\nhost = { act = \"kil\" }",
-                "unknown variant `kil`",
+                "speed = {}\nhost = { act = \"kill\" }",
+                "25:8: host = { act = \"kill\" } is not allowed",
             ),
             (
-                "speed = {}\nstatus = 4",
-                "identify = {}\nhost = { act = \"kill\" }",
-                "host stands without a command that opens a link",
+                "missing = \"none\"",
+                "\"motor.zero_after_s\" = \"< 1\"",
+                "motor.zero_after_s = \"< 1\" is not allowed",
             ),
             (
                 "speed = {}",

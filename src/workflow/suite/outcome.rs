@@ -83,11 +83,6 @@ pub struct CaseOutcome {
     #[serde(flatten)]
     pub verdict: Verdict,
     pub took_s: f64,
-    /// More than one where this machine stood still, which says nothing of what is tested.
-    pub attempts: u32,
-    /// Why each attempt before this one did not pass, and where its evidence is.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub set_aside: Vec<String>,
     /// Exit status of the step that ended it, where that was not as it should be.
     pub status: Option<u8>,
     /// Folder with what is left of it.
@@ -203,8 +198,6 @@ impl CaseOutcome {
             tags: case.tags.clone(),
             verdict: Verdict::Skipped(reason.into()),
             took_s: 0.0,
-            attempts: 0,
-            set_aside: Vec::new(),
             status: None,
             evidence: None,
             steps: Vec::new(),
@@ -313,8 +306,6 @@ mod tests {
             tags: Vec::new(),
             verdict,
             took_s: 1.0,
-            attempts: 1,
-            set_aside: Vec::new(),
             status,
             evidence: None,
             steps: vec![StepOutcome {

@@ -1,16 +1,15 @@
 //! The raw client against a unit of its own on a line in memory. Each register holds its own address, so that a value of
 //! another request shows.
 
-use std::sync::{Arc, Mutex};
-
-use firmware_protocol::modbus::{Length, request_len};
+use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
 use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::drive::fake::{Fake, Language, Say, identity_block, raw_pty, rtu_frame as frame};
 use crate::drive::register_bus::RegisterTable;
-use crate::drive::virtual_line::{Device, modbus_link, paused};
+use crate::drive::reply::FrameKind;
+use crate::drive::scripted::{Delayed, Scripted, frame};
+use crate::drive::virtual_line::{modbus_link, paused};
 
 /// From a request to its reply, and between the pieces of one.
 const PIECE: Duration = Duration::from_millis(5);
@@ -58,54 +57,42 @@ struct Manners {
     names: &'static [u8],
 }
 
-struct Unit<F> {
-    manners: Manners,
-    fault: F,
-    heard: Vec<u8>,
-    /// PDUs of the requests.
-    asked: Vec<Vec<u8>>,
-    pending: Vec<u8>,
-}
-
-impl<F: FnMut(usize) -> Fault + Send> Device for Unit<F> {
-    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
-        self.heard.extend_from_slice(bytes);
-        let mut parts = Vec::new();
-        while let Some(request) = take_request(&mut self.heard) {
-            let fault = (self.fault)(self.asked.len());
-            let pdu = &request[1..request.len() - 2];
-            self.asked.push(pdu.to_vec());
-            parts.extend(answer(pdu, fault, self.manners, &mut self.pending));
-        }
-        let times = (1..).map(|k| PIECE * k);
-        times.zip(parts).collect()
-    }
-}
-
-/// Works with a client of such a unit; returns the PDUs that it was asked.
-fn with_client(
-    manners: Manners,
+/// Works with a client of a scripted unit; returns the PDUs that it was asked.
+fn with_script(
     timeout_ms: u64,
-    fault: impl FnMut(usize) -> Fault + Send + 'static,
+    script: impl FnMut(usize, &[u8]) -> Vec<Delayed> + Send + 'static,
     work: impl FnOnce(&mut RawClient),
 ) -> Vec<Vec<u8>> {
     paused(|| {
-        let (heard, asked, pending) = (Vec::new(), Vec::new(), Vec::new());
-        let unit = Arc::new(Mutex::new(Unit {
-            manners,
-            fault,
-            heard,
-            asked,
-            pending,
-        }));
+        let unit = Scripted::new(script);
         let timeout = Duration::from_millis(timeout_ms);
-        let link = modbus_link("virtual", &settings(timeout).link(), &unit);
+        let settings = settings(timeout).link();
+        let link = modbus_link("virtual", FrameKind::Rtu, &settings, &unit);
         let mut client = RawClient::over(link, timeout, String::new());
         work(&mut client);
         let counters = client.counters();
         assert!(counters.requests.balances(), "{counters:?}");
-        std::mem::take(&mut unit.lock().unwrap().asked)
+        let requests = std::mem::take(&mut unit.lock().unwrap().requests);
+        let pdu = |(_, request): (_, Vec<u8>)| request[1..request.len() - 2].to_vec();
+        requests.into_iter().map(pdu).collect()
     })
+}
+
+/// The same with a unit that does `fault` to the reply of a request.
+fn with_client(
+    manners: Manners,
+    timeout_ms: u64,
+    mut fault: impl FnMut(usize) -> Fault + Send + 'static,
+    work: impl FnOnce(&mut RawClient),
+) -> Vec<Vec<u8>> {
+    let mut pending = Vec::new();
+    let script = move |number: usize, request: &[u8]| {
+        let pdu = &request[1..request.len() - 2];
+        let parts = answer(pdu, fault(number), manners, &mut pending);
+        let times = (1..).map(|k| PIECE * k);
+        times.zip(parts).collect()
+    };
+    with_script(timeout_ms, script, work)
 }
 
 fn always(fault: Fault) -> impl FnMut(usize) -> Fault + Send + 'static {
@@ -125,13 +112,6 @@ fn settings(timeout: Duration) -> RawSettings {
         timeout,
         gap: Some(Duration::ZERO),
     }
-}
-
-fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
-    let Length::Known(length) = request_len(received.get(1..)?) else {
-        return None;
-    };
-    (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
 }
 
 /// The pieces that the unit sends for one request.
@@ -321,7 +301,7 @@ fn a_write_goes_out_once_even_when_nobody_answers() {
 }
 
 #[test]
-fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
+fn a_silent_unit_costs_one_timeout_a_read() {
     with_client(Manners::default(), 30, always(Fault::Silent), |client| {
         let none = batch(client, &reads(&[1, 2, 3], 1), 2);
         assert_eq!((none.asked, none.answered), (6, 0));
@@ -329,12 +309,6 @@ fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
         assert_eq!((requests.sent, requests.timeout), (6, 6));
         assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
     });
-    // Who else has the port is refused.
-    let (_far, target) = raw_pty();
-    let open = || RawClient::open(&target, &settings(PIECE), None);
-    let _held = open().unwrap();
-    let refused = open().map(drop).unwrap_err().to_string();
-    assert!(refused.contains("holds it"), "{refused}");
 }
 
 #[test]
@@ -401,16 +375,30 @@ fn names_are_taken_as_far_as_they_fit() {
 /// Such a drive was called "something else" before.
 #[test]
 fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
-    let mut is_first = true;
-    let fake = Fake::over_pty(Language::Rtu, identity_block(), move |asked| {
-        let mut say = vec![Say::Bytes(asked.honest.clone())];
-        if std::mem::take(&mut is_first) {
-            say.extend([Say::WaitMs(30), Say::Bytes(asked.honest)]);
-        }
-        say
+    let identity = firmware_protocol::Identity {
+        serial_number: 4711,
+        ..firmware_protocol::Identity::default()
+    };
+    let block: [u16; IDENTITY_WORDS] = identity.to_registers();
+    let script = move |number: usize, request: &[u8]| {
+        let word = |at: usize| usize::from(u16::from_be_bytes([request[at], request[at + 1]]));
+        let reply = match request[1] {
+            3 => {
+                let begin = word(2) - usize::from(IDENTITY_ADDRESS);
+                let words = block[begin..begin + word(4)].iter();
+                let bytes: Vec<u8> = words.flat_map(|word| word.to_be_bytes()).collect();
+                let count = u8::try_from(bytes.len()).unwrap();
+                frame(1, &[&[3, count], &bytes[..]].concat())
+            }
+            _ => request.to_vec(),
+        };
+        let copies = if number == 0 { 2 } else { 1 };
+        (0..copies)
+            .map(|copy: u32| (PIECE * (1 + 6 * copy), reply.clone()))
+            .collect()
+    };
+    with_script(300, script, |client| {
+        let identity = client.identify().unwrap();
+        assert_eq!(identity.unwrap().serial_number, "4711");
     });
-    let settings = settings(Duration::from_millis(300));
-    let mut client = RawClient::open(&fake.target, &settings, None).unwrap();
-    let identity = client.identify().unwrap();
-    assert_eq!(identity.unwrap().serial_number, "4711");
 }

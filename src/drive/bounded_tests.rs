@@ -1,74 +1,75 @@
 //! Times on a bus that is late once, or dead: true stamps, silences that end, exchanges that keep their bound.
 
-use super::*;
-use crate::drive::fake::rtu_frame;
-use crate::drive::modbus::ModbusBus;
-use crate::drive::register_bus::RegisterBus;
-use crate::drive::transaction::CutIn;
-use crate::drive::waiting::alarm;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::DriveProfile;
+use super::modbus::ModbusBus;
+use super::register_bus::{ReadRequest, RegisterBus};
+use super::reply::FrameKind;
+use super::scripted::{Delayed, Scripted, frame};
+use super::transaction::CutIn;
+use super::virtual_line::{modbus_link, paused};
+use super::waiting::{alarm, now};
 
 const TURNAROUND: Duration = Duration::from_micros(700);
 const LATE: Duration = Duration::from_millis(70);
 
-/// Answers every read and write in order, one of them late, and none from one on.
-struct Punctual {
-    heard: u64,
-    late: u64,
-    dead_from: u64,
-    /// When each request came.
-    at: Vec<std::time::Instant>,
+/// What answers a read or a write.
+fn answer(request: &[u8]) -> Vec<u8> {
+    let pdu = match request[1] {
+        3 => {
+            let count = request[5];
+            let mut pdu = vec![3, 2 * count];
+            pdu.extend((0..count).flat_map(|k| [request[3], k]));
+            pdu
+        }
+        _ => request[1..6].to_vec(),
+    };
+    frame(1, &pdu)
 }
 
-impl Device for Punctual {
-    fn hear(&mut self, request: &[u8]) -> Vec<(Duration, Vec<u8>)> {
-        self.heard += 1;
-        self.at.push(now());
-        if self.heard >= self.dead_from {
-            return Vec::new();
-        }
-        let pdu = match request[1] {
-            3 => {
-                let count = request[5];
-                let mut pdu = vec![3, 2 * count];
-                pdu.extend((0..count).flat_map(|k| [request[3], k]));
-                pdu
-            }
-            _ => request[1..6].to_vec(),
-        };
-        let is_late = self.heard == self.late;
-        let delay = if is_late { LATE } else { TURNAROUND };
-        vec![(delay, rtu_frame(1, &pdu))]
-    }
-}
+type Script = Box<dyn FnMut(usize, &[u8]) -> Vec<Delayed> + Send>;
 
 struct Line {
     bus: ModbusBus,
-    device: Arc<Mutex<Punctual>>,
-    epoch: std::time::Instant,
+    device: Arc<Mutex<Scripted<Script>>>,
+    /// Number of the first request that nothing answers.
+    dead_from: Arc<AtomicUsize>,
+    epoch: Instant,
 }
 
-/// Works on a line in virtual time.
-fn on_a_line(late: u64, dead_from: u64, work: impl FnOnce(Line)) {
+/// Works on a line in virtual time that answers every request in order, but for one that is late, and none from one on.
+fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
     paused(|| {
         let mut profile = DriveProfile::named("epulse50-dc").unwrap();
         profile.link.deadline_ms = Some(50.0);
-        let device = Arc::new(Mutex::new(Punctual {
-            heard: 0,
-            late,
-            dead_from,
-            at: Vec::new(),
-        }));
+        let dead_from = Arc::new(AtomicUsize::new(dead_from));
+        let end = Arc::clone(&dead_from);
+        let script = move |number: usize, request: &[u8]| {
+            let delay = if number == late { LATE } else { TURNAROUND };
+            let is_answered = number < end.load(Ordering::Relaxed);
+            let reply = is_answered.then(|| (delay, answer(request)));
+            reply.into_iter().collect()
+        };
+        let device = Scripted::new(Box::new(script) as Script);
         let epoch = now();
-        let link = modbus_link("virtual", &profile.link, &device);
+        let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &device);
         work(Line {
             bus: ModbusBus::new(link, &profile.registers.unwrap()),
             device,
+            dead_from,
             epoch,
         });
     });
 }
 
 impl Line {
+    fn heard(&self) -> usize {
+        self.device.lock().unwrap().requests.len()
+    }
+
     /// Two reads that look alike; how long they took, and whether they gave values with true stamps.
     fn cycle(&mut self) -> (Duration, bool) {
         let began = now();
@@ -79,7 +80,7 @@ impl Line {
                 continue;
             };
             assert_eq!(read.words[0] >> 8, address & 0xFF);
-            let served = *self.device.lock().unwrap().at.last().unwrap();
+            let served = self.device.lock().unwrap().requests.last().unwrap().0;
             let served_s = served.duration_since(self.epoch).as_secs_f64();
             let middle_s = read.span.middle_s();
             let half_s = read.span.half_width_s();
@@ -93,7 +94,7 @@ impl Line {
 /// Before, the silence behind one late reply was kept for the rest of the connection.
 #[test]
 fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
-    on_a_line(401, u64::MAX, |mut line| {
+    on_a_line(400, usize::MAX, |mut line| {
         let clean = Duration::from_millis(8);
         let mut slow = Vec::new();
         for k in 0..1000_u32 {
@@ -119,12 +120,12 @@ fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
 
 #[test]
 fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
-    on_a_line(0, 11, |mut line| {
+    on_a_line(usize::MAX, 10, |mut line| {
         for _ in 0..3 {
             line.cycle();
         }
-        let mut heard = line.device.lock().unwrap().heard;
-        line.device.lock().unwrap().dead_from = 0;
+        let mut heard = line.heard();
+        line.dead_from.store(0, Ordering::Relaxed);
         for _ in 0..10 {
             let began = now();
             line.bus.bound(0.08);
@@ -132,12 +133,12 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
             assert!(error.is_transient(), "{error}");
             let took = now().duration_since(began);
             assert!(took <= Duration::from_millis(81), "{took:?}");
-            let now_heard = line.device.lock().unwrap().heard;
+            let now_heard = line.heard();
             assert!(now_heard - heard <= 5, "a few probes an exchange");
             heard = now_heard;
         }
         // It answers again, and the line is in step soon.
-        line.device.lock().unwrap().dead_from = u64::MAX;
+        line.dead_from.store(usize::MAX, Ordering::Relaxed);
         let read = (0..6).find_map(|_| {
             line.bus.bound(0.08);
             line.bus.read(ReadRequest::holding(100, 3)).ok()
@@ -148,7 +149,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
 
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
-    on_a_line(0, 0, |mut line| {
+    on_a_line(usize::MAX, 0, |mut line| {
         // Which the cut is to meet: the silence before the first probe, and the probes.
         for after_ms in [5, 15, 40, 60] {
             let flag = Arc::new(AtomicBool::new(false));
@@ -164,12 +165,12 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             );
             assert!(after <= Duration::from_millis(5), "{after_ms}: {after:?}");
             // The stop is next, and it does not wait for its reply for long, nor the one behind it for the first.
-            let (began, before) = (now(), line.device.lock().unwrap().heard);
+            let (began, before) = (now(), line.heard());
             assert!(line.bus.write_at_once(6, 0x1026, &[0]).is_err());
             assert!(line.bus.write_at_once(6, 0x1000, &[0]).is_err());
-            let device = line.device.lock().unwrap();
-            assert_eq!(device.heard, before + 2);
-            let last = device.at.last().unwrap().duration_since(began);
+            assert_eq!(line.heard(), before + 2);
+            let last = line.device.lock().unwrap().requests[before + 1].0;
+            let last = last.duration_since(began);
             assert!(last < Duration::from_millis(60), "{last:?}");
         }
     });
