@@ -6,7 +6,10 @@ use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
 use super::pilot::Program;
 use super::timing::whole;
-use crate::plant::{Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory};
+use crate::plant::effect::TermKind;
+use crate::plant::{
+    ActiveEffect, Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory,
+};
 use crate::sample::{Channel, Demand, DriveState, Sample};
 
 /// A limit that the prediction crosses.
@@ -332,14 +335,9 @@ impl Prediction {
         let hold_v = motor.resistance_ohm * hold_a;
         let mut model = Model::baseline(motor.motor());
         if limits.load.vertical {
-            model = model.with_effect("constant_load")?;
-            let slots = model.slots();
-            if let Some(weight) = slots
-                .iter()
-                .find(|slot| slot.key().contains("constant_n_m"))
-            {
-                model.set(weight, motor.back_emf_v_s_per_rad * hold_a);
-            }
+            let weight_n_m = motor.back_emf_v_s_per_rad * hold_a;
+            let weight = ActiveEffect::with(TermKind::TorqueOffset.effect(), &[weight_n_m]);
+            model.effects.push(weight);
         }
         let mut driven = Plant::new(&model, Input::Voltage)?;
         let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;

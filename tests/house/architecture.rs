@@ -56,7 +56,7 @@ pub(super) fn files(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-fn rust_files(folders: &[&str]) -> Vec<(String, String)> {
+pub(super) fn rust_files(folders: &[&str]) -> Vec<(String, String)> {
     let all = folders.iter().flat_map(|folder| files(folder));
     let rust = all.filter(|path| path.extension().is_some_and(|ending| ending == "rs"));
     let read: Vec<(String, String)> = rust
@@ -85,7 +85,7 @@ fn floor_of(room: &str) -> Option<usize> {
     floors.position(|floor| floor.split_whitespace().any(|there| there == room))
 }
 
-fn is_test_file(path: &str) -> bool {
+pub(super) fn is_test_file(path: &str) -> bool {
     path.contains("/tests/") || path.ends_with("tests.rs")
 }
 

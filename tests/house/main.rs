@@ -2,5 +2,6 @@
 
 mod architecture;
 mod citations;
+mod effects;
 mod faults;
 mod text_files;

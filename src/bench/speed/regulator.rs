@@ -212,20 +212,14 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
     Ok(())
 }
 
-/// The first value of an effect of the model; 0 without the effect.
-fn effect_value(model: &Model, id: &str) -> f64 {
-    let effect = model.effects.iter().find(|effect| effect.id() == id);
-    let first = effect.and_then(|effect| effect.values.first().copied().flatten());
-    first.unwrap_or(0.0)
-}
-
 /// The loop's timing: what was measured on the link, and what the model knows to lie behind it.
 pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
-    let behind_s = effect_value(model, "command_delay") + effect_value(model, "speed_delay");
+    let path = model.known_path();
+    let behind_s = path.command_delay_s + path.speed_delay_s;
     LoopTiming {
         period_s,
         delay_s: link_delay_s + behind_s.max(0.0),
-        filter_s: effect_value(model, "speed_filter").max(0.0),
+        filter_s: path.speed_filter_s.max(0.0),
     }
 }
 

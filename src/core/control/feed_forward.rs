@@ -143,11 +143,7 @@ impl FeedForward {
                 mapped: (maps.iter().map(|map| map.torque)).find(|torque| torque.holds(active)),
             })
         });
-        let shown_late = model
-            .effects
-            .iter()
-            .filter(|active| active.id() == "speed_delay");
-        let shown_late_s: f64 = shown_late.filter_map(|active| active.values[0]).sum();
+        let shown_late_s = model.known_path().speed_delay_s;
         Some(Self {
             effects: effects.collect(),
             maps: maps.to_vec(),

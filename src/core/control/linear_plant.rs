@@ -11,6 +11,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use thiserror::Error;
 
 use super::Actuator;
+use crate::plant::effect::{TermKind, VISCOUS_SLOPE as VISCOUS};
 use crate::plant::{Coupling, Model, MotorKey};
 
 /// Most states of a plant.
@@ -76,16 +77,13 @@ impl PlantError {
     }
 }
 
-/// The value of a model that [`viscous_n_m_s_per_rad`] reads.
-const VISCOUS: &str = "viscous_friction.viscous_n_m_s_per_rad";
-
 /// The slope of a model's friction; 0 without viscous friction.
 ///
 /// # Errors
 /// Viscous friction without a value, or one that is not finite or below 0.
 pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
     let mut effects = model.effects.iter();
-    let Some(effect) = effects.find(|effect| effect.id() == "viscous_friction") else {
+    let Some(effect) = effects.find(|effect| effect.id() == TermKind::Drag.id()) else {
         return Ok(0.0);
     };
     let missing = PlantError::Missing {

@@ -5,7 +5,8 @@ use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::Floor;
-use super::joint::answer::{Inference, Inferred, Onset, RunOf};
+use super::joint::answer::{Inference, Onset, RunOf};
+use super::joint::marginal::Inferred;
 use super::ladder::Standing;
 use super::reached::{self, Reached};
 use super::score::{Fitted, by_key, parameters_of};
@@ -286,23 +287,13 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
         .collect()
 }
 
-/// What an event changes, in words that can stand before a signed size.
-const CHANGES: &[(&str, &str)] = &[
-    ("inertia_change", "inertia"),
-    ("load_step", "friction"),
-    ("one_sided_load", "load"),
-    ("friction_onset", "drag"),
-];
-
 /// When something that happens once did so, and what it changed.
 pub(super) fn happening(
     effect: &dyn Effect,
     onsets: &[Onset],
     from: HoldoutFrom,
 ) -> Option<String> {
-    let id = effect.card().id;
-    let change = CHANGES.iter().find(|(known, _)| *known == id);
-    let change = change.map_or(effect.card().name, |(_, change)| change);
+    let change = effect.card().changes.unwrap_or(effect.card().name);
     let size = |onset: &Onset| match unit_of_size(effect) {
         "(a ratio)" => format!("{change} {:+.0} %", 100.0 * onset.size),
         unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),

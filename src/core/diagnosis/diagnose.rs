@@ -13,14 +13,14 @@ use super::ladder::{Bench, Rung, Standing, climb};
 use super::location::{
     AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
 };
-use super::next_experiment::{NextExperiment, equivalences};
+use super::next_experiment::NextExperiment;
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
 use super::sentence::{NOTHING_IS_MISSING, NOTHING_THAT_SHOWS, not_told, sentence};
 use super::{trivial, vetoes};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
-use crate::plant::effect::CATALOGUE;
+use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{Effect, Model, MotorKey, Scenario, State};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -439,7 +439,8 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .chain(repeatability.why_not)
             .collect(),
         equivalences: (named.iter())
-            .flat_map(|id| equivalences(id))
+            .filter_map(|id| effect::find(id))
+            .flat_map(|effect| effect.card().equivalences)
             .copied()
             .collect(),
         next_experiment: None,

@@ -52,9 +52,7 @@ pub use location::{
     Located, MapCell, MapDigits, MapError, MeasuredMap, Off, OwnChange, axis_map, effect_curve,
     error_curve, lean, locate, torque_map,
 };
-pub use next_experiment::{
-    ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
-};
+pub use next_experiment::{ExperimentLimits, NextExperiment, Recipe, next_experiment, recommend};
 pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{Light, ResidualLights};

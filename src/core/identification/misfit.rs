@@ -24,30 +24,13 @@ use super::weak_form::Balanced;
 use crate::numerics::least_squares::inverse_where_determined;
 use crate::numerics::levenberg_marquardt::Problem as _;
 use crate::numerics::statistics::BAND_99;
+use crate::plant::effect::{BiasedFit, CATALOGUE};
 use crate::plant::{Balance, Model, MotorKey, Scenario, Slot, typical_size};
 use crate::sample::{Channel, ParameterEstimate, Verdict};
 
 /// `D`: ways in which a missing effect can show. Twenty and the form below hold the true values of a motor emulated with a
 /// speed that comes late, viscous friction, a winding that warms up or an offset of the current.
 const WAYS: f64 = 20.0;
-/// What is missing most often, and bends parameters by more than it leaves: each is let in alone.
-const FORMS: [&str; 8] = [
-    "viscous_friction",
-    "winding_heating",
-    "current_offset",
-    "voltage_offset",
-    "voltage_drop",
-    "speed_delay",
-    "command_delay",
-    "current_filter",
-];
-/// What a balance of torques lacks most often.
-const FORMS_OF_TORQUE: [&str; 4] = [
-    "viscous_friction",
-    "asymmetric_viscous",
-    "quadratic_load",
-    "constant_load",
-];
 /// Share of its typical size, or of a period where it is a delay, over which the derivative of a form is taken.
 const SMALL: f64 = 0.05;
 /// Share of a form's power that parameters do not imitate, below which the record has nothing on it.
@@ -260,7 +243,7 @@ pub(crate) fn widen_by_forms_of_torque(
     beside: impl Fn(&'static str) -> Option<Vec<ParameterEstimate>>,
 ) {
     let mut most: Vec<Option<(f64, f64, &str)>> = vec![None; parameters.len()];
-    for form in FORMS_OF_TORQUE {
+    for form in forms_that_bias(BiasedFit::TorqueBalance) {
         let Some(with) = beside(form) else {
             continue;
         };
@@ -303,6 +286,13 @@ pub(crate) fn widen_by_forms_of_torque(
     }
 }
 
+/// What is missing most often, and bends the parameters of a fit by more than it leaves: each is let in alone.
+fn forms_that_bias(fit: BiasedFit) -> impl Iterator<Item = &'static str> {
+    let cards = CATALOGUE.iter().map(|effect| effect.card());
+    let own = cards.filter(move |card| card.biases.contains(&fit));
+    own.map(|card| card.id)
+}
+
 /// How far each coordinate moves where a form is let in beside it, of those that explain more of the residual than chance would;
 /// `None` where none does.
 fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Option<DVector<f64>> {
@@ -316,7 +306,7 @@ fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opti
     let base = at(&fit.model)?;
     let residual = DVector::from_column_slice(&minimum.residual);
     let chance = SURE * SURE * minimum.cost / residual.len() as f64;
-    let explained = FORMS.iter().filter_map(|id| {
+    let explained = forms_that_bias(BiasedFit::FreeRun).filter_map(|id| {
         let mut model = fit.model.with_effect(id).ok()?;
         let place = model.effects.len() - 1;
         let is_own = |slot: &Slot| matches!(slot, Slot::Effect { index, .. } if *index == place);

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::effect::{self, Effect, ParameterRole, ParameterSpec, Terms};
+use super::effect::{self, Effect, ParameterRole, ParameterSpec, Path, Terms};
 use super::motor::{Motor, MotorKey};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -251,6 +251,15 @@ impl Model {
         let mut model = self.clone();
         model.effects.push(ActiveEffect::new(effect));
         Ok(model)
+    }
+
+    /// The way of command and measurement, as far as its effects have their values.
+    pub fn known_path(&self) -> Path {
+        let known = self.effects.iter().filter_map(|active| {
+            let values: Option<Vec<f64>> = active.values.iter().copied().collect();
+            Some(active.effect.terms(&values?).path())
+        });
+        known.fold(Path::default(), Path::plus)
     }
 
     /// Fixes the parameter `key` for as long as the effect `id` is in the model. False where somebody fixed it for good.

@@ -50,10 +50,11 @@ impl MappedTorque {
 
     /// Whether an effect is part of it.
     pub fn holds(self, active: &ActiveEffect) -> bool {
-        match self {
-            Self::Friction => active.effect.card().curve == Some((Balance::Torque, Axis::Speed)),
-            Self::Cogging => ["cogging", "eccentric_load"].contains(&active.id()),
-        }
+        let axis = match self {
+            Self::Friction => Axis::Speed,
+            Self::Cogging => Axis::Angle,
+        };
+        active.effect.card().curve == Some((Balance::Torque, axis))
     }
 
     /// The model without it.

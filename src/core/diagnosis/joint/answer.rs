@@ -5,9 +5,10 @@ use super::asked::{prepared, starts, why_not};
 use super::columns::{Around, Candidate};
 use super::events::Event;
 use super::follow::Noise;
+use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY};
 use super::prediction_error::estimate;
-use super::refits::has_drop_of_brushes;
-use super::rivals::{confusable, share_among_events, share_with_drop};
+use super::refits::at_limit;
+use super::rivals::{confusable, share_among_events, share_at_limit};
 use super::search::{self, SearchResult};
 use super::select::Set;
 use super::shown::{
@@ -34,10 +35,6 @@ use serde::Serialize;
 const SETS: usize = 12;
 /// How many times as large as white noise what a set leaves of the innovations may be and still count as white.
 const NEARLY_WHITE: f64 = 1.3;
-/// Probability from which on an effect is named.
-pub(super) const NAMED_PROBABILITY: f64 = 0.5;
-/// The same for two together that cannot be told apart.
-pub(super) const TOGETHER_PROBABILITY: f64 = 0.9;
 
 /// Share of the error from which on what follows an axis is a part of the answer.
 const LEAST_PART_SHARE: f64 = 0.03;
@@ -68,25 +65,6 @@ pub struct Onset {
     pub size_std: f64,
 }
 
-/// One effect.
-#[derive(Clone)]
-pub(in crate::diagnosis) struct Inferred {
-    pub(in crate::diagnosis) effect: &'static dyn Effect,
-    /// Whether the model had it before.
-    pub(in crate::diagnosis) given: bool,
-    /// That it is there, beside all others that may be.
-    pub(in crate::diagnosis) probability: f64,
-    /// Whether these runs would show it at its slab, and why they cannot be asked at all.
-    pub(in crate::diagnosis) excited: bool,
-    pub(in crate::diagnosis) why_not: Option<&'static str>,
-    /// Its size is below this with 95 %, in the unit of its first parameter; an amplitude where it has sine and cosine.
-    pub(in crate::diagnosis) upper_bound: Option<f64>,
-    /// A size that would have been named in 95 of 100 such records.
-    pub(in crate::diagnosis) detectable: Option<f64>,
-    /// Log of the odds given the rest of the best set.
-    pub(in crate::diagnosis) log_odds: f64,
-}
-
 /// A part of the error that follows something and that no effect of the catalogue explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unknown {
@@ -96,12 +74,6 @@ pub struct Unknown {
     /// Of the error that the baseline leaves.
     pub share_of_error: f64,
     pub sentence: String,
-}
-
-impl Inferred {
-    pub(super) fn id(&self) -> &'static str {
-        self.effect.card().id
-    }
 }
 
 /// Excess of what the best set leaves over white noise beyond which it refutes nothing: eight ninths of it are then the model's,
@@ -366,8 +338,8 @@ pub(in crate::diagnosis) fn infer(
     let rivals = confusable(&found);
     share_among_events(&mut effects, &rivals);
     let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
-    if has_drop_of_brushes(&found.hypothesis.model) {
-        share_with_drop(&mut effects, &mut confusable);
+    if let Some(pair) = at_limit(&found.hypothesis.model) {
+        share_at_limit(pair, &mut effects, &mut confusable);
     }
     let probability = |id: &str| {
         let own = effects.iter().find(|own| own.id() == id);

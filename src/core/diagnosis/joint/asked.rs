@@ -27,7 +27,14 @@ pub(in crate::diagnosis) fn why_not(
     effect: &dyn Effect,
     scenario: &Scenario,
 ) -> Option<&'static str> {
-    if effect.card().id == "restart_delay" && starts_from_rest(&scenario.events).len() < 2 {
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(ParameterSpec::guess)
+        .collect();
+    let terms = effect.terms(&guess);
+    let acts_at_restarts = terms.path().restart_delay_s > 0.0;
+    if acts_at_restarts && starts_from_rest(&scenario.events).len() < 2 {
         return Some("the run starts from rest once at most: there it is a start delay");
     }
     if scenario.input == Input::Voltage {
@@ -46,8 +53,6 @@ pub(in crate::diagnosis) fn why_not(
     if why_not.is_some() {
         return why_not;
     }
-    let specs = effect.parameters().iter();
-    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
     let at_last = Instant {
         time_s: f64::MAX,
         ..Instant::default()

@@ -23,10 +23,6 @@ use crate::plant::{
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
 pub(super) const SLAB: f64 = 2.0;
 
-/// Currents from which on gaps, not brushes, bend the voltage, A: nine times the 0.1 A over which a drop of brushes builds up
-/// in the catalogue, whatever the motor: contacts know no rated current. A softer drop would pass for gaps.
-pub(super) const LEAST_BOUNDARY_A: f64 = 0.9;
-
 /// Mean square of the innovations above which a linear solution is not believed, and refutes nothing.
 pub(super) const FAR_MEAN_SQUARE: f64 = 3.0;
 
@@ -120,6 +116,12 @@ impl Candidate {
     /// Whether it happens once, in each run at a moment of its own.
     pub(super) fn is_event(&self) -> bool {
         self.variants[0].moments().next().is_some()
+    }
+
+    /// Whether its steps, at all moments, stand for the disturbance.
+    pub(super) fn is_disturbance_step(&self) -> bool {
+        self.effect
+            .is_some_and(|effect| effect.card().is_disturbance_step)
     }
 
     /// Whether it is a curve that no effect gives.
@@ -511,7 +513,6 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
 
 /// An effect that the model lacks, in each form of its grid.
 fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
-    let id = effect.card().id;
     let specs = effect.parameters();
     let mut part = Part::new(effect);
     let coefficients = (0..specs.len()).filter(|k| specs[*k].is_coefficient());
@@ -522,7 +523,8 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
-        if id == "discontinuous_conduction" && shape[1] < LEAST_BOUNDARY_A {
+        let mut limit = effect.card().limit.iter();
+        if limit.any(|limit| shape[limit.parameter] < limit.least) {
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
@@ -774,10 +776,11 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
     };
     // A model with one effect of a family does not get the other too.
     let names = |a: &Candidate, b: &Candidate| {
-        let others = a
-            .effect
-            .map_or(&[][..], |effect| effect.card().alternatives);
-        others.contains(&b.id)
+        let card = a.effect.map(|effect| effect.card());
+        card.is_some_and(|card| {
+            let mut others = card.alternatives.iter().chain(card.excludes);
+            others.any(|id| *id == b.id)
+        })
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
         names(a, b)
@@ -786,11 +789,6 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
                 && a.is_unknown() != b.is_unknown()
                 && curve(a).is_some()
                 && curve(a) == curve(b))
-    };
-    // Loads that set in: two of them at once are one that is neither.
-    let sets_in = |c: &Candidate| ["load_step", "one_sided_load", "friction_onset"].contains(&c.id);
-    let says_the_same = |a: &Candidate, b: &Candidate| {
-        says_the_same(a, b) || (sets_in(a) && sets_in(b) && a.id != b.id)
     };
     for k in 0..candidates.len() {
         let own = &candidates[k];

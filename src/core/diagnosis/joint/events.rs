@@ -221,28 +221,28 @@ impl Hypothesis {
 }
 
 /// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a load that wanders, too.
-fn parts_of_run(id: &str) -> usize {
-    if id == "load_step" {
+fn parts_of_run(effect: &dyn Effect) -> usize {
+    if effect.card().is_disturbance_step {
         PLACES
     } else {
         PLACES_OTHER
     }
 }
 
-fn spacing_s(run: &Around<'_>, id: &str) -> f64 {
+fn spacing_s(run: &Around<'_>, effect: &dyn Effect) -> f64 {
     let last_s = run.scenario.sample_time_s[run.scenario.samples() - 1];
-    (last_s - run.scenario.begin_s()) / parts_of_run(id) as f64
+    (last_s - run.scenario.begin_s()) / parts_of_run(effect) as f64
 }
 
 /// Log of the share beforehand of what happens in one run only at a given moment, in so many runs.
-fn log_share_of_one(id: &str, runs: usize) -> f64 {
+fn log_share_of_one(effect: &dyn Effect, runs: usize) -> f64 {
     let only = if runs > 1 { 0.5 / runs as f64 } else { 1.0 };
-    only.ln() - ((parts_of_run(id) - 1) as f64).ln()
+    only.ln() - ((parts_of_run(effect) - 1) as f64).ln()
 }
 
 /// The same of what happens in two runs at given moments.
-fn log_share_of_two(id: &str) -> f64 {
-    0.5_f64.ln() - 2.0 * ((parts_of_run(id) - 1) as f64).ln()
+fn log_share_of_two(effect: &dyn Effect) -> f64 {
+    0.5_f64.ln() - 2.0 * ((parts_of_run(effect) - 1) as f64).ln()
 }
 
 /// An event in each of its forms: as the model has it, and in the runs in which the model lacks it.
@@ -268,8 +268,8 @@ pub(super) fn parts(
         let mut part = Part::new(effect);
         part.candidate.in_model = true;
         let log_prior = match own.len() {
-            1 => log_share_of_one(id, runs.len()),
-            _ => log_share_of_two(id),
+            1 => log_share_of_one(effect, runs.len()),
+            _ => log_share_of_two(effect),
         };
         let mut form = Form::new(own[0].values.clone(), log_prior);
         for event in &own {
@@ -294,18 +294,18 @@ pub(super) fn parts(
     }
     // Beside what the model has, the other run may have it too.
     let mut part = Part::new(effect);
-    let mut log_share = log_share_of_one(id, runs.len());
+    let mut log_share = log_share_of_one(effect, runs.len());
     if !own.is_empty() {
         part.candidate.log_odds = 0.0;
-        log_share = log_share_of_two(id) - log_share;
+        log_share = log_share_of_two(effect) - log_share;
     }
     for (number, run) in runs.iter().enumerate() {
         if own.iter().any(|event| event.run == number) {
             continue;
         }
         let unit = slab(run);
-        let part_s = spacing_s(run, id);
-        let grid = (1..parts_of_run(id)).map(|place| part_s * place as f64);
+        let part_s = spacing_s(run, effect);
+        let grid = (1..parts_of_run(effect)).map(|place| part_s * place as f64);
         let others = hypothesis.events.iter();
         let others = others.filter(|event| event.run == number && event.id() != id);
         let others = others.map(|event| (event.time_s(), true));
@@ -367,13 +367,13 @@ fn in_model(candidates: &[Candidate]) -> impl Iterator<Item = usize> {
 /// An event of the model that is in two runs, in either alone.
 fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     let both = &candidate.variants[0];
-    if both.moments().count() < 2 {
+    let Some(effect) = candidate.effect.filter(|_| both.moments().count() > 1) else {
         return vec![];
-    }
+    };
     let own = both.columns.iter().filter(|column| column.moment.is_some());
     let only = |column: &Column| Variant {
         columns: vec![*column],
-        log_prior: log_share_of_one(candidate.id, runs),
+        log_prior: log_share_of_one(effect, runs),
         ..both.clone()
     };
     own.map(only).collect()
@@ -386,6 +386,9 @@ fn together(
     runs: &[Around<'_>],
     gain: &impl Fn(usize) -> f64,
 ) -> Vec<Variant> {
+    let Some(effect) = candidate.effect else {
+        return vec![];
+    };
     let of_run = |run: usize| -> Vec<&Variant> {
         let is_own = |form: &&Variant| form.moments().next().is_some_and(|own| own.0 == run);
         let own = candidate.variants.iter().filter(is_own);
@@ -398,10 +401,10 @@ fn together(
     let (first, second) = (of_run(0), of_run(1));
     let both = |a: &Variant, b: &Variant| Variant {
         columns: [&a.columns[..], &b.columns].concat(),
-        log_prior: log_share_of_two(candidate.id),
+        log_prior: log_share_of_two(effect),
         ..a.clone()
     };
-    let seen_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], candidate.id));
+    let seen_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], effect));
     let happens = |form: &Variant| {
         let mut moments = form.moments();
         moments.any(|(run, time_s)| time_s > seen_s[run])
@@ -463,7 +466,7 @@ impl Search<'_> {
         let times = &self.run.scenario.sample_time_s;
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
         let period_s = self.run.scenario.mean_period_s();
-        let spacing_s = spacing_s(self.run, self.event.id());
+        let spacing_s = spacing_s(self.run, self.event.effect);
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
         let mut step_s = WIDE_PARTS * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();

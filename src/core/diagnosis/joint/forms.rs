@@ -37,7 +37,7 @@ pub(super) fn keep_likeliest(
     for (number, part) in parts.iter().enumerate() {
         let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
         // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
-        let stays = part.candidate.in_model || part.candidate.id == "load_step";
+        let stays = part.candidate.in_model || part.candidate.is_disturbance_step();
         let mut sources = part.sources.iter().flatten();
         let tangents = sources.all(|own| matches!(own, Source::Tangent(_) | Source::In(..)));
         if many && tangents && !stays {

@@ -30,6 +30,7 @@ mod follow;
 pub(super) mod foresight;
 mod forms;
 pub(super) mod free_run;
+pub(super) mod marginal;
 mod noise;
 mod nuisances;
 mod prediction_error;

@@ -9,10 +9,10 @@ use super::acting::constants;
 use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
 use super::tangent::{Tangent, Wave, are_tangents, wave_of_current};
 use crate::numerics::statistics::largest;
-use crate::plant::effect::Axis;
+use crate::plant::effect::{Axis, TermKind};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
-    effect, typical_size,
+    typical_size,
 };
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
@@ -59,7 +59,8 @@ pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> 
     match key {
         MotorKey::Inertia => Some(MotorPrior::Logarithm(MOTOR_LOG_SIGMA)),
         MotorKey::LoadTorque => {
-            let slab = SLAB * typical_size(effect::find("constant_load")?, 0, model, scenario);
+            let constant = TermKind::TorqueOffset.effect();
+            let slab = SLAB * typical_size(constant, 0, model, scenario);
             Some(MotorPrior::Linear(
                 slab.max(MOTOR_LOG_SIGMA * model.motor.get(key)?),
             ))
@@ -100,15 +101,18 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
     let along = by_voltage && are_tangents(model, scenario);
-    let ids = ["command_delay", "current_filter", "speed_delay"];
-    let count = if by_voltage { ids.len() } else { 1 };
-    let ids = ids.into_iter().take(count);
+    let late = [
+        TermKind::LateCommand,
+        TermKind::LateCurrent,
+        TermKind::LateSpeed,
+    ];
+    let count = if by_voltage { late.len() } else { 1 };
     let period_s = scenario.mean_period_s();
     let half_width_s = scenario.typical_half_width_s();
     let of_samples_s = half_width_s.map(|half| half / 3f64.sqrt());
     let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
-    ids.filter_map(move |id| {
-        let is_command = id == "command_delay";
+    late.into_iter().take(count).map(move |kind| {
+        let is_command = kind == TermKind::LateCommand;
         let known_s = if is_command {
             of_commands_s
         } else {
@@ -122,22 +126,23 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         };
         let error_s = least_s.max(known_s.unwrap_or(0.0));
         if along {
-            return Some(Source::Tangent(match id {
-                "command_delay" => Tangent::LateCommands(error_s),
-                "current_filter" => Tangent::LateReadings([error_s, 0.0]),
+            return Source::Tangent(match kind {
+                TermKind::LateCommand => Tangent::LateCommands(error_s),
+                TermKind::LateCurrent => Tangent::LateReadings([error_s, 0.0]),
                 _ => Tangent::LateReadings([0.0, error_s]),
-            }));
+            });
         }
-        let effect = effect::find(id)?;
+        let effect = kind.effect();
         let mut moved = model.clone();
-        match moved.effects.iter_mut().find(|active| active.id() == id) {
+        let mut own = moved.effects.iter_mut();
+        match own.find(|active| active.id() == kind.id()) {
             Some(active) => active.values = vec![Some(active.values_or_guess()[0] + error_s)],
             None => moved.effects.push(ActiveEffect::with(effect, &[error_s])),
         }
-        Some(Source::Difference {
+        Source::Difference {
             model: moved,
             step: 1.0,
-        })
+        }
     })
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::asked::why_not;
-use super::columns::{Around, LEAST_BOUNDARY_A, SLAB, Source, columns_of};
+use super::columns::{Around, SLAB, Source, columns_of};
 use super::events::{Event, Hypothesis};
 use super::follow::follow;
 use super::free_run::excess;
@@ -81,12 +81,9 @@ impl Coordinate {
             let unit = SLAB * typical_size(effect, parameter, model, scenario);
             Self::linear(unit, (least, spec.max), 0.0)
         } else if spec.logarithmic {
-            let is_boundary = spec.key == "boundary_a";
-            let least = if is_boundary {
-                LEAST_BOUNDARY_A
-            } else {
-                spec.min
-            };
+            let limit = effect.card().limit;
+            let limit = limit.filter(|limit| limit.parameter == parameter);
+            let least = limit.map_or(spec.min, |limit| limit.least);
             Self::logarithm(SHAPE_LOG_SIGMA, (least, spec.max), value)
         } else {
             let unit = LINEAR_SHAPE_SCALES * spec.scale;

@@ -3,11 +3,12 @@
 
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, LEAST_BOUNDARY_A, Linear};
+use super::columns::{Around, Candidate, Linear};
 use super::events::Hypothesis;
 use super::prediction_error::{Refit, fit};
 use super::select::{Posterior, Reduced, Set};
 use super::solution::{placed, present};
+use crate::plant::effect::CATALOGUE;
 use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
 /// Log of the odds beforehand of an effect that a refit has refuted, and what is added to that of one without which a refit
@@ -28,10 +29,8 @@ pub(super) enum Judged {
 
 /// Keeps effects out of the sets, or in them, as refits found, and out pairs for which `one` was found to stand as well.
 pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static str>) {
-    let stands_for = ONE_FOR_TWO
-        .iter()
-        .filter(|(simple, _)| Some(*simple) == one);
-    for pair in stands_for.map(|(_, pair)| *pair) {
+    let one = one.and_then(effect::find);
+    for pair in one.map_or(&[][..], |one| one.card().stands_for) {
         let places = pair.map(|id| linear.candidates.iter().position(|own| own.id == id));
         if let [Some(a), Some(b)] = places {
             linear.candidates[a].excludes.push(b);
@@ -89,27 +88,23 @@ pub(super) fn keep_doubts(judged: &[Judged], linear: &Linear, posterior: &mut Po
     }
 }
 
-/// Effects that are two others together to first order: a command that comes late and both signals that are read late, a
-/// current that is read wrongly and what that does to both equations.
-const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
-    ("command_delay", ["speed_delay", "current_filter"]),
-    ("command_delay", ["speed_filter", "current_filter"]),
-    ("current_offset", ["constant_load", "voltage_offset"]),
-];
+/// Each effect with those that it may stand for: with the two that are this one to first order, then the simpler ones of a
+/// limit with the richer one. Each fits what the other does to some degree.
+fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
+    let cards = || CATALOGUE.iter().map(|effect| effect.card());
+    let for_two =
+        cards().flat_map(|card| card.stands_for.iter().map(|two| (card.id, two.to_vec())));
+    let at_limit = cards().filter_map(|card| Some((card.limit?.simpler, vec![card.id])));
+    for_two.chain(at_limit)
+}
 
-/// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
-pub(super) const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
-
-/// Whether a model's gaps of the current were fitted down to the least boundary that a converter's have: what would end below
-/// is a drop of brushes, however softly it builds up.
-pub(super) fn has_drop_of_brushes(model: &Model) -> bool {
-    let mut gaps = model.effects.iter();
-    let gaps = gaps.find(|active| active.id() == SIMPLE_FOR_RICH.1);
-    gaps.is_some_and(|gaps| {
-        let boundary = gaps.effect.parameters().iter();
-        let boundary = boundary.zip(gaps.values_or_guess());
-        let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
-        boundary.any(|(_, value_a)| value_a < AT_THE_LIMIT_RATIO * LEAST_BOUNDARY_A)
+/// The effect of a model that was fitted down to its limit, behind the simpler one that it is there: the gaps of a current that
+/// end below the least boundary of a converter are a drop of brushes, however softly it builds up.
+pub(super) fn at_limit(model: &Model) -> Option<[&'static str; 2]> {
+    model.effects.iter().find_map(|active| {
+        let limit = active.effect.card().limit?;
+        let value = active.values_or_guess()[limit.parameter];
+        (value < AT_THE_LIMIT_RATIO * limit.least).then(|| [limit.simpler, active.id()])
     })
 }
 
@@ -189,9 +184,7 @@ impl Weighed<'_> {
     /// clearly better.
     pub(super) fn simpler(&self, given: &[&'static str]) -> Option<(&'static str, Hypothesis)> {
         let there = &self.hypothesis.model;
-        let pairs = ONE_FOR_TWO.iter().map(|(one, two)| (*one, two.to_vec()));
-        let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
-        pairs.find_map(|(simple, others)| {
+        substitutes().find_map(|(simple, others)| {
             let open = |id: &&str| there.has(id) && !given.contains(id);
             if there.has(simple) || !others.iter().all(open) {
                 return None;
@@ -219,8 +212,8 @@ impl Weighed<'_> {
             // What is not known goes with the size that it was followed with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
-            let is_one = simple == SIMPLE_FOR_RICH.0
-                && has_drop_of_brushes(there)
+            let limit = at_limit(there);
+            let is_one = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
                 && left.squares < SOFTLY * rich.squares;
             let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND_NATS;
             (is_one || serves).then_some((simple, left.hypothesis))
@@ -236,6 +229,9 @@ mod tests {
     use crate::diagnosis::joint::select::select;
     use crate::diagnosis::kit::{nameplate, record, truth, with};
     use crate::plant::{Effect, Scenario, State};
+
+    /// The least boundary of the gaps of a converter, A.
+    const LEAST_BOUNDARY_A: f64 = 0.9;
 
     fn led<'a>(model: &Model, run: &'a Scenario) -> [Around<'a>; 1] {
         let noise = Noise {
@@ -273,9 +269,10 @@ mod tests {
     #[test]
     fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
         let gaps = |boundary_a: f64| truth("discontinuous_conduction", &[1.4, boundary_a]);
-        assert!(has_drop_of_brushes(&gaps(LEAST_BOUNDARY_A)));
-        assert!(!has_drop_of_brushes(&gaps(1.5 * LEAST_BOUNDARY_A)));
-        assert!(!has_drop_of_brushes(&truth("voltage_drop", &[0.9])));
+        let brushes = ["voltage_drop", "discontinuous_conduction"];
+        assert_eq!(at_limit(&gaps(LEAST_BOUNDARY_A)), Some(brushes));
+        assert_eq!(at_limit(&gaps(1.5 * LEAST_BOUNDARY_A)), None);
+        assert_eq!(at_limit(&truth("voltage_drop", &[0.9])), None);
     }
 
     #[test]

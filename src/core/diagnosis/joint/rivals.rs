@@ -1,7 +1,6 @@
 //! Effects that runs do not tell apart: which they are, and how they share what is known of one of them.
 
-use super::answer::{Inferred, NAMED_PROBABILITY};
-use super::refits::SIMPLE_FOR_RICH;
+use super::marginal::{Inferred, NAMED_PROBABILITY};
 use super::search::SearchResult;
 use super::select::Set;
 use super::shown::without;
@@ -84,31 +83,35 @@ pub(super) fn share_among_events(effects: &mut [Inferred], rivals: &[Rival]) {
     }
 }
 
-/// Halves the probability of gaps that end where no converter's do between them and a drop of brushes too soft for its own
-/// form, unless the gaps were given: nothing in these runs tells the two apart. What the drop's own form says of its size,
-/// beside gaps or in their place, is no bound then.
-pub(super) fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str; 2]>) {
-    let (drop, gaps) = SIMPLE_FOR_RICH;
+/// Halves the probability of an effect that was fitted down to its limit between it and the `simpler` one that it is there,
+/// unless it was given, as with gaps of the current and a drop of brushes that is too soft for its own form: nothing in these
+/// runs tells the two apart. What the simpler one's own form says of its size, beside the other or in its place, is no bound
+/// then.
+pub(super) fn share_at_limit(
+    [simpler, limited]: [&'static str; 2],
+    effects: &mut [Inferred],
+    confusable: &mut Vec<[&'static str; 2]>,
+) {
     let place = |id| effects.iter().position(|own| own.id() == id);
-    let (Some(drop_at), Some(gaps_at)) = (place(drop), place(gaps)) else {
+    let (Some(simpler_at), Some(limited_at)) = (place(simpler), place(limited)) else {
         return;
     };
-    if effects[gaps_at].given {
+    if effects[limited_at].given {
         return;
     }
-    let half = 0.5 * effects[gaps_at].probability;
-    effects[gaps_at].probability = half;
-    let soft = &mut effects[drop_at];
+    let half = 0.5 * effects[limited_at].probability;
+    effects[limited_at].probability = half;
+    let soft = &mut effects[simpler_at];
     soft.probability = half.max(soft.probability.min(NAMED_PROBABILITY));
     (soft.upper_bound, soft.detectable) = (None, None);
-    if !confusable.contains(&[gaps, drop]) {
-        confusable.push([gaps, drop]);
+    if !confusable.contains(&[limited, simpler]) {
+        confusable.push([limited, simpler]);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::answer::TOGETHER_PROBABILITY;
+    use super::super::marginal::TOGETHER_PROBABILITY;
     use super::*;
     use crate::plant::effect;
 
@@ -134,7 +137,8 @@ mod tests {
             ];
             effects[0].given = given;
             let mut pairs = vec![];
-            share_with_drop(&mut effects, &mut pairs);
+            let pair = [effects[1].id(), effects[0].id()];
+            share_at_limit(pair, &mut effects, &mut pairs);
             let [gaps, drop] = &effects;
             if given {
                 assert!(

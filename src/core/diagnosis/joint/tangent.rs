@@ -5,7 +5,7 @@ use super::columns::Around;
 use super::follow::{Dynamics, Passage, Update};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
-use crate::plant::effect::Axis;
+use crate::plant::effect::{Axis, Harmonic};
 use crate::plant::{
     Effect, Input, Instant, Model, MotorKey, ParameterSpec, Path, Scenario, Sums, Terms,
 };
@@ -695,11 +695,8 @@ pub(super) fn of_effect(
 
 /// Whether the effect is a wave over the angle, and then whether in proportion to the current.
 pub(super) fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
-    match effect.card().id {
-        "cogging" => Some(false),
-        "torque_ripple" => Some(true),
-        _ => None,
-    }
+    let harmonic = effect.card().harmonic?;
+    Some(harmonic == Harmonic::OfCurrent)
 }
 
 /// What one coefficient of an effect does by itself, all others at zero; `None` where that is no small forcing.

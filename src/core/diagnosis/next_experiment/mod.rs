@@ -197,26 +197,5 @@ fn mean_square(values: &[f64]) -> f64 {
     present.iter().map(|v| v * v).sum::<f64>() / present.len().max(1) as f64
 }
 
-/// What no run tells apart, because it is one equation: stated, never computed.
-///
-/// What cannot be known of an effect of this id from voltage, current, speed and angle.
-pub fn equivalences(effect: &str) -> &'static [&'static str] {
-    match effect {
-        "viscous_friction" => &[
-            "viscous friction and the drag of eddy currents are one equation, and no run tells them apart. Drive the machine \
-             with the rotor's magnets out (or the field off), or run it cold and warm",
-        ],
-        "constant_load" => &[
-            "a constant load torque and Coulomb friction that depends on the direction are one equation while the load \
-             is below the friction, and no run tells them apart. Turn the machine round on its bench, or take the load off",
-        ],
-        "field_change" => &[
-            "a change of flux and a gain error of the speed sensor are one equation, and no run tells them apart. Check the \
-             sensor against a counter",
-        ],
-        _ => &[],
-    }
-}
-
 #[cfg(test)]
 mod tests;

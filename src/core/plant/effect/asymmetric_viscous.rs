@@ -1,6 +1,6 @@
 //! Viscous friction that differs by direction.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
+use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "asymmetric_viscous",
@@ -20,6 +20,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "compare both flanks, seals and the preload; compensate by a feed-forward with one \
         slope per direction",
     curve: Some((Balance::Torque, Axis::Speed)),
+    biases: &[BiasedFit::TorqueBalance],
     parameters: &[ParameterSpec::coefficient(
         "asymmetry_n_m_s_per_rad",
         "N.m.s/rad",

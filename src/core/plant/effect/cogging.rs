@@ -1,6 +1,6 @@
 //! Torque of position, a whole number of times per turn and independent of the current.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, WAVE_ORDERS, torque};
+use super::{Axis, Balance, Card, Enters, Harmonic, ParameterSpec, Place, WAVE_ORDERS, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "cogging",
@@ -20,6 +20,7 @@ pub(super) const EFFECT: Card = Card {
         at the resonant speed; check the alignment of the coupling where N is 1 or 2",
     needs_angle: true,
     curve: Some((Balance::Torque, Axis::Angle)),
+    harmonic: Some(Harmonic::Fixed),
     parameters: &[
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),
         ParameterSpec::coefficient("cos_n_m", "N.m", 0.08),

@@ -1,6 +1,6 @@
 //! Load of one sign, whatever the direction of motion.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
+use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "constant_load",
@@ -16,6 +16,11 @@ pub(super) const EFFECT: Card = Card {
     excite: "the same speeds in both directions",
     remedy: "balance the load, or compensate by a constant feed-forward",
     curve: Some((Balance::Torque, Axis::Speed)),
+    biases: &[BiasedFit::TorqueBalance],
+    equivalences: &[
+        "a constant load torque and Coulomb friction that depends on the direction are one equation while the load \
+         is below the friction, and no run tells them apart. Turn the machine round on its bench, or take the load off",
+    ],
     parameters: &[ParameterSpec::coefficient("constant_n_m", "N.m", 0.05)],
     formula: &[(Place::Torque, "constant_n_m")],
     terms: |values| torque(values, |_, [constant_n_m]| constant_n_m),

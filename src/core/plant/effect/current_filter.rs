@@ -1,6 +1,6 @@
 //! Measured current that lags behind the winding's by a first-order filter.
 
-use super::{Card, Enters, ParameterSpec, Place, path};
+use super::{BiasedFit, Card, Enters, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "current_filter",
@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "fast dither and steep steps of the voltage; slow ramps do not show it",
     remedy: "read the unfiltered value, or lower the filter; declare it in the profile; count it \
         into the current loop's time constant",
+    biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 2e-3).up_to(0.5)],
     formula: &[
         (Place::StateRate, "(i - x)/time_constant_s"),

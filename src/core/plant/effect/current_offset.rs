@@ -1,6 +1,6 @@
 //! Current sensor whose zero is off.
 
-use super::{Card, Enters, ParameterSpec, Place, path};
+use super::{BiasedFit, Card, Enters, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "current_offset",
@@ -15,6 +15,9 @@ pub(super) const EFFECT: Card = Card {
     excite: "some tenths of a second at rest at zero volts, and both directions",
     remedy: "zero the sensor at every start with the bridge off; degauss or replace it when the \
         offset grows",
+    // What the wrong current does to both equations.
+    stands_for: &[["constant_load", "voltage_offset"]],
+    biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("offset_a", "A", 0.1)],
     formula: &[(Place::CurrentReading, "offset_a")],
     terms: |values| path(values[0], |path| &mut path.current_offset_a),

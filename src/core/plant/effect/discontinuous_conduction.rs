@@ -1,6 +1,10 @@
 //! Extra resistance at small currents, where a converter's current has gaps.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, voltage};
+use super::{Axis, Balance, Card, Enters, Limit, ParameterSpec, Place, voltage};
+
+/// Currents from which on gaps, not brushes, bend the voltage, A: nine times the 0.1 A over which a drop of brushes builds up,
+/// whatever the motor: contacts know no rated current. A softer drop would pass for gaps.
+const LEAST_BOUNDARY_A: f64 = 0.9;
 
 pub(super) const EFFECT: Card = Card {
     id: "discontinuous_conduction",
@@ -21,6 +25,11 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Voltage, Axis::Current)),
     alternatives: &["voltage_drop"],
+    limit: Some(Limit {
+        simpler: "voltage_drop",
+        parameter: 1,
+        least: LEAST_BOUNDARY_A,
+    }),
     parameters: &[
         ParameterSpec::coefficient("extra_ohm", "ohm", 1.0),
         ParameterSpec::shape(

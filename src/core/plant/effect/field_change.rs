@@ -18,6 +18,10 @@ pub(super) const EFFECT: Card = Card {
     remedy: "name the temperature with every Ke; let the machine come to its working temperature; \
         control the field current",
     curve: Some((Balance::Torque, Axis::Time)),
+    equivalences: &[
+        "a change of flux and a gain error of the speed sensor are one equation, and no run tells them apart. Check the \
+         sensor against a counter",
+    ],
     parameters: &[ParameterSpec {
         min: -1.0,
         max: 1.0,

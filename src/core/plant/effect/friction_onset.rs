@@ -16,6 +16,8 @@ pub(super) const EFFECT: Card = Card {
     remedy: "stop and look at the bearing where nothing was switched on; else feed-forward of B1 w \
         from the signal that switches",
     share_beforehand: 0.03,
+    excludes: &["load_step"],
+    changes: Some("drag"),
     parameters: &[
         ParameterSpec::coefficient("viscous_n_m_s_per_rad", "N.m.s/rad", 8e-4),
         ParameterSpec::EVENT_TIME,

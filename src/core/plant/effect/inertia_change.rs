@@ -18,6 +18,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "schedule the speed loop's gains with the signal that announces the change, or let it \
         adapt",
     share_beforehand: 0.03,
+    changes: Some("inertia"),
     parameters: &[
         ParameterSpec {
             min: LEAST_RATIO,

@@ -15,6 +15,8 @@ pub(super) const EFFECT: Card = Card {
     excite: "let the load come and go within one run, at steady speed",
     remedy: "a load observer; feed-forward where the load announces itself",
     curve: Some((Balance::Torque, Axis::Time)),
+    is_disturbance_step: true,
+    changes: Some("friction"),
     parameters: &[
         ParameterSpec::coefficient("step_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,

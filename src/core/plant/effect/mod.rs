@@ -29,6 +29,7 @@ mod friction_onset;
 mod grammar;
 mod inductance_saturation;
 mod inertia_change;
+mod kind;
 mod load_dependent_friction;
 mod load_step;
 mod one_sided_load;
@@ -54,6 +55,7 @@ pub use defined::{FAMILIES, define, family};
 pub use definition::{DefinitionError, Layout};
 pub use formula::{Formula, Place, SYMBOLS};
 pub use grammar::Tree;
+pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
@@ -186,6 +188,22 @@ pub struct Card {
     /// Effects that say the same thing, of which a model holds one: simple ones that this one contains, or nearly, and
     /// ones that are this one to first order.
     pub alternatives: &'static [&'static str],
+    /// Effects that a set does not hold beside it, although each of them is another: together they would be a third.
+    pub excludes: &'static [&'static str],
+    /// Pairs of effects that are together this one, to first order.
+    pub stands_for: &'static [[&'static str; 2]],
+    /// The simpler effect that it is at the end of a range.
+    pub limit: Option<Limit>,
+    /// The sine over the angle of the shaft that it is; `None` where it is another function, or has no `order`.
+    pub harmonic: Option<Harmonic>,
+    /// Whether steps of it at many moments add up to the random walk of the load that a Kalman filter follows.
+    pub is_disturbance_step: bool,
+    /// What it changes from its moment on, in words that can stand before a signed size; the name where it has none.
+    pub changes: Option<&'static str>,
+    /// Fits that it biases most where the model lacks it.
+    pub biases: &'static [BiasedFit],
+    /// What no run tells it from, because the two are one equation: stated, never computed.
+    pub equivalences: &'static [&'static str],
     /// The first gives the effect its size.
     pub parameters: &'static [ParameterSpec],
     /// Its law written down, in [`SYMBOLS`] and its parameters; empty where it is more than that.
@@ -210,6 +228,14 @@ impl Card {
         share_beforehand: 0.1,
         curve: None,
         alternatives: &[],
+        excludes: &[],
+        stands_for: &[],
+        limit: None,
+        harmonic: None,
+        is_disturbance_step: false,
+        changes: None,
+        biases: &[],
+        equivalences: &[],
         parameters: &[],
         formula: &[],
         terms: |_| Box::new(Path::default()),

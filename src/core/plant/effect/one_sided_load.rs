@@ -16,6 +16,8 @@ pub(super) const EFFECT: Card = Card {
         friction",
     remedy: "a load observer; feed-forward where the load announces itself",
     share_beforehand: 0.03,
+    excludes: &["load_step", "friction_onset"],
+    changes: Some("load"),
     parameters: &[
         ParameterSpec::coefficient("load_n_m", "N.m", 0.08),
         ParameterSpec::EVENT_TIME,

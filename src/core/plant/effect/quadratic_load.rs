@@ -1,6 +1,6 @@
 //! Load of a fan, pump or propeller.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
+use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "quadratic_load",
@@ -15,6 +15,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "expected where a fan or pump is coupled; compensate by feed-forward k w |w|",
     takes_power: true,
     curve: Some((Balance::Torque, Axis::Speed)),
+    biases: &[BiasedFit::TorqueBalance],
     parameters: &[ParameterSpec::coefficient(
         "quadratic_n_m_s2_per_rad2",
         "N.m.s2/rad2",

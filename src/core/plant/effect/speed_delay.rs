@@ -1,6 +1,6 @@
 //! Measured speed that is that of some time before.
 
-use super::{Card, Enters, ParameterSpec, path};
+use super::{BiasedFit, Card, Enters, ParameterSpec, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "speed_delay",
@@ -17,6 +17,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "fast dither of the voltage about zero speed; slow ramps do not show it",
     remedy: "stamp the speed where it is taken, or read all registers in one request; count it \
         into the loop's small time constant",
+    biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::positive("delay_s", "s", 2e-3).up_to(0.5)],
     terms: |values| path(values[0], |path| &mut path.speed_delay_s),
     ..Card::PLAIN

@@ -1,6 +1,6 @@
 //! Torque constant that depends on the position: ripple in proportion to the current.
 
-use super::{Card, Enters, ParameterSpec, Place, WAVE_ORDERS, torque};
+use super::{Card, Enters, Harmonic, ParameterSpec, Place, WAVE_ORDERS, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "torque_ripple",
@@ -20,6 +20,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "zero and match the current sensors, check the angle sensor's mounting and the \
         commutation angle; feed forward the ripple over the angle; replace worn brushes",
     needs_angle: true,
+    harmonic: Some(Harmonic::OfCurrent),
     parameters: &[
         ParameterSpec::coefficient("sin_ratio", "-", 0.03),
         ParameterSpec::coefficient("cos_ratio", "-", 0.03),

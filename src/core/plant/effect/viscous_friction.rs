@@ -1,6 +1,9 @@
 //! Drag proportional to speed.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
+use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, torque};
+
+/// Its slope as the parameter of a model.
+pub const SLOPE: &str = "viscous_friction.viscous_n_m_s_per_rad";
 
 pub(super) const EFFECT: Card = Card {
     id: "viscous_friction",
@@ -17,6 +20,11 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Torque, Axis::Speed)),
     share_beforehand: 0.2,
+    biases: &[BiasedFit::FreeRun, BiasedFit::TorqueBalance],
+    equivalences: &[
+        "viscous friction and the drag of eddy currents are one equation, and no run tells them apart. Drive the machine \
+         with the rotor's magnets out (or the field off), or run it cold and warm",
+    ],
     parameters: &[ParameterSpec::coefficient(
         "viscous_n_m_s_per_rad",
         "N.m.s/rad",

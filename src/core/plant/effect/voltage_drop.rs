@@ -1,6 +1,6 @@
 //! Drop across brushes or switches: its size hardly depends on the current, its sign does.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, voltage};
+use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, voltage};
 
 /// Current over which the drop builds up, A; the sign of the current, smoothed.
 const SMOOTHING_A: f64 = 0.1;
@@ -18,6 +18,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "current reversals, and small currents as well as large ones",
     remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
     curve: Some((Balance::Voltage, Axis::Current)),
+    biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],
     formula: &[(Place::Voltage, "drop_v*tanh(i/0.1)")],
     terms: |values| {

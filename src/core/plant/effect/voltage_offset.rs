@@ -1,6 +1,6 @@
 //! Drive that applies more or less than it was told, by the same amount always.
 
-use super::{Card, Enters, ParameterSpec, Place, voltage};
+use super::{BiasedFit, Card, Enters, ParameterSpec, Place, voltage};
 
 pub(super) const EFFECT: Card = Card {
     id: "voltage_offset",
@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "some tenths of a second at rest at zero volts with the bridge on, then both \
         directions at low speed",
     remedy: "trim the zero of the input or of the modulator; add -u0 to the command",
+    biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("offset_v", "V", 0.5)],
     formula: &[(Place::Voltage, "-offset_v")],
     terms: |values| voltage(values, |_, [offset_v]| -offset_v),

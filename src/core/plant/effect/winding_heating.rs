@@ -1,6 +1,6 @@
 //! Resistance that rises as the winding takes up its own loss.
 
-use super::{Axis, Balance, Card, Enters, Instant, ParameterSpec, Place, Terms};
+use super::{Axis, Balance, BiasedFit, Card, Enters, Instant, ParameterSpec, Place, Terms};
 
 pub(super) const EFFECT: Card = Card {
     id: "winding_heating",
@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
         is left of the heat of one run is in the resistance of the next",
     takes_power: true,
     curve: Some((Balance::Voltage, Axis::Time)),
+    biases: &[BiasedFit::FreeRun],
     parameters: &[
         ParameterSpec::coefficient("gain_per_a2_s", "1/(A2.s)", 1e-3),
         ParameterSpec::shape("time_constant_s", "s", (1.0, 2000.0), &[5.0, 20.0, 80.0]),

@@ -1,0 +1,69 @@
+//! Facts of effects that are more than a number: the term that one is, the limit that it has, the fits that it biases.
+
+use super::{
+    Card, Effect, command_delay, constant_load, current_filter, speed_delay, viscous_friction,
+};
+
+pub use viscous_friction::SLOPE as VISCOUS_SLOPE;
+
+/// A term that the rest of the program needs by itself, whatever the catalogue calls it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TermKind {
+    /// Torque in proportion to the speed.
+    Drag,
+    /// Torque of one sign that nothing changes.
+    TorqueOffset,
+    /// Error of the stamps of commands, of the current and of the speed; that of the current to first order.
+    LateCommand,
+    LateCurrent,
+    LateSpeed,
+}
+
+impl TermKind {
+    /// The effect of the catalogue that is this term and nothing else, its size in its only parameter.
+    pub const fn effect(self) -> &'static dyn Effect {
+        self.own_card()
+    }
+
+    pub const fn id(self) -> &'static str {
+        self.own_card().id
+    }
+
+    const fn own_card(self) -> &'static Card {
+        match self {
+            Self::Drag => &viscous_friction::EFFECT,
+            Self::TorqueOffset => &constant_load::EFFECT,
+            Self::LateCommand => &command_delay::EFFECT,
+            Self::LateCurrent => &current_filter::EFFECT,
+            Self::LateSpeed => &speed_delay::EFFECT,
+        }
+    }
+}
+
+/// Amplitude of a sine over the angle of the shaft whose `order` is a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Harmonic {
+    /// The same at every current.
+    Fixed,
+    /// In proportion to the current.
+    OfCurrent,
+}
+
+/// The simpler effect that one turns into at the lower end of a parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limit {
+    /// The id of the simpler one.
+    pub simpler: &'static str,
+    /// The parameter, by its place, and its least value that is not the simpler one yet.
+    pub parameter: usize,
+    pub least: f64,
+}
+
+/// A fit whose parameters an effect biases that the model lacks (omitted-variable bias), by more than it leaves in the residual.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BiasedFit {
+    /// Of current and speed in a free run.
+    FreeRun,
+    /// Of the balance of torques.
+    TorqueBalance,
+}
