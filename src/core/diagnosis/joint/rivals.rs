@@ -67,19 +67,43 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
     rivals
 }
 
-/// Shares the probability of what happened once with what explains the same at the same moment, by their likelihoods: the one
-/// in the best set was fitted to its moment, and the posterior weighs the other at the moments of a grid.
+/// Shares the probability of what happened once among all that explains the same at the same moment, once and by their
+/// likelihoods: the one in the best set was fitted to its moment, and the posterior weighs the others at the moments of a grid.
 pub(super) fn share_among_events(effects: &mut [Inferred], rivals: &[Rival]) {
-    for rival in rivals.iter().filter(|rival| rival.are_events) {
-        let place = |id| effects.iter().position(|own| own.id() == id);
-        let [Some(first), Some(second)] = rival.pair.map(place) else {
-            continue;
+    let mut left: Vec<&Rival> = rivals.iter().filter(|rival| rival.are_events).collect();
+    while let Some([fitted, _]) = left.first().map(|rival| rival.pair) {
+        let (own, others) = left.into_iter().partition(|rival| rival.pair[0] == fitted);
+        left = others;
+        share_of_one(effects, fitted, own);
+    }
+}
+
+/// Shares the probability of the event `fitted` and of `rivals` by the weights `exp(-loss)`, one and no more for the fitted.
+/// Whose share is less than it has keeps what it has, and the others share the rest.
+fn share_of_one(effects: &mut [Inferred], fitted: &str, rivals: Vec<&Rival>) {
+    let place = |id: &str| effects.iter().position(|own| own.id() == id);
+    let Some(first) = place(fitted) else {
+        return;
+    };
+    let of_rival = |rival: &Rival| Some((place(rival.pair[1])?, rival.loss_nats.max(0.0)));
+    let mut open: Vec<(usize, f64)> = rivals.into_iter().filter_map(of_rival).collect();
+    let others = open.iter().map(|(k, _)| effects[*k].probability);
+    let mut together = (effects[first].probability + others.sum::<f64>()).min(1.0);
+    let shares = loop {
+        let losses = || open.iter().map(|(_, loss)| *loss).chain([0.0]);
+        let weights = |own: f64| losses().map(move |loss| (own - loss).exp());
+        let share = |own: f64| weights(own).sum::<f64>().recip() * together;
+        let shares: Vec<f64> = open.iter().map(|(_, loss)| share(*loss)).collect();
+        let keeps = |((k, _), share): (&(usize, f64), &f64)| effects[*k].probability > *share;
+        let Some(kept) = open.iter().zip(&shares).position(keeps) else {
+            break shares;
         };
-        let together = (effects[first].probability + effects[second].probability).min(1.0);
-        let share = 1.0 / (1.0 + rival.loss_nats.max(0.0).exp());
-        let of_second = (share * together).max(effects[second].probability);
-        effects[second].probability = of_second;
-        effects[first].probability = together - of_second;
+        let (k, _) = open.swap_remove(kept);
+        together -= effects[k].probability;
+    };
+    effects[first].probability = (together - shares.iter().sum::<f64>()).max(0.0);
+    for ((k, _), share) in open.into_iter().zip(shares) {
+        effects[k].probability = share;
     }
 }
 
@@ -182,5 +206,58 @@ mod tests {
         let [first, second] = shared(2.0, true);
         assert!((second - 0.119).abs() < 1e-3 && (first + second - 1.0).abs() < 1e-12);
         assert!(are(shared(0.0, false), [1.0, 0.0]));
+    }
+
+    #[test]
+    fn rivals_of_one_event_share_once_in_any_order() {
+        let ids = [
+            "load_step",
+            "one_sided_load",
+            "friction_onset",
+            "inertia_change",
+        ];
+        let shared = |before: [f64; 4], losses: [f64; 3], order: [usize; 3]| {
+            let mut effects = [0, 1, 2, 3].map(|k| inferred_as(ids[k], before[k]));
+            let rivals = order.map(|k| Rival {
+                pair: [ids[0], ids[k]],
+                loss_nats: losses[k - 1],
+                are_events: true,
+            });
+            share_among_events(&mut effects, &rivals);
+            effects.map(|own| own.probability)
+        };
+        let orders = [
+            [1, 2, 3],
+            [1, 3, 2],
+            [2, 1, 3],
+            [2, 3, 1],
+            [3, 1, 2],
+            [3, 2, 1],
+        ];
+        let half = 0.5_f64.ln();
+        for (before, losses, after) in [
+            ([1.0, 0.0, 0.0, 0.0], [0.0; 3], [0.25; 4]),
+            (
+                [0.8, 0.0, 0.0, 0.0],
+                [0.0, 0.0, -half],
+                [8.0 / 35.0, 8.0 / 35.0, 8.0 / 35.0, 4.0 / 35.0],
+            ),
+            // What has more than its share keeps it, and no more than all that there is is shared.
+            ([0.3, 0.6, 0.0, 0.0], [0.0; 3], [0.1, 0.6, 0.1, 0.1]),
+            (
+                [0.9, 0.1, 0.0, 0.0],
+                [0.0, 50.0, 50.0],
+                [0.5, 0.5, 0.0, 0.0],
+            ),
+        ] {
+            for order in orders {
+                let found = shared(before, losses, order);
+                let mut pairs = found.into_iter().zip(after);
+                assert!(
+                    pairs.all(|(found, after)| (found - after).abs() < 1e-12),
+                    "{before:?} {losses:?} {order:?}: {found:?}"
+                );
+            }
+        }
     }
 }
