@@ -6,6 +6,7 @@
 
 use super::stamps;
 use crate::numerics::statistics::{largest, median};
+use crate::plant::effect::VOLTAGE_DROP;
 use crate::plant::{Input, MotorKey, Scenario};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
 use crate::signal;
@@ -182,7 +183,7 @@ fn of_voltage(run: &Run, channel: Channel) -> Option<Claim> {
         _ => return None,
     };
     let mut claim = Claim::new(&[MotorKey::Resistance], Weight::Remark, reason);
-    claim.keys.push("voltage_drop.drop_v");
+    claim.keys.push(VOLTAGE_DROP);
     Some(claim)
 }
 

@@ -14,7 +14,7 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use super::temperature;
 use crate::numerics::statistics::mean;
-use crate::plant::MotorKey;
+use crate::plant::{MotorKey, effect};
 use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::number::{exponent_of, fixed, places, probability, significant};
 
@@ -362,10 +362,10 @@ fn cause(change: &Change) -> Option<String> {
         None if change.key == temperature::KEY => {
             "connections, brushes, or a damaged winding".to_owned()
         }
-        None if change.key.starts_with("viscous_friction.") => {
-            "lubrication, and its temperature".to_owned()
+        None => {
+            let (id, _) = change.key.split_once('.')?;
+            effect::find(id)?.card().drift_cause?.to_owned()
         }
-        None => return None,
     })
 }
 

@@ -2,9 +2,11 @@
 
 use super::{
     Card, Effect, command_delay, constant_load, current_filter, speed_delay, viscous_friction,
+    voltage_drop,
 };
 
 pub use viscous_friction::SLOPE as VISCOUS_SLOPE;
+pub use voltage_drop::DROP as VOLTAGE_DROP;
 
 /// A term that the rest of the program needs by itself, whatever the catalogue calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

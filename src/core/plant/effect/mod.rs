@@ -55,7 +55,7 @@ pub use defined::{FAMILIES, define, family};
 pub use definition::{DefinitionError, Layout};
 pub use formula::{Formula, Place, SYMBOLS};
 pub use grammar::Tree;
-pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE};
+pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE, VOLTAGE_DROP};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
@@ -200,6 +200,8 @@ pub struct Card {
     pub is_disturbance_step: bool,
     /// What it changes from its moment on, in words that can stand before a signed size; the name where it has none.
     pub changes: Option<&'static str>,
+    /// What makes its size another one from run to run.
+    pub drift_cause: Option<&'static str>,
     /// Fits that it biases most where the model lacks it.
     pub biases: &'static [BiasedFit],
     /// What no run tells it from, because the two are one equation: stated, never computed.
@@ -234,6 +236,7 @@ impl Card {
         harmonic: None,
         is_disturbance_step: false,
         changes: None,
+        drift_cause: None,
         biases: &[],
         equivalences: &[],
         parameters: &[],

@@ -220,6 +220,37 @@ fn the_first_coefficient_gives_an_effect_its_size_wherever_it_stands() {
 }
 
 #[test]
+fn cards_refer_to_effects_and_parameters_that_are_there() {
+    for effect in CATALOGUE {
+        let (card, specs) = (effect.card(), effect.parameters());
+        let two = card.stands_for.iter().flatten();
+        let others = card.alternatives.iter().chain(card.excludes).chain(two);
+        for other in others.copied().chain(card.limit.map(|limit| limit.simpler)) {
+            let is_another = other != card.id && find(other).is_some();
+            assert!(is_another, "{}: {other}", card.id);
+        }
+        if let Some(limit) = card.limit {
+            let spec = &specs[limit.parameter];
+            assert!(spec.min < limit.least && limit.least < spec.max);
+        }
+        let has_order = specs.iter().any(|spec| spec.key == "order");
+        assert_eq!(card.harmonic.is_some(), has_order, "{}", card.id);
+    }
+    for kind in [
+        TermKind::Drag,
+        TermKind::TorqueOffset,
+        TermKind::LateCommand,
+        TermKind::LateCurrent,
+        TermKind::LateSpeed,
+    ] {
+        assert_eq!(kind.effect().parameters().len(), 1, "{kind:?}");
+        assert!(find(kind.id()).is_some(), "{kind:?}");
+    }
+    let slope = TermKind::Drag.effect().parameters()[0].key;
+    assert_eq!(VISCOUS_SLOPE, format!("{}.{slope}", TermKind::Drag.id()));
+}
+
+#[test]
 fn parameters_have_a_unit_bounds_and_grids_inside_them() {
     for effect in CATALOGUE {
         let id = effect.card().id;

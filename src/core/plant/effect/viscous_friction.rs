@@ -20,6 +20,7 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Torque, Axis::Speed)),
     share_beforehand: 0.2,
+    drift_cause: Some("lubrication, and its temperature"),
     biases: &[BiasedFit::FreeRun, BiasedFit::TorqueBalance],
     equivalences: &[
         "viscous friction and the drag of eddy currents are one equation, and no run tells them apart. Drive the machine \

@@ -5,6 +5,9 @@ use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, voltag
 /// Current over which the drop builds up, A; the sign of the current, smoothed.
 const SMOOTHING_A: f64 = 0.1;
 
+/// Its size as the parameter of a model.
+pub const DROP: &str = "voltage_drop.drop_v";
+
 pub(super) const EFFECT: Card = Card {
     id: "voltage_drop",
     name: "voltage drop",
