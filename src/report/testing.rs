@@ -93,7 +93,7 @@ pub(crate) fn candidate(
 pub(crate) fn diagnosis() -> Diagnosis {
     let unrepeated = "whether this machine repeats is not known: too many rows were lost";
     Diagnosis {
-        grounds: None,
+        information_basis: None,
         rivals: Vec::new(),
         search_was_cut: false,
         sensor_floor: Some(1.0),

@@ -111,7 +111,7 @@ pub struct Comparison {
     /// What predicts the hold-out as well as the fitted model does: where such a model fails is no place in the machine.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_fitted: Option<String>,
-    /// What could not be asked of these runs, and why.
+    /// What these runs cannot judge, and why.
     pub limits: Vec<String>,
 }
 

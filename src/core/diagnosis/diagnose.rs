@@ -6,8 +6,8 @@ use super::candidates::{Candidate, Status, candidates};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
-use super::joint::answer::{Inference, Unknown, asked};
-use super::joint::foresight::Grounds;
+use super::joint::answer::{Inference, Unknown, eligible};
+use super::joint::expected_information::InformationBasis;
 use super::joint::free_run::likelier;
 use super::ladder::{Bench, Rung, Standing, climb};
 use super::location::{
@@ -24,7 +24,7 @@ use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{Effect, Model, MotorKey, Scenario, State};
 use crate::sample::{ParameterEstimate, Verdict};
 
-/// Share of the explainable error that unknown parts and what wanders may make beside what is named.
+/// Share of the explainable error that unknown parts and the disturbance may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
 /// Standard deviations by which the named effects must make the confirming run likelier.
 const CONFIRMED_SIGMAS: f64 = 3.0;
@@ -124,7 +124,7 @@ pub struct Diagnosis {
     pub confirm: Option<Confirmation>,
     /// One sentence for a person.
     pub sentence: String,
-    /// What could not be asked of these runs, and why.
+    /// What these runs cannot judge, and why.
     pub limits: Vec<String>,
     /// What the named effects cannot be told from by any run.
     pub equivalences: Vec<&'static str>,
@@ -139,7 +139,7 @@ pub struct Diagnosis {
     pub model: Fitted,
     /// What was random in the runs, which the next run has to see through; none in an answer that was put together.
     #[serde(skip)]
-    pub grounds: Option<Grounds>,
+    pub information_basis: Option<InformationBasis>,
     /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
     #[serde(skip)]
     pub rivals: Vec<Model>,
@@ -281,8 +281,8 @@ pub fn diagnose_with(
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
-    let asked = asked(&baseline.model, None);
-    let inference = bench.ask(&baseline, &asked, progress)?;
+    let eligible = eligible(&baseline.model, None);
+    let inference = bench.infer(&baseline, &eligible, progress)?;
     // What a fit of runs behind each other cannot hold is known only now.
     let found = inference.to_be_fitted();
     let several = several.filter(|_| bench.has_several_runs());
@@ -291,12 +291,12 @@ pub fn diagnose_with(
         return Ok(concluded.answer());
     };
     // With all runs and without what is bound to one of them, or with the first run alone: what foretells the hold-out better.
-    let asked_of_all = asked.iter().filter(|effect| !effect.goes_on_over_runs());
-    let asked_of_all: Vec<&'static dyn Effect> = asked_of_all.copied().collect();
-    let of_all = bench.ask(&baseline, &asked_of_all, progress)?;
+    let eligible_of_all = eligible.iter().filter(|effect| !effect.goes_on_over_runs());
+    let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
+    let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
     let all = Concluded::of(bench, &baseline, of_all, progress)?;
     let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
-    let inference = bench.ask(&baseline, &asked, progress)?;
+    let inference = bench.infer(&baseline, &eligible, progress)?;
     let first = Concluded::of(bench, &baseline, inference, progress)?;
     let better = if all.held_out_by(&first)? < first.held_out_by(&first)? {
         all
@@ -446,7 +446,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         next_experiment: None,
         baseline,
         model,
-        grounds: Some(Grounds::new(
+        information_basis: Some(InformationBasis::new(
             inference.noise,
             inference.excess(),
             State::at(base.fit.start.current_a, base.fit.start.speed_rad_s),
@@ -504,7 +504,7 @@ fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosi
         equivalences: Vec::new(),
         baseline: fit.clone(),
         model: fit,
-        grounds: None,
+        information_basis: None,
         rivals: Vec::new(),
         sentence,
         ..diagnosis
@@ -547,7 +547,7 @@ fn verdict(
         .map(|part| part.share_of_error)
         .sum();
     let explainable = above(base.nrms).max(0.0);
-    let unexplained = inference.wandering.powi(2) + unknown * explainable;
+    let unexplained = inference.disturbance_error.powi(2) + unknown * explainable;
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
     // names that take nothing from its error, or leave innovations that are not white, are no answer.
     let is_led_astray = !bench.fits_at_once()
@@ -563,7 +563,7 @@ fn verdict(
     }
 }
 
-/// The answer on a run that had no part in it: neither fitted, nor selected by, nor asked for the noise.
+/// The answer on a run that had no part in it: neither fitted, nor selected by, nor used for the noise.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Confirmation {
     /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where
@@ -596,9 +596,9 @@ fn confirmed(
         let after = bench.confirming(&diagnosis.model.model, run)?;
         let models = [&before.model, &after.model];
         let found = likelier(models, [before.start, after.start], run, noise, is_known);
-        let (z, unseen) = found.ok_or_else(|| cannot_simulate(run))?;
-        let unseen = in_noise(unseen.map(Some), &evidence.noise);
-        let floor = Floor::new(evidence, unseen.unwrap_or(0.0));
+        let (z, unobserved) = found.ok_or_else(|| cannot_simulate(run))?;
+        let unobserved = in_noise(unobserved.map(Some), &evidence.noise);
+        let floor = Floor::new(evidence, unobserved.unwrap_or(0.0));
         let [before, after] = [before.score.nrms, after.score.nrms];
         if !(before.is_finite() && after.is_finite()) {
             return Err(nothing_judged(run));

@@ -3,7 +3,7 @@
 
 use super::evidence::{Evidence, not_repeated};
 use super::joint::Noise;
-use super::joint::free_run::unseen_in;
+use super::joint::free_run::unobserved_in;
 use super::location::{FailureLocation, locate_difference};
 use super::score::in_noise;
 use crate::identification::noise::FloorSource;
@@ -15,37 +15,40 @@ pub(super) const SUFFICIENT_SHARE: f64 = 0.9;
 /// The same below which a run that had no part in the answer does not confirm it.
 const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
 /// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
-pub(super) const MOST_UNSEEN_RATIO: f64 = 2.0;
+pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
 
 /// Error of a free run below which nothing can be told, in units of the sensors' noise.
 #[derive(Clone, Copy)]
 pub(super) struct Floor<'a> {
     evidence: &'a Evidence,
     /// What the commands of lost rows, which nobody knows, make of it: root mean square, in the same units.
-    unseen: f64,
+    unobserved: f64,
 }
 
 impl<'a> Floor<'a> {
-    pub(super) const fn new(evidence: &'a Evidence, unseen: f64) -> Self {
-        Self { evidence, unseen }
+    pub(super) const fn new(evidence: &'a Evidence, unobserved: f64) -> Self {
+        Self {
+            evidence,
+            unobserved,
+        }
     }
 
-    fn with(self, unseen: f64) -> f64 {
+    fn with(self, unobserved: f64) -> f64 {
         if self.evidence.noise.source == FloorSource::None {
             0.0
         } else {
-            1.0_f64.hypot(unseen)
+            1.0_f64.hypot(unobserved)
         }
     }
 
     /// Where it is on the average; zero where the noise is not known: nothing is below the floor then.
     pub(super) fn expected(self) -> f64 {
-        self.with(self.unseen)
+        self.with(self.unobserved)
     }
 
     /// Where it may be in one run.
     pub(super) fn highest(self) -> f64 {
-        self.with(MOST_UNSEEN_RATIO * self.unseen)
+        self.with(MOST_UNOBSERVED_RATIO * self.unobserved)
     }
 
     /// Whether an error is no more than the noise.
@@ -99,11 +102,11 @@ impl Repeatability {
             return Self::default();
         };
         let runs = [evidence.first_run(), repeat];
-        let unseen = runs.map(|run| {
-            let unseen = unseen_in(run, model, noise, is_known)?;
-            in_noise(unseen.map(Some), &evidence.noise)
+        let unobserved = runs.map(|run| {
+            let unobserved = unobserved_in(run, model, noise, is_known)?;
+            in_noise(unobserved.map(Some), &evidence.noise)
         });
-        let [Some(first), Some(second)] = unseen else {
+        let [Some(first), Some(second)] = unobserved else {
             return Self::not_known("the model cannot be followed on both runs");
         };
         let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));

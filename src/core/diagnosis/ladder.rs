@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::compare::{Comparison, ProcessingError, compare};
 use super::evidence::Evidence;
-use super::joint::answer::{Inference, Led, asked, infer, led, refined, with_deviations};
+use super::joint::answer::{Inference, Led, eligible, infer, led, refined, with_deviations};
 use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
@@ -100,13 +100,13 @@ impl Bench {
     }
 
     /// What the runs say together of these effects beside the baseline.
-    pub(super) fn ask(
+    pub(super) fn infer(
         &self,
         baseline: &Fitted,
-        asked: &[&'static dyn Effect],
+        eligible: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Result<Inference, FitError> {
-        let mut inference = infer(baseline, &self.given, asked, &self.evidence, progress)?;
+        let mut inference = infer(baseline, &self.given, eligible, &self.evidence, progress)?;
         if self.fits_at_once() {
             self.agree(baseline, &mut inference)?;
         }
@@ -284,7 +284,7 @@ fn beside(
     kept: &[&'static str],
 ) -> Result<Model, FitError> {
     let given = baseline.effect_ids().into_iter();
-    let given = given.filter(|id| inference.can_be_asked(id));
+    let given = given.filter(|id| inference.is_eligible(id));
     let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
     let start = inference.with_effects(&ids);
     let mut start = start.ok_or_else(|| FitError::CannotSimulate {
@@ -441,7 +441,7 @@ impl AddResult {
         self.fit.model.has(self.effect)
     }
 
-    /// Takes what was refused, and says so; what the runs cannot be asked for is not in the model, and stays refused.
+    /// Takes what was refused, and says so; what is not eligible in these runs is not in the model, and stays refused.
     pub fn force(&mut self) {
         if !self.accepted && self.can_be_forced() {
             (self.accepted, self.forced) = (true, true);
@@ -461,10 +461,10 @@ pub fn add(
 ) -> Result<AddResult, FitError> {
     let id = effect.card().id;
     let (bench, before) = Bench::for_fits_of(&[id], model, evidence)?;
-    let asked = asked(&before.model, Some(effect));
-    let inference = bench.ask(&before, &asked, &silent)?;
-    // Where the runs cannot be asked for it the answer is the model as it was.
-    let after = if inference.can_be_asked(id) {
+    let eligible = eligible(&before.model, Some(effect));
+    let inference = bench.infer(&before, &eligible, &silent)?;
+    // Where it is not eligible the answer is the model as it was.
+    let after = if inference.is_eligible(id) {
         bench.fit(&beside(&before.model, &inference, &[id])?)?
     } else {
         before.clone()
@@ -479,7 +479,7 @@ pub fn remove(
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
     let (bench, before) = Bench::new(model, evidence)?;
-    let inference = bench.ask(&before, &asked(&before.model, None), &silent)?;
+    let inference = bench.infer(&before, &eligible(&before.model, None), &silent)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = bench.fit(&without)?;
     change(effect, &bench, &inference, [before, after], false)

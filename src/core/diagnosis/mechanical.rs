@@ -726,7 +726,7 @@ impl System {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::asked::why_not;
+    use crate::diagnosis::joint::eligible::why_not;
     use crate::identification::weak_form;
     use crate::plant::{Motor, effect};
     use crate::sample::Channel;

@@ -45,7 +45,7 @@ pub use diagnose::{Answer, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with}
 pub use evidence::{Evidence, HoldoutFrom, shared_samples};
 pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
 pub use joint::answer::Unknown;
-pub use joint::foresight::Grounds;
+pub use joint::expected_information::InformationBasis;
 pub use ladder::{AddResult, Rung, add, fitted_baseline, known_along, remove};
 pub use location::{
     AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,

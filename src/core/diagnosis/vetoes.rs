@@ -158,8 +158,8 @@ fn by_chance(
     let deviances = rungs[left..].iter().map(on_both);
     let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
     let mut named = steps.into_iter().rev().map(|step| named[left + step]);
-    let is_shown = |id: &str| inference.of(id).is_some_and(|own| own.excited);
-    let id = named.find(|id| left == 0 || !is_shown(id))?;
+    let is_excited = |id: &str| inference.of(id).is_some_and(|own| own.excited);
+    let id = named.find(|id| left == 0 || !is_excited(id))?;
     let reason =
         "it takes no more from the errors than chance does, which are at the noise without it";
     Some(Veto::new(id, reason))
@@ -216,7 +216,7 @@ fn without_use(
             let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
             !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
-            // Where the innovations are white beside a known noise, the posterior has weighed the wander of the free run.
+            // Where the innovations are white beside a known noise, the posterior has weighed the drift of the free run.
             let is_known = bench.evidence.noise.source != FloorSource::None;
             let is_white = is_known && inference.is_nearly_white() && !inference.is_cut();
             let samples = pair[1].score.samples();

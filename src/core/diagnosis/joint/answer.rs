@@ -1,8 +1,12 @@
 //! Posterior of each effect of the catalogue, and of what none of them explains.
 
 use super::acting::constants;
-use super::asked::{prepared, starts, why_not};
-use super::columns::{Around, Candidate};
+use super::columns::{Candidate, LinearisedRun};
+use super::detectability::{
+    BOUND_SIGMAS, UNDETECTABLE_SLABS, detectable, moments, shortest_detectable, size_in,
+    spread_slabs, whenever,
+};
+use super::eligible::{prepared, starts, why_not};
 use super::events::Event;
 use super::follow::Noise;
 use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY};
@@ -11,13 +15,9 @@ use super::refits::at_limit;
 use super::rivals::{confusable, share_among_events, share_at_limit};
 use super::search::{self, SearchResult};
 use super::select::Set;
-use super::shown::{
-    BOUND_SIGMAS, SAYS_NOTHING_SLABS, detectable, moments, shortest_seen, size_in, spread_slabs,
-    whenever,
-};
 use super::solution::{self, Happened};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
-use crate::diagnosis::floor::{Floor, MOST_UNSEEN_RATIO};
+use crate::diagnosis::floor::{Floor, MOST_UNOBSERVED_RATIO};
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::{Fitted, Score, cannot_simulate, in_noise};
 use crate::diagnosis::vetoes::Veto;
@@ -31,7 +31,7 @@ use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State
 use crate::sample::Verdict;
 use serde::Serialize;
 
-/// Plausible sets that bounds are asked of.
+/// Plausible sets that bounds are taken over.
 const SETS: usize = 12;
 /// How many times as large as white noise what a set leaves of the innovations may be and still count as white.
 const NEARLY_WHITE: f64 = 1.3;
@@ -96,7 +96,7 @@ struct Place {
 
 /// Everything that the runs say together.
 pub(in crate::diagnosis) struct Inference {
-    /// Every effect that was asked for.
+    /// Every eligible effect.
     pub(in crate::diagnosis) effects: Vec<Inferred>,
     pub(in crate::diagnosis) unknown: Vec<Unknown>,
     /// What is more likely there than not, what explains most first.
@@ -105,10 +105,10 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) superfluous: Vec<&'static str>,
     /// Pairs of which these runs want one and cannot say which; the likelier first.
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
-    /// Error, in units of the noise, that a load that wanders makes on the hold-out whatever is named.
-    pub(in crate::diagnosis) wandering: f64,
+    /// Error, in units of the noise, that the disturbance of the load makes on the hold-out whatever is named.
+    pub(in crate::diagnosis) disturbance_error: f64,
     /// The same of what was commanded in the holes of its record.
-    pub(in crate::diagnosis) unseen: f64,
+    pub(in crate::diagnosis) unobserved: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
     /// What is not named for a reason of its own.
@@ -123,29 +123,29 @@ const WORTH_SAYING_FLOORS: f64 = 0.3;
 impl Inference {
     /// The floor of the hold-out.
     pub(in crate::diagnosis) const fn floor<'a>(&self, evidence: &'a Evidence) -> Floor<'a> {
-        Floor::new(evidence, self.unseen)
+        Floor::new(evidence, self.unobserved)
     }
 
     /// What lost rows make of the hold-out's error and what is allowed for it, where that is worth a word.
     pub(in crate::diagnosis) fn lost_rows(&self, floor: Floor<'_>) -> Option<String> {
-        (self.unseen >= WORTH_SAYING_FLOORS).then(|| {
+        (self.unobserved >= WORTH_SAYING_FLOORS).then(|| {
             format!(
                 "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
                  noise of its error, and up to {:.1} is allowed for; an error below {:.1} times the noise may be all theirs",
-                self.unseen,
-                MOST_UNSEEN_RATIO * self.unseen,
+                self.unobserved,
+                MOST_UNOBSERVED_RATIO * self.unobserved,
                 floor.highest()
             )
         })
     }
 
-    /// What is said of an effect; none where it was not asked for.
+    /// What is said of an effect; none where it was not eligible.
     pub(in crate::diagnosis) fn of(&self, id: &str) -> Option<&Inferred> {
         self.effects.iter().find(|inferred| inferred.id() == id)
     }
 
-    /// Whether an effect was asked for and these runs can judge it.
-    pub(in crate::diagnosis) fn can_be_asked(&self, id: &str) -> bool {
+    /// Whether an effect was eligible and these runs can judge it.
+    pub(in crate::diagnosis) fn is_eligible(&self, id: &str) -> bool {
         self.of(id).is_some_and(|found| found.why_not.is_none())
     }
 
@@ -193,7 +193,7 @@ impl Inference {
         self.found.excess
     }
 
-    /// Whether the set leaves little more than white noise of the innovations: a wandering free run may then be left aside.
+    /// Whether the set leaves little more than white noise of the innovations: the drift of the free run may then be left aside.
     pub(in crate::diagnosis) fn is_nearly_white(&self) -> bool {
         self.found.excess < NEARLY_WHITE
     }
@@ -276,28 +276,28 @@ fn in_fitted(event: &Event, run: Place) -> ActiveEffect {
     event.active()
 }
 
-/// The effects of the catalogue, and those of a model or asked for that are in none.
-pub(in crate::diagnosis) fn asked(
+/// The effects of the catalogue, and those of a model or beside it that are in none.
+pub(in crate::diagnosis) fn eligible(
     model: &Model,
     beside: Option<&'static dyn Effect>,
 ) -> Vec<&'static dyn Effect> {
-    let mut asked = CATALOGUE.to_vec();
+    let mut eligible = CATALOGUE.to_vec();
     let of_model = model.effects.iter().map(|active| active.effect);
     for effect in of_model.chain(beside) {
         let is_known = |known: &&'static dyn Effect| known.card().id == effect.card().id;
-        if !asked.iter().any(is_known) {
-            asked.push(effect);
+        if !eligible.iter().any(is_known) {
+            eligible.push(effect);
         }
     }
-    asked
+    eligible
 }
 
-/// Weighs all sets of the effects that are asked for on the fit run and the hold-out together, from `baseline` on, which was
+/// Weighs all sets of the eligible effects on the fit run and the hold-out together, from `baseline` on, which was
 /// fitted from `before`.
 pub(in crate::diagnosis) fn infer(
     baseline: &Fitted,
     before: &Model,
-    asked: &[&'static dyn Effect],
+    eligible: &[&'static dyn Effect],
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
@@ -325,14 +325,14 @@ pub(in crate::diagnosis) fn infer(
         has_floor: known,
         work: &work,
     };
-    let found = search::search(models, asked, together, noise, progress);
+    let found = search::search(models, eligible, together, noise, progress);
     let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
     let inferred = |effect: &&'static dyn Effect| Inferred {
         given: given.contains(&effect.card().id),
         why_not: why_not(*effect, &runs[0]),
         ..inferred(*effect, &found)
     };
-    let mut effects: Vec<Inferred> = asked.iter().map(inferred).collect();
+    let mut effects: Vec<Inferred> = eligible.iter().map(inferred).collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
     let rivals = confusable(&found);
@@ -372,8 +372,9 @@ pub(in crate::diagnosis) fn infer(
         effects,
         unknown,
         named,
-        wandering: in_noise(found.wandering.map(Some), &evidence.noise).unwrap_or(0.0),
-        unseen: in_noise(found.unseen.map(Some), &evidence.noise).unwrap_or(0.0),
+        disturbance_error: in_noise(found.disturbance_error.map(Some), &evidence.noise)
+            .unwrap_or(0.0),
+        unobserved: in_noise(found.unobserved.map(Some), &evidence.noise).unwrap_or(0.0),
         noise: found.noise,
         superfluous,
         vetoes: Vec::new(),
@@ -440,7 +441,7 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
 const LED_ONLY_RATIO: f64 = 1.1;
 
-/// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
+/// The same fit with values and deviations from its prediction errors: a disturbance of the load, which a free run takes for the
 /// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
 /// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
 /// be followed on the run; times of events stay.
@@ -472,7 +473,7 @@ pub(in crate::diagnosis) fn led(
 ) -> (Fitted, Led) {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
-    let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
+    let estimated = LinearisedRun::new(&model, run, start, noise).and_then(|run| estimate(&run));
     let Some(estimated) = estimated else {
         return (fit, Led::Neither);
     };
@@ -583,11 +584,11 @@ fn inferred(effect: &'static dyn Effect, found: &SearchResult) -> Inferred {
         let variant = &candidate.variants[form];
         let best = &found.posterior.best;
         let spread = spread_slabs(reduced, best, found.excess, [k, form]);
-        let excited = spread.is_some_and(|spread| spread < SAYS_NOTHING_SLABS);
+        let excited = spread.is_some_and(|spread| spread < UNDETECTABLE_SLABS);
         out.excited |= excited;
         if variant.mean > 0.0 || !excited {
             if excited {
-                out.detectable = shortest_seen(reduced, best, k);
+                out.detectable = shortest_detectable(reduced, best, k);
             }
             continue;
         }

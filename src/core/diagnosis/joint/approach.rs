@@ -1,11 +1,13 @@
-//! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
-//! one after the other. Times in the path from command to reading are scanned: what one of several time constants of the motor
-//! does is linear in no step from zero.
+//! Forward stepwise selection, the way to a model near enough to its runs for a linear solution: the single effect that,
+//! refitted, explains most joins, one after the other. Times in the path from command to reading are scanned: what one of several
+//! time constants of the motor does is linear in no step from zero.
 
 use rayon::prelude::*;
 
-use super::asked::why_not;
-use super::columns::{Around, Candidate, FAR_MEAN_SQUARE, Linear, Variant, linearise, squares};
+use super::columns::{
+    Candidate, FAR_MEAN_SQUARE, Linear, LinearisedRun, Variant, linearise, squares,
+};
+use super::eligible::why_not;
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
@@ -46,7 +48,7 @@ struct Step {
 /// none.
 pub(super) fn approach(
     mut hypothesis: Hypothesis,
-    asked: &[&'static dyn Effect],
+    eligible: &[&'static dyn Effect],
     all: Runs<'_>,
     noise: Noise,
 ) -> Option<Hypothesis> {
@@ -54,7 +56,7 @@ pub(super) fn approach(
         if all.work.is_spent() {
             break;
         }
-        let runs = all.first().around(&hypothesis, noise)?;
+        let runs = all.first().linearised_runs(&hypothesis, noise)?;
         let now = squares(&runs);
         let near = FAR_MEAN_SQUARE * runs[0].follower.rows as f64;
         let is_far = now >= near;
@@ -64,25 +66,27 @@ pub(super) fn approach(
             break;
         }
         let mut found = if is_far {
-            best_step(&hypothesis, asked, &runs, near)
+            best_step(&hypothesis, eligible, &runs, near)
         } else {
             None
         };
         let is_there = |step: &Step| step.squares < near;
         if is_first && !(is_far && found.as_ref().is_some_and(is_there)) {
-            let steps = found.into_iter().chain(late(&hypothesis, asked, &runs[0]));
+            let steps = found
+                .into_iter()
+                .chain(late(&hypothesis, eligible, &runs[0]));
             found = steps.min_by(|a, b| a.squares.total_cmp(&b.squares));
         }
         match found {
             Some(step)
                 if step.squares < WORTH_A_STEP_SHARE * now
-                    && all.around(&step.hypothesis, noise).is_some() =>
+                    && all.linearised_runs(&step.hypothesis, noise).is_some() =>
             {
                 hypothesis = step.hypothesis;
                 // Led by what was measured a play is found at once; led without its ringing it ends in a hollow of impacts.
                 if has_coupling(&hypothesis.model)
                     && let Some(own) = fit(&hypothesis, &runs)
-                    && all.around(&own.hypothesis, noise).is_some()
+                    && all.linearised_runs(&own.hypothesis, noise).is_some()
                 {
                     hypothesis = own.hypothesis;
                 }
@@ -104,11 +108,11 @@ fn has_coupling(model: &Model) -> bool {
 /// The best single effect beside what there is; `near` is where the squares are small enough.
 fn best_step(
     hypothesis: &Hypothesis,
-    asked: &[&'static dyn Effect],
-    runs: &[Around<'_>],
+    eligible: &[&'static dyn Effect],
+    runs: &[LinearisedRun<'_>],
     near: f64,
 ) -> Option<Step> {
-    let linear = linearise(hypothesis, asked, runs, false)?;
+    let linear = linearise(hypothesis, eligible, runs, false)?;
     let set = present(&linear);
     let reduced = Reduced::new(linear, 1.0, false)?;
     let linear = &reduced.linear;
@@ -181,11 +185,16 @@ fn best_step(
 
 /// The best single time in the path from command to reading, of all effects that have one, found by the beginning of the run
 /// and refitted to all of it.
-fn late(hypothesis: &Hypothesis, asked: &[&'static dyn Effect], run: &Around<'_>) -> Option<Step> {
+fn late(
+    hypothesis: &Hypothesis,
+    eligible: &[&'static dyn Effect],
+    run: &LinearisedRun<'_>,
+) -> Option<Step> {
     let scanned = run.scenario.samples().min(MOST_SCANNED);
     let scenario = run.scenario.stretch(0..scanned);
-    let beginning =
-        [Around::new(&hypothesis.model, &scenario, run.start, run.noise)?.counted(run.work)];
+    let beginning = [
+        LinearisedRun::new(&hypothesis.model, &scenario, run.start, run.noise)?.counted(run.work),
+    ];
     let is_a_time = |effect: &&&'static dyn Effect| {
         let card = effect.card();
         let [spec] = effect.parameters() else {
@@ -197,12 +206,12 @@ fn late(hypothesis: &Hypothesis, asked: &[&'static dyn Effect], run: &Around<'_>
             && why_not(**effect, &scenario).is_none()
             && !known.any(|id| hypothesis.has(id))
     };
-    let effects: Vec<&'static dyn Effect> = asked.iter().filter(is_a_time).copied().collect();
+    let effects: Vec<&'static dyn Effect> = eligible.iter().filter(is_a_time).copied().collect();
     let steps = effects.into_par_iter().with_max_len(1);
     let steps = steps.filter_map(|effect| late_by(hypothesis, effect, &beginning));
     let best = steps.collect::<Vec<Step>>().into_iter();
     let best = best.min_by(|a, b| a.squares.total_cmp(&b.squares))?;
-    let whole = Around::new(&hypothesis.model, run.scenario, run.start, run.noise)?;
+    let whole = LinearisedRun::new(&hypothesis.model, run.scenario, run.start, run.noise)?;
     let whole = whole.counted(run.work);
     let (hypothesis, squares) = fit_as_followed(&best.hypothesis, &[whole])?;
     Some(Step {
@@ -216,7 +225,7 @@ fn late(hypothesis: &Hypothesis, asked: &[&'static dyn Effect], run: &Around<'_>
 fn late_by(
     hypothesis: &Hypothesis,
     effect: &'static dyn Effect,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
 ) -> Option<Step> {
     let times = &runs[0].scenario.sample_time_s;
     let length_s = times.last()? - times.first()?;
@@ -279,7 +288,7 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
 /// Where a search begins: at the fitted model; or where that is far astray at the one that it was fitted from, refitted
 /// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
 pub(super) fn nearer([fitted, before]: [&Model; 2], runs: Runs<'_>, noise: Noise) -> Hypothesis {
-    let led = |model: &Model| runs.first().around(&Hypothesis::of(model), noise);
+    let led = |model: &Model| runs.first().linearised_runs(&Hypothesis::of(model), noise);
     let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
     let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY_MEAN_SQUARE * rows as f64);
     let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));

@@ -1,4 +1,5 @@
-//! Columns of the joint regression: what each effect at its slab size would add to the whitened innovations of a followed run.
+//! Columns of the regression on which effects are selected: what each at its slab size would add to the whitened innovations of a
+//! linearised run.
 
 use std::borrow::Cow;
 
@@ -6,7 +7,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::acting::constants;
-use super::asked::{shows_wave, why_not};
+use super::eligible::{resolves_wave, why_not};
 use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
@@ -78,11 +79,11 @@ impl Variant {
     }
 }
 
-/// What runs say of one column beside others: per slab the information, and what they ask for times that.
+/// Fisher information of one column beside others and its score, the gradient of the log likelihood at zero, both in slabs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ColumnInformation {
     pub information: f64,
-    pub asked: f64,
+    pub score: f64,
     /// The slab, in the unit of its parameter.
     pub unit: f64,
 }
@@ -109,7 +110,7 @@ impl Candidate {
 
     /// Whether `size` of a form that is there wholly or not at all would be another share of it: the linear solution does
     /// not hold there. What the model has already was fitted: there its shapes ask for another fit, not for none of it.
-    pub(super) fn is_by_halves(&self, size: f64, form: &Variant) -> bool {
+    pub(super) fn exceeds_linear_range(&self, size: f64, form: &Variant) -> bool {
         !self.in_model && form.mean > 0.0 && (size / form.mean - 1.0).abs() > 0.5
     }
 
@@ -187,8 +188,8 @@ impl Source {
     }
 }
 
-/// Everything of one run that columns need.
-pub(super) struct Around<'a> {
+/// One run linearised along the filter: everything of it that columns need.
+pub(super) struct LinearisedRun<'a> {
     pub model: Model,
     /// What of the model happens in this run alone.
     pub(super) events: Vec<ActiveEffect>,
@@ -206,7 +207,7 @@ pub(super) struct Around<'a> {
     pub(super) work: Option<&'a Work>,
 }
 
-impl<'a> Around<'a> {
+impl<'a> LinearisedRun<'a> {
     pub(super) fn new(
         model: &Model,
         scenario: &'a Scenario,
@@ -325,7 +326,7 @@ fn bounded(column: Vec<f32>) -> Vec<f32> {
 }
 
 /// Sum of the squares of the innovations.
-pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
+pub(super) fn squares(runs: &[LinearisedRun<'_>]) -> f64 {
     let white = runs.iter().flat_map(|run| run.followed.white.iter());
     white.flatten().map(|value| value * value).sum()
 }
@@ -528,7 +529,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
-        if effect.card().needs_angle && !shows_wave(effect, scenario, periods) {
+        if effect.card().needs_angle && !resolves_wave(effect, scenario, periods) {
             continue;
         }
         let mut form = Form::new(shape.clone(), log_prior);
@@ -605,8 +606,8 @@ fn sources_of(parts: &[Part], in_model: bool) -> impl Iterator<Item = &Source> {
 /// The linear problem of `runs` around one model and what happens in each. Every run must be followed with that.
 pub(super) fn linearise(
     hypothesis: &Hypothesis,
-    asked: &[&'static dyn Effect],
-    runs: &[Around<'_>],
+    eligible: &[&'static dyn Effect],
+    runs: &[LinearisedRun<'_>],
     unknowns: bool,
 ) -> Option<Linear> {
     let (training, model) = (runs[0].scenario, &hypothesis.model);
@@ -621,7 +622,7 @@ pub(super) fn linearise(
             Some(vec![beside_model(model, *effect, training)])
         }
     };
-    let parts: Vec<Vec<Part>> = asked
+    let parts: Vec<Vec<Part>> = eligible
         .par_iter()
         .filter(|effect| why_not(**effect, training).is_none())
         .map(of_effect)
@@ -681,12 +682,12 @@ const TANGENTS_COST: u64 = 10;
 type Numbered = Vec<(usize, Vec<f32>)>;
 
 /// Columns of the runs, each from these sources.
-pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
+pub(super) fn columns_of(sources: &[&Source], runs: &[LinearisedRun<'_>]) -> Vec<Whitened> {
     enum Work<'a> {
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
     }
-    let empty = |run: &Around<'_>| Whitened::new(vec![vec![]; sources.len()], run.rows());
+    let empty = |run: &LinearisedRun<'_>| Whitened::new(vec![vec![]; sources.len()], run.rows());
     let mut out: Vec<Whitened> = runs.iter().map(empty).collect();
     // Simulations first: they take longest, and what is short then fills the gaps.
     let mut works = Vec::new();
@@ -735,7 +736,7 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
 fn assemble(
     nuisances: Vec<f64>,
     candidates: Vec<Candidate>,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     columns: Vec<Whitened>,
 ) -> Linear {
     let p = columns[0].columns.len();

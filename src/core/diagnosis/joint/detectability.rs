@@ -1,4 +1,5 @@
-//! How sharply runs show an effect: the spread that they leave to its size, and the size that one that happens once is below.
+//! Detectability: the spread that runs leave to the size of an effect, the smallest size that would be named, and the size that
+//! one that happens once is below.
 
 use statrs::function::erf::erfc;
 
@@ -8,9 +9,9 @@ use crate::numerics::count::whole;
 use crate::plant::Effect;
 
 /// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
-pub(super) const SAYS_NOTHING_SLABS: f64 = 0.5;
-/// Standard deviations that what is there wholly or not at all must make to be seen.
-const WHOLLY_SEEN_SIGMAS: f64 = 5.0;
+pub(super) const UNDETECTABLE_SLABS: f64 = 0.5;
+/// Standard deviations that what is there wholly or not at all must make to be detected.
+const WHOLLY_DETECTED_SIGMAS: f64 = 5.0;
 /// Standard deviations beyond which nothing of note lies.
 const BEYOND_SIGMAS: f64 = 4.0;
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
@@ -34,15 +35,15 @@ pub(super) fn spread_slabs(
     let variant = &candidate.variants[form];
     if candidate.is_event() && !candidate.in_model {
         let moments = moments(reduced, best, excess, k);
-        let seen = moments.iter().map(|seen| seen.information.max(0.0));
-        return Some((of_most(seen.collect())? + 1.0).sqrt().recip());
+        let information = moments.iter().map(|own| own.information.max(0.0));
+        return Some((of_most(information.collect())? + 1.0).sqrt().recip());
     }
     if variant.mean > 0.0 {
-        // There wholly or not at all: seen where that makes a difference beyond the noise.
-        let lengths = lengths_seen(reduced, best, k);
+        // There wholly or not at all: detected where that makes a difference beyond the noise.
+        let lengths = distances_of_lengths(reduced, best, k);
         let most = lengths.and_then(|all| of_most(all.iter().map(|own| own.1).collect()));
-        let seen = most.unwrap_or_else(|| wholly(reduced, best, k, variant));
-        return (seen > 0.0).then(|| SAYS_NOTHING_SLABS * WHOLLY_SEEN_SIGMAS / seen.sqrt());
+        let square = most.unwrap_or_else(|| wholly(reduced, best, k, variant));
+        return (square > 0.0).then(|| UNDETECTABLE_SLABS * WHOLLY_DETECTED_SIGMAS / square.sqrt());
     }
     let mut with = reduced.cleared(best, k);
     with[k] = Some(form);
@@ -54,14 +55,14 @@ pub(super) fn spread_slabs(
 fn wholly(reduced: &Reduced, best: &Set, k: usize, variant: &Variant) -> f64 {
     let columns = reduced.columns(&without(best, k));
     let own = variant.columns[0].at - reduced.linear.nuisances.len();
-    reduced.seen(&columns, own, 1.0).information * variant.mean.powi(2)
+    reduced.information(&columns, own, 1.0).information * variant.mean.powi(2)
 }
 
 /// What nine of ten have at least.
-fn of_most(mut seen: Vec<f64>) -> Option<f64> {
-    seen.sort_by(|a, b| b.total_cmp(a));
-    let enough = whole((MOST * seen.len() as f64).ceil());
-    seen.get(enough.checked_sub(1)?).copied()
+fn of_most(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(|a, b| b.total_cmp(a));
+    let enough = whole((MOST * values.len() as f64).ceil());
+    values.get(enough.checked_sub(1)?).copied()
 }
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
@@ -114,28 +115,28 @@ pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Op
 /// Each length that a late start may have, with the squared distance that it makes; `None` for what has other shapes, or has
 /// its length in the model. The likeliest of lengths that are refuted is always the shortest, and how much of that shows is
 /// left to the voltage of one command. Those that the beginning of a run refuted have no form any more.
-fn lengths_seen(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(f64, f64)>> {
+fn distances_of_lengths(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(f64, f64)>> {
     let candidate = &reduced.linear.candidates[k];
     let specs = candidate.effect?.parameters();
     let [length] = specs else { return None };
     if candidate.in_model || !candidate.is_whole() {
         return None;
     }
-    let seen = |length_s: &f64| {
+    let distance = |length_s: &f64| {
         let mut forms = candidate.variants.iter();
         let own = forms.find(|form| form.values[0].to_bits() == length_s.to_bits());
-        let seen = own.map(|form| wholly(reduced, best, k, form));
-        (*length_s, seen.unwrap_or(f64::INFINITY))
+        let square = own.map(|form| wholly(reduced, best, k, form));
+        (*length_s, square.unwrap_or(f64::INFINITY))
     };
-    Some(length.shapes.iter().map(seen).collect())
+    Some(length.shapes.iter().map(distance).collect())
 }
 
-/// The shortest late start from which on all would have been seen.
-pub(super) fn shortest_seen(reduced: &Reduced, best: &Set, k: usize) -> Option<f64> {
-    let lengths = lengths_seen(reduced, best, k)?;
-    let least = WHOLLY_SEEN_SIGMAS * WHOLLY_SEEN_SIGMAS;
-    let seen = lengths.iter().rev().take_while(|own| own.1 >= least);
-    seen.last().map(|own| own.0)
+/// The shortest late start from which on all would have been detected.
+pub(super) fn shortest_detectable(reduced: &Reduced, best: &Set, k: usize) -> Option<f64> {
+    let lengths = distances_of_lengths(reduced, best, k)?;
+    let least = WHOLLY_DETECTED_SIGMAS * WHOLLY_DETECTED_SIGMAS;
+    let detected = lengths.iter().rev().take_while(|own| own.1 >= least);
+    detected.last().map(|own| own.0)
 }
 
 /// What the runs say of an event at each moment of one of them, beside a set; `excess` is that of what the set leaves.
@@ -147,10 +148,10 @@ pub(super) fn moments(
 ) -> Vec<ColumnInformation> {
     let candidate = &reduced.linear.candidates[k];
     if !candidate.moments.is_empty() {
-        let wider = |seen: &ColumnInformation| ColumnInformation {
-            information: seen.information / excess,
-            asked: seen.asked / excess,
-            ..*seen
+        let wider = |own: &ColumnInformation| ColumnInformation {
+            information: own.information / excess,
+            score: own.score / excess,
+            ..*own
         };
         return candidate.moments.iter().map(wider).collect();
     }
@@ -159,18 +160,18 @@ pub(super) fn moments(
     let alone = alone.filter(|variant| variant.columns.len() == 1);
     let m = reduced.linear.nuisances.len();
     let columns = alone.map(|variant| variant.columns[0]);
-    let seen = columns.map(|column| reduced.seen(&others, column.at - m, column.unit));
-    seen.collect()
+    let own = columns.map(|column| reduced.information(&others, column.at - m, column.unit));
+    own.collect()
 }
 
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
 /// say nothing it may have any size that is plausible.
 pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
-    let size = |seen: &ColumnInformation| {
-        let precision = seen.information.max(0.0) + 1.0;
-        let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
-        let mean = (seen.asked / precision).abs() * seen.unit;
-        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit;
+    let size = |own: &ColumnInformation| {
+        let precision = own.information.max(0.0) + 1.0;
+        let log = 0.5 * own.score * own.score / precision - 0.5 * precision.ln();
+        let mean = (own.score / precision).abs() * own.unit;
+        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * own.unit;
         (log, mean, sd)
     };
     let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
@@ -237,7 +238,7 @@ mod tests {
 
     #[test]
     fn what_nine_of_ten_have_is_not_the_least() {
-        for (seen, expected) in [
+        for (observed, expected) in [
             (
                 &[3.0, 1.0, 9.0, 4.0, 8.0, 7.0, 6.0, 5.0, 2.0, 10.0][..],
                 Some(2.0),
@@ -245,33 +246,33 @@ mod tests {
             (&[3.0, 1.0], Some(1.0)),
             (&[], None),
         ] {
-            assert_eq!(of_most(seen.to_vec()), expected, "{seen:?}");
+            assert_eq!(of_most(observed.to_vec()), expected, "{observed:?}");
         }
     }
 
     #[test]
     fn an_event_is_below_its_bound_whenever_it_happened() {
-        let seen = |precision: f64| ColumnInformation {
+        let observed = |precision: f64| ColumnInformation {
             information: precision - 1.0,
-            asked: 0.0,
+            score: 0.0,
             unit: 2.0,
         };
         // Moments that say the same of it, as one of them alone.
-        let sharp = whenever(&[seen(400.0); 40]);
+        let sharp = whenever(&[observed(400.0); 40]);
         assert!(
             (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
             "{sharp}"
         );
         // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
-        let mut open = vec![seen(400.0); 30];
-        open.extend([seen(1.0); 10]);
+        let mut open = vec![observed(400.0); 30];
+        open.extend([observed(1.0); 10]);
         let bound = whenever(&open);
         assert!(bound > 2.0, "{bound}");
         // One in which it is there counts, and the others hardly do.
-        let mut there = vec![seen(400.0); 39];
+        let mut there = vec![observed(400.0); 39];
         there.push(ColumnInformation {
-            asked: 0.5 * 400.0,
-            ..seen(400.0)
+            score: 0.5 * 400.0,
+            ..observed(400.0)
         });
         let bound = whenever(&there);
         assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");

@@ -1,17 +1,17 @@
-//! Eligible effects and rows: what a run can be asked about at all, and what of it is fit to be asked.
+//! Eligible effects and rows: which effects a run can judge at all, and which of its rows count.
 
 use std::f64::consts::TAU;
 
 use crate::diagnosis::mechanical::{depends_on_drive, start_of};
 use crate::identification::speed_from_angle;
 use crate::plant::{
-    Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, starts_from_rest,
+    Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, Terms, starts_from_rest,
 };
 
 /// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
 /// what the frame and the drive's own loops do would decide.
 const APART_S: f64 = 0.03;
-/// Periods that the angle must cover before a wave over it is asked for: less is a slope.
+/// Periods that the angle must cover before a wave over it is eligible: less is a slope.
 const LEAST_TRAVEL_PERIODS: f64 = 2.0;
 /// The same of one whose order is known, over an angle that is measured: an arm does not turn round, and a slope bends over a
 /// quarter of a turn.
@@ -68,7 +68,7 @@ pub(in crate::diagnosis) fn why_not(
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");
     }
-    if is_friction_of_drive(effect) && !has_both_power_flows(scenario) {
+    if is_friction_of_drive(effect, &*terms) && !has_both_power_flows(scenario) {
         return Some(
             "power flows one way only in this run: friction in proportion to the load is then a common factor of inertia and \
              friction; record braking too",
@@ -88,8 +88,8 @@ pub(in crate::diagnosis) fn why_not(
         });
     }
     let mut orders = orders.iter();
-    let is_shown = orders.any(|order| shows_wave(effect, scenario, *order));
-    (!is_shown).then_some("the shaft turns through it from one sample to the next")
+    let is_resolved = orders.any(|order| resolves_wave(effect, scenario, *order));
+    (!is_resolved).then_some("the shaft turns through it from one sample to the next")
 }
 
 /// Share of the exchanged energy that has to flow backward, from the load to the motor, before friction in proportion to the
@@ -97,9 +97,7 @@ pub(in crate::diagnosis) fn why_not(
 const LEAST_BACKWARD_SHARE: f64 = 0.03;
 
 /// Whether the effect is friction that grows with the driving torque.
-fn is_friction_of_drive(effect: &dyn Effect) -> bool {
-    let specs = effect.parameters().iter();
-    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
+fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
     let at = Instant {
         current_a: 1.0,
         speed_rad_s: 1.0,
@@ -125,8 +123,12 @@ fn has_both_power_flows(scenario: &Scenario) -> bool {
     backward > LEAST_BACKWARD_SHARE * (forward + backward)
 }
 
-/// Whether a run tells of a wave of so many periods per turn: all that a voltage drives is asked.
-pub(super) fn shows_wave(effect: &dyn Effect, scenario: &Scenario, periods_per_turn: f64) -> bool {
+/// Whether a run resolves a wave of so many periods per turn: every run that a voltage drives counts.
+pub(super) fn resolves_wave(
+    effect: &dyn Effect,
+    scenario: &Scenario,
+    periods_per_turn: f64,
+) -> bool {
     let least = least_periods(effect, scenario);
     scenario.input == Input::Voltage
         || (travels(scenario, periods_per_turn, least) && resolves(scenario, periods_per_turn))
@@ -184,7 +186,7 @@ pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<St
     runs.iter().enumerate().map(start).collect()
 }
 
-/// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its
+/// The run with the rows that count. A measured current stands for what flowed until halfway to its neighbours, not from its
 /// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
 /// have in common would pass for the motion of the shaft. The torque keeps every value: from one speed to the next its
 /// whole impulse counts.
@@ -211,7 +213,7 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
             *speed = f64::NAN;
             skip -= usize::from(skip > 0);
         } else {
-            // A hair of slack for stamps that are rounded.
+            // Slack for stamps that are rounded.
             next_s = time_s + (1.0 - 1e-6) * apart_s;
             skip = span.map_or(0, |span| span - 1);
         }

@@ -1,5 +1,8 @@
 //! Events that happen once: each run has its own moment of one, or none.
 //!
+//! What an event adds to the innovations is the signature of a jump; its moment is the one of the largest evidence, as in the
+//! generalised likelihood ratio test of Willsky and Jones (IEEE Trans. Automatic Control 21, 1976), its size under a slab.
+//!
 //! ```text
 //! what all runs share, events --in_run--> the model of one run
 //! parts     an event in one run at one of many moments; several runs: one each (paired)
@@ -9,7 +12,7 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Column, Form, Linear, Part, SLAB, Source, Variant};
+use super::columns::{Candidate, Column, Form, Linear, LinearisedRun, Part, SLAB, Source, Variant};
 use super::forms::{Base, add_products};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
@@ -220,7 +223,7 @@ impl Hypothesis {
     }
 }
 
-/// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a load that wanders, too.
+/// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a disturbance, too.
 fn parts_of_run(effect: &dyn Effect) -> usize {
     if effect.card().is_disturbance_step {
         PLACES
@@ -229,7 +232,7 @@ fn parts_of_run(effect: &dyn Effect) -> usize {
     }
 }
 
-fn spacing_s(run: &Around<'_>, effect: &dyn Effect) -> f64 {
+fn spacing_s(run: &LinearisedRun<'_>, effect: &dyn Effect) -> f64 {
     let last_s = run.scenario.sample_time_s[run.scenario.samples() - 1];
     (last_s - run.scenario.begin_s()) / parts_of_run(effect) as f64
 }
@@ -249,14 +252,14 @@ fn log_share_of_two(effect: &dyn Effect) -> f64 {
 pub(super) fn parts(
     hypothesis: &Hypothesis,
     effect: &'static dyn Effect,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
 ) -> Vec<Part> {
     let id = effect.card().id;
     let size = Effect::size_index(effect);
     let model = &hypothesis.model;
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
-    let slab = |run: &Around<'_>| SLAB * typical_size(effect, size, model, run.scenario);
+    let slab = |run: &LinearisedRun<'_>| SLAB * typical_size(effect, size, model, run.scenario);
     let of_size = |unit, moment, present| Column {
         moment: Some(moment),
         ..Column::of(Some(size), unit, present)
@@ -330,7 +333,7 @@ pub(super) fn parts(
 
 /// Adds to events that may be in several runs the forms in which they are: of what the model lacks the likeliest moments of
 /// two runs together, of what it has either alone.
-pub(super) fn pair(linear: &mut Linear, runs: &[Around<'_>]) {
+pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     if runs.len() < 2 {
         return;
     }
@@ -383,7 +386,7 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
 /// would lend the effects that always are a sign that they do not have.
 fn together(
     candidate: &Candidate,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     gain: &impl Fn(usize) -> f64,
 ) -> Vec<Variant> {
     let Some(effect) = candidate.effect else {
@@ -404,10 +407,10 @@ fn together(
         log_prior: log_share_of_two(effect),
         ..a.clone()
     };
-    let seen_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], effect));
+    let observable_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], effect));
     let happens = |form: &Variant| {
         let mut moments = form.moments();
-        moments.any(|(run, time_s)| time_s > seen_s[run])
+        moments.any(|(run, time_s)| time_s > observable_s[run])
     };
     let pairs = first
         .iter()
@@ -417,7 +420,7 @@ fn together(
 }
 
 /// When the shaft of a run turns first, s after its first command.
-fn moves_s(run: &Around<'_>) -> f64 {
+fn moves_s(run: &LinearisedRun<'_>) -> f64 {
     let directions = run.followed.direction.iter();
     let first = directions
         .zip(&run.scenario.sample_time_s)
@@ -434,7 +437,7 @@ pub(super) struct Moment {
 
 /// Where the whitened residual of a run, all that is in the model taken out, asks for an event beside the rest of a set.
 struct Search<'a> {
-    run: &'a Around<'a>,
+    run: &'a LinearisedRun<'a>,
     event: &'a Event,
     slab: f64,
     residual: Vec<[f64; 2]>,
@@ -470,44 +473,48 @@ impl Search<'_> {
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
         let mut step_s = WIDE_PARTS * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
-        let mut seen: Vec<(f64, f64)> = Vec::new();
+        let mut evaluated: Vec<(f64, f64)> = Vec::new();
         for _ in 0..LEVELS {
             let tried = (-AROUND..=AROUND).map(|k| best_s + f64::from(k) * step_s);
             let tried: Vec<f64> = tried.filter(is_inside).collect();
-            seen.extend(tried.iter().copied().zip(self.gains(&tried)));
-            let likeliest = seen.iter().max_by(|a, b| a.1.total_cmp(&b.1));
-            best_s = likeliest.map_or(best_s, |seen| seen.0);
+            evaluated.extend(tried.iter().copied().zip(self.gains(&tried)));
+            let likeliest = evaluated.iter().max_by(|a, b| a.1.total_cmp(&b.1));
+            best_s = likeliest.map_or(best_s, |evaluated| evaluated.0);
             if step_s < FINE_PERIODS * period_s {
                 break;
             }
             step_s *= 2.0 / f64::from(AROUND);
         }
-        let gains = seen.iter().map(|seen| seen.1);
+        let gains = evaluated.iter().map(|evaluated| evaluated.1);
         let most = gains.fold(f64::NEG_INFINITY, f64::max);
         let least = most - INTERVAL_NATS * excess;
         // Where nothing moves the moment may be anywhere.
         let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {
-            let reach = seen.iter().filter(|seen| seen.1 > least);
-            let mut from_s = reach.map(|seen| side * seen.0).fold(f64::MIN, f64::max) * side;
+            let reach = evaluated.iter().filter(|evaluated| evaluated.1 > least);
+            let mut from_s = reach
+                .map(|evaluated| side * evaluated.0)
+                .fold(f64::MIN, f64::max)
+                * side;
             loop {
                 let further = (1..=LANES).map(|k| from_s + side * wide_s * k as f64);
                 let further: Vec<f64> = further.filter(is_inside).collect();
                 let gains = self.gains(&further);
                 let likely = gains.iter().take_while(|gain| **gain > least).count();
-                seen.extend(further.iter().copied().zip(gains).take(likely));
+                evaluated.extend(further.iter().copied().zip(gains).take(likely));
                 if likely < LANES {
                     break;
                 }
                 from_s = further[LANES - 1];
             }
         }
-        let likely = seen.iter().filter(|seen| seen.1 > least);
-        // Between two samples nothing is seen.
+        let likely = evaluated.iter().filter(|evaluated| evaluated.1 > least);
+        // Between two samples nothing is observed.
         let half_s = 0.5 * period_s;
-        let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], seen| {
-            [low.min(seen.0), high.max(seen.0)]
-        });
+        let interval_s = likely.fold(
+            [best_s - half_s, best_s + half_s],
+            |[low, high], evaluated| [low.min(evaluated.0), high.max(evaluated.0)],
+        );
         Moment {
             time_s: best_s,
             interval_s,
@@ -529,7 +536,7 @@ pub(super) fn placed(
     events: &[Event],
     linear: &Linear,
     set: &Set,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     excess: f64,
 ) -> Vec<Moment> {
     let placed = |event: &Event| {
@@ -546,7 +553,7 @@ fn place(
     event: &Event,
     linear: &Linear,
     set: &Set,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     excess: f64,
 ) -> Option<Moment> {
     let own = column_of(linear, set, event)?;

@@ -1,27 +1,27 @@
-//! What the weighing of the runs in hand, and of one that is still to be made, would show: the same linear problem as that of
-//! the answer, with a record as the model expects it.
+//! Expected information of a run that is still to be made (Bayesian design of experiments: Chaloner and Verdinelli, Statistical
+//! Science 10, 1995): the same linear problem as that of the answer, with a record as the model expects it.
 
-use super::asked::{prepared, starts};
-use super::columns::{Around, Linear, linearise};
+use super::columns::{Linear, LinearisedRun, linearise};
+use super::detectability::{UNDETECTABLE_SLABS, spread_slabs};
+use super::eligible::{prepared, starts};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::select::{Reduced, Set};
-use super::shown::{SAYS_NOTHING_SLABS, spread_slabs};
-use super::solution::{around, present};
+use super::solution::{linearised_runs, present};
 use crate::diagnosis::evidence::Evidence;
 use crate::identification::noise::FloorSource;
 use crate::plant::{Effect, Model, Scenario, State};
 
-/// What a diagnosis found to be random in its runs: what the next one has to see through.
+/// The noise that a diagnosis found in its runs, on which the expected information of the next one rests.
 #[derive(Clone, Copy, Debug)]
-pub struct Grounds {
+pub struct InformationBasis {
     noise: Noise,
     excess: f64,
     /// What the run that is fitted first begins with.
     start: State,
 }
 
-impl Grounds {
+impl InformationBasis {
     pub(in crate::diagnosis) const fn new(noise: Noise, excess: f64, start: State) -> Self {
         Self {
             noise,
@@ -32,61 +32,61 @@ impl Grounds {
 }
 
 /// Squared size of a slab, in standard deviations, from which on an effect shows.
-pub(in crate::diagnosis) const SHOWS: f64 = 1.0 / (SAYS_NOTHING_SLABS * SAYS_NOTHING_SLABS);
+pub(in crate::diagnosis) const DETECTS: f64 = 1.0 / (UNDETECTABLE_SLABS * UNDETECTABLE_SLABS);
 
 /// The runs in hand around a model.
-pub(in crate::diagnosis) struct Foresight {
+pub(in crate::diagnosis) struct ExpectedInformation {
     hypothesis: Hypothesis,
-    asked: Vec<&'static dyn Effect>,
+    eligible: Vec<&'static dyn Effect>,
     runs: Vec<Scenario>,
     starts: Vec<State>,
-    grounds: Grounds,
+    basis: InformationBasis,
 }
 
-impl Foresight {
-    /// Of `asked`, beside everything that `model` has.
+impl ExpectedInformation {
+    /// Of the `eligible` effects, beside everything that `model` has.
     pub(in crate::diagnosis) fn new(
         model: &Model,
-        asked: &[&'static dyn Effect],
+        eligible: &[&'static dyn Effect],
         evidence: &Evidence,
-        grounds: Grounds,
+        basis: InformationBasis,
     ) -> Self {
         let known = evidence.noise.source != FloorSource::None;
         let (speaking, held_out) = evidence.speaking();
         let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
         let own = model.effects.iter().map(|active| active.effect);
-        let missing = asked.iter().copied();
+        let missing = eligible.iter().copied();
         let missing = missing.filter(|effect| !model.has(effect.card().id));
         Self {
             hypothesis: Hypothesis::of(model),
-            asked: own.chain(missing).collect(),
-            starts: starts(&runs, held_out, grounds.start),
+            eligible: own.chain(missing).collect(),
+            starts: starts(&runs, held_out, basis.start),
             runs,
-            grounds,
+            basis,
         }
     }
 
-    /// For each effect that can be asked for the squared size of a slab in standard deviations, with `new` behind the runs in
+    /// For each eligible effect the squared size of a slab in standard deviations, with `new` behind the runs in
     /// hand, of which a row stands for so many; none where the model cannot be followed.
-    pub(in crate::diagnosis) fn shown_with(
+    pub(in crate::diagnosis) fn with_run(
         &self,
         new: &Scenario,
         stands_for: f64,
     ) -> Option<Vec<(&'static str, f64)>> {
         let scenarios: Vec<&Scenario> = self.runs.iter().collect();
-        let noise = self.grounds.noise;
-        let mut runs = around(&self.hypothesis, &scenarios, &self.starts, noise, None)?;
+        let noise = self.basis.noise;
+        let mut runs = linearised_runs(&self.hypothesis, &scenarios, &self.starts, noise, None)?;
         let finer = Noise {
             current_a: noise.current_a / stands_for.sqrt(),
             speed_rad_s: noise.speed_rad_s / stands_for.sqrt(),
             ..noise
         };
         let model = &self.hypothesis.model;
-        runs.push(Around::new(model, new, State::default(), finer)?);
-        let linear = linearise(&self.hypothesis, &self.asked, &runs, false)?;
+        runs.push(LinearisedRun::new(model, new, State::default(), finer)?);
+        let linear = linearise(&self.hypothesis, &self.eligible, &runs, false)?;
         let set = present(&linear);
-        let reduced = Reduced::new(linear, self.grounds.excess, true)?;
-        Some(shown(&reduced, &set, self.grounds.excess))
+        let reduced = Reduced::new(linear, self.basis.excess, true)?;
+        Some(information_of(&reduced, &set, self.basis.excess))
     }
 }
 
@@ -94,7 +94,7 @@ impl Foresight {
 const MAY_BE_LIKELIEST_NATS: f64 = 3.0;
 
 /// Of each effect beside a set, in the form that shows least of those that may be the likeliest.
-fn shown(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> {
+fn information_of(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> {
     let linear: &Linear = &reduced.linear;
     let mut all: Vec<(&'static str, f64)> = Vec::new();
     for (k, candidate) in linear.candidates.iter().enumerate() {

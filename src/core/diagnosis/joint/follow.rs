@@ -1,7 +1,8 @@
-//! A model follows a run by a Kalman filter: innovations that are white where the model is right.
+//! An extended Kalman filter follows a run with a model: innovations that are white where the model is right (Kailath, An
+//! innovations approach to least-squares estimation, IEEE Trans. Automatic Control 13, 1968).
 //!
-//! States are the deviations of current and speed from the model, and a disturbance torque that wanders: integrated by
-//! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
+//! States are the deviations of current and speed from the model, and a disturbance torque, a first-order Gauss-Markov process:
+//! integrated by the shaft, it makes the error of a free run drift, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
 use super::acting::{FORM_SHARE, Forms};
@@ -38,7 +39,7 @@ const JUMP_SHARE: f64 = 0.0017;
 /// What is not known of the first current, as a share of the largest, and of the first speed, in units of its noise.
 const START_SHARE: f64 = 0.1;
 const START_SIGMAS: f64 = 10.0;
-/// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
+/// Standard deviations by which a shaft that is taken to rest must be measured to move to be released.
 const RELEASED_SIGMAS: f64 = 5.0;
 
 /// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
@@ -123,7 +124,7 @@ pub(super) struct Passage {
     pub fresh: [f64; 2],
     pub begins_again: bool,
     /// The part of `fresh` that holes of the record make: a voltage that nobody knows, a state that was measured behind it.
-    pub unseen: [f64; 2],
+    pub unobserved: [f64; 2],
     /// Covariance of the part of `fresh` that one voltage makes of both.
     pub together: f64,
 }
@@ -223,8 +224,8 @@ struct Filter<'a> {
     /// Where a torque drives: the speed below which its balance says nothing, and for how long one value may stand.
     slow_rad_s: f64,
     longest_hold_s: f64,
-    /// When a speed was seen last, and after how long without one it begins anew.
-    seen_s: f64,
+    /// When a speed was measured last, and after how long without one it begins anew.
+    observed_s: f64,
     longest_blind_s: f64,
     direction: f64,
     last_s: f64,
@@ -265,10 +266,10 @@ impl<'a> Filter<'a> {
         let by_voltage = scenario.input == Input::Voltage;
         let events = scenario.events.windows(2);
         let held_s: Vec<f64> = events.map(|pair| pair[1].0 - pair[0].0).collect();
-        let seen = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
-        let seen = seen.filter(|row| row.1.is_finite()).map(|row| *row.0);
-        let seen: Vec<f64> = seen.collect();
-        let unseen_s: Vec<f64> = seen.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let observed = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
+        let observed = observed.filter(|row| row.1.is_finite()).map(|row| *row.0);
+        let observed: Vec<f64> = observed.collect();
+        let gaps_s: Vec<f64> = observed.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let usual = if by_voltage {
             f64::INFINITY
         } else {
@@ -289,8 +290,8 @@ impl<'a> Filter<'a> {
             jump: jump_of(scenario),
             slow_rad_s: if by_voltage { 0.0 } else { slow_rad_s },
             longest_hold_s: usual * median(&held_s),
-            seen_s: scenario.begin_s(),
-            longest_blind_s: usual * median(&unseen_s),
+            observed_s: scenario.begin_s(),
+            longest_blind_s: usual * median(&gaps_s),
             direction: start.direction(),
             last_s: scenario.begin_s(),
             last_speed: start.speed_rad_s,
@@ -351,7 +352,7 @@ impl<'a> Filter<'a> {
     }
 
     /// Variance of what rings, of which there is so much now: where it passes zero another phase of it is all error. How a
-    /// coupling was twisted at the end of a hole nobody has seen: until that has died away all is.
+    /// coupling was twisted at the end of a hole was not measured: until that has died away all is.
     fn ringing(&mut self, square: f64, interval_s: f64) -> f64 {
         let dies_s = self.forms.ringing_s;
         if dies_s <= 0.0 {
@@ -359,8 +360,8 @@ impl<'a> Filter<'a> {
         }
         self.most_ringing = square.max(self.most_ringing);
         self.ringing = square.max(self.ringing * (-2.0 * interval_s / dies_s).exp());
-        let unseen = (-(self.last_s - self.twisted_s) / dies_s).exp();
-        self.ringing * (self.forms.ringing_share.powi(2) + unseen)
+        let unobserved = (-(self.last_s - self.twisted_s) / dies_s).exp();
+        self.ringing * (self.forms.ringing_share.powi(2) + unobserved)
     }
 
     /// Goes to the time of `sample`, where the model is in `state`: the passage, what the disturbance keeps, and the rates of
@@ -391,7 +392,7 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
-        let (fresh, unseen, together) = if begins_again {
+        let (fresh, unobserved, together) = if begins_again {
             // A signal whose noise is not known is not looked at.
             let levels = [self.noise.current_a, self.noise.speed_rad_s];
             let known = levels.map(|level| if level.is_finite() { level } else { 0.0 });
@@ -401,18 +402,18 @@ impl<'a> Filter<'a> {
             let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
             let holes_v2 = self.holes_v2(time_s - interval_s, time_s);
             let one_v2 = holes_v2 + self.limits_v2(time_s - interval_s, time_s);
-            let unseen = moved.map(|moved| moved * moved * holes_v2);
+            let unobserved = moved.map(|moved| moved * moved * holes_v2);
             let [current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
             let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
             let held_s = time_s - self.scenario.events[self.event].0;
-            let is_blind = time_s - self.seen_s > self.longest_blind_s;
+            let is_blind = time_s - self.observed_s > self.longest_blind_s;
             let anew = match (held_s > self.longest_hold_s || is_blind, slow) {
                 (true, _) => self.slow_rad_s / REVERSAL_SHARE,
                 (_, true) => self.slow_rad_s,
                 _ => 0.0,
             };
             let together = moved[0] * moved[1] * one_v2;
-            ([current, speed + anew * anew], unseen, together)
+            ([current, speed + anew * anew], unobserved, together)
         };
         if begins_again {
             self.ringing = self.most_ringing;
@@ -425,7 +426,7 @@ impl<'a> Filter<'a> {
             propagator: if begins_again { taken_over } else { propagator },
             fresh,
             begins_again,
-            unseen,
+            unobserved,
             together,
             interval_s,
             direction: now,
@@ -458,7 +459,7 @@ impl<'a> Filter<'a> {
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
-            self.seen_s = self.scenario.sample_time_s[sample];
+            self.observed_s = self.scenario.sample_time_s[sample];
             let e = value - reading[1] - moved;
             if rests && e.abs() > RELEASED_SIGMAS * self.noise.speed_rad_s {
                 self.p[1][1] += e * e;
@@ -669,9 +670,9 @@ pub(super) const QUIET: Noise = Noise {
     sensors: 0.1,
 };
 
-/// The same beside a load that wanders and a voltage that is not quite known.
+/// The same beside a disturbance of the load and a voltage that is not quite known.
 #[cfg(test)]
-pub(super) const WANDERING: Noise = Noise {
+pub(super) const DISTURBED: Noise = Noise {
     disturbance_n_m: 0.01,
     input: 0.05,
     ..QUIET

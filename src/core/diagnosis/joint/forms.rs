@@ -1,9 +1,12 @@
-//! Of effects with many forms those that a run could tell of: the others get no column.
+//! Screening of forms by their marginal likelihood before the selection: of effects with many forms only those that a run could
+//! tell of get a column.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, ColumnInformation, FAR_MEAN_SQUARE, Linear, Part, Source, squares};
+use super::columns::{
+    ColumnInformation, FAR_MEAN_SQUARE, Linear, LinearisedRun, Part, Source, squares,
+};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
 use crate::plant::Scenario;
@@ -29,14 +32,14 @@ struct Group {
 /// share along.
 pub(super) fn keep_likeliest(
     parts: &mut [Part],
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     base: &[Whitened],
     precision: &[f64],
 ) {
     let mut groups = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
-        // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
+        // Small steps of the load at all times add up to a disturbance: they are not dropped.
         let stays = part.candidate.in_model || part.candidate.is_disturbance_step();
         let mut sources = part.sources.iter().flatten();
         let tangents = sources.all(|own| matches!(own, Source::Tangent(_) | Source::In(..)));
@@ -76,8 +79,8 @@ pub(super) fn keep_likeliest(
             for (place, form) in group.forms.iter().enumerate() {
                 if part.candidate.is_event() {
                     let unit = part.candidate.variants[*form].columns[0].unit;
-                    let seen = given.seen(&group.products, place, unit);
-                    part.candidate.moments.push(seen);
+                    let information = given.information(&group.products, place, unit);
+                    part.candidate.moments.push(information);
                 }
                 gains.push((*form, given.gain(&group.products, place * width, width)));
             }
@@ -123,7 +126,7 @@ impl Part {
 /// is refuted where the model is far off, or where the beginning says too little.
 pub(super) fn drop_refuted(
     parts: &mut [Part],
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     base: &Whitened,
     precision: &[f64],
 ) {
@@ -184,7 +187,7 @@ fn beginning(scenario: &Scenario, samples: usize) -> Scenario {
 
 /// Products of the tangents with these columns, with the residual, with themselves, and of each even one with the next.
 pub(super) fn add_products(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     columns: &[&[f32]],
     residual: &[[f64; 2]],
     tangents: &[&Tangent],
@@ -258,7 +261,7 @@ impl Base {
     }
 
     /// What is left of a column with these products with the base, with itself and with the residual: its information, and
-    /// what is asked of it.
+    /// its score.
     pub(super) fn left(&self, cross: &DVector<f64>, own: f64, rest: f64) -> [f64; 2] {
         let solved = self.factor.solve(cross);
         [own - cross.dot(&solved), rest - self.right.dot(&solved)]
@@ -286,13 +289,13 @@ impl Base {
     }
 
     /// What the runs say of the form of one column in this lane.
-    fn seen(&self, products: &[Lane], lane: usize, unit: f64) -> ColumnInformation {
+    fn information(&self, products: &[Lane], lane: usize, unit: f64) -> ColumnInformation {
         let m = self.right.len();
         let cross = DVector::from_fn(m, |r, _| products[r][lane]);
-        let [information, asked] = self.left(&cross, products[m + 1][lane], products[m][lane]);
+        let [information, score] = self.left(&cross, products[m + 1][lane], products[m][lane]);
         ColumnInformation {
             information,
-            asked,
+            score,
             unit,
         }
     }
@@ -301,9 +304,9 @@ impl Base {
 #[cfg(test)]
 mod tests {
     use super::KEPT;
-    use crate::diagnosis::joint::columns::{Around, Candidate, Variant, linearise};
+    use crate::diagnosis::joint::columns::{Candidate, LinearisedRun, Variant, linearise};
     use crate::diagnosis::joint::events::Hypothesis;
-    use crate::diagnosis::joint::follow::WANDERING;
+    use crate::diagnosis::joint::follow::DISTURBED;
     use crate::diagnosis::kit::{nameplate, truth};
     use crate::plant::effect::CATALOGUE;
     use crate::plant::testing::record;
@@ -317,7 +320,7 @@ mod tests {
         let events = levels.iter().enumerate();
         let events = events.map(|(k, level)| (0.25 * k as f64, *level)).collect();
         let scenario = record(truth, events, 1e-3, 2.5, 5);
-        let runs = [Around::new(model, &scenario, State::default(), WANDERING).unwrap()];
+        let runs = [LinearisedRun::new(model, &scenario, State::default(), DISTURBED).unwrap()];
         let linear = linearise(&Hypothesis::of(model), CATALOGUE, &runs, false);
         linear.unwrap().candidates
     }

@@ -1,8 +1,8 @@
-//! Free-run error: the part of a free run that no model can foretell (of a load that wanders, and of a
-//! voltage that nobody knows), the excess of innovations over white noise, and the likelihood ratio of two models.
+//! Free-run error: the part of a free run that no model can foretell (of a disturbance of the load, and of an
+//! unknown voltage), the excess of innovations over white noise, and the likelihood ratio of two models.
 
-use super::asked::prepared;
-use super::columns::Around;
+use super::columns::LinearisedRun;
+use super::eligible::prepared;
 use super::follow::{Noise, P, Passage, Update, predicted, stop};
 use crate::plant::{Model, Scenario, State};
 
@@ -13,33 +13,37 @@ const BY_CHANCE_SIGMAS: f64 = 2.0;
 
 /// Root mean squares of current, A, and speed, rad/s, that the disturbance of a followed run makes where nothing leads the
 /// model: what no model can foretell.
-pub(super) fn wandering(run: &Around<'_>) -> [f64; 2] {
+pub(super) fn disturbance_error(run: &LinearisedRun<'_>) -> [f64; 2] {
     carried(run, &run.noise, |_| [0.0; 2])
 }
 
 /// The same of what the holes of its record make: no model can foretell what nobody knows to have been commanded.
-pub(super) fn unseen(run: &Around<'_>) -> [f64; 2] {
+pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
     let calm = Noise {
         disturbance_n_m: 0.0,
         input: 0.0,
         ..run.noise
     };
-    carried(run, &calm, |passage| passage.unseen)
+    carried(run, &calm, |passage| passage.unobserved)
 }
 
 /// What the holes of a run make that the answer does not rest on; none where the model cannot be followed on it.
-pub(in crate::diagnosis) fn unseen_in(
+pub(in crate::diagnosis) fn unobserved_in(
     run: &Scenario,
     model: &Model,
     noise: Noise,
     noise_is_known: bool,
 ) -> Option<[f64; 2]> {
     let run = prepared(run, noise_is_known);
-    Around::new(model, &run, State::default(), noise).map(|run| unseen(&run))
+    LinearisedRun::new(model, &run, State::default(), noise).map(|run| unobserved(&run))
 }
 
 /// What a free run carries of a disturbance and of what comes `fresh` with each passage.
-fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]) -> [f64; 2] {
+fn carried(
+    run: &LinearisedRun<'_>,
+    noise: &Noise,
+    fresh: impl Fn(&Passage) -> [f64; 2],
+) -> [f64; 2] {
     let mut p: P = [[0.0; 4]; 4];
     p[2][2] = noise.disturbance_n_m.powi(2);
     p[3][3] = noise.input.powi(2);
@@ -49,7 +53,7 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
         let passage = Passage {
             form: [0.0; 3],
             fresh,
-            unseen: fresh,
+            unobserved: fresh,
             together: if passage.begins_again {
                 0.0
             } else {
@@ -77,7 +81,7 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
 
 /// How many times as large as white noise's the variance of sums of what is left of the innovations of `runs` is, in the
 /// worse of the two signals; at least one.
-pub(super) fn excess(runs: &[(&Around<'_>, Vec<[f64; 2]>)]) -> f64 {
+pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
     let mut worst: f64 = 1.0;
     for signal in 0..2 {
         let mut sums = [0.0; EXCESS_LAGS + 1];
@@ -116,19 +120,19 @@ pub(in crate::diagnosis) fn likelier(
     noise_is_known: bool,
 ) -> Option<(f64, [f64; 2])> {
     let run = prepared(run, noise_is_known);
-    let [worse, better] = [0, 1].map(|k| Around::new(models[k], &run, starts[k], noise));
+    let [worse, better] = [0, 1].map(|k| LinearisedRun::new(models[k], &run, starts[k], noise));
     let (worse, better) = (worse?, better?);
     let white = better.followed.white.clone();
     let widened = excess(&[(&better, white)]);
     let ratio = (log_likelihood(&better) - log_likelihood(&worse)) / widened;
     ratio.is_finite().then(|| {
         let z = ratio.signum() * (2.0 * ratio.abs()).sqrt();
-        (z, unseen(&better))
+        (z, unobserved(&better))
     })
 }
 
 /// Log likelihood of the innovations but for what every model shares.
-fn log_likelihood(run: &Around<'_>) -> f64 {
+fn log_likelihood(run: &LinearisedRun<'_>) -> f64 {
     let of_sample = |(update, white): (&Update, &[f64; 2])| {
         let signals = [update.current[4], update.speed[4]].into_iter().zip(white);
         let measured = signals.filter(|(over_sd, _)| *over_sd > 0.0);
@@ -155,7 +159,7 @@ mod tests {
         });
         let mut scenario = known.clone();
         scenario.unknown_input = vec![hole(0.5, 0.51, 9.0)];
-        let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
+        let run = LinearisedRun::new(&model, &scenario, State::default(), QUIET).unwrap();
         let rms = |a: &[f64], b: &[f64]| {
             let squares: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
             (squares / a.len() as f64).sqrt()
@@ -163,13 +167,13 @@ mod tests {
         // Both records have the same noise: they differ by what the voltage made.
         let current = rms(&known.current_a, &other.current_a);
         let truth = [current, rms(&known.speed_rad_s, &other.speed_rad_s)];
-        for (found, truth) in unseen(&run).into_iter().zip(truth) {
+        for (found, truth) in unobserved(&run).into_iter().zip(truth) {
             assert!((found / truth - 1.0).abs() < 0.1, "{found}, not {truth}");
         }
-        let whole = Around::new(&model, &known, State::default(), QUIET).unwrap();
-        assert!(unseen(&whole).iter().all(|rms| *rms <= 0.0));
-        // A load that wanders knows nothing of holes.
-        let difference = wandering(&run)[0] / wandering(&whole)[0] - 1.0;
+        let whole = LinearisedRun::new(&model, &known, State::default(), QUIET).unwrap();
+        assert!(unobserved(&whole).iter().all(|rms| *rms <= 0.0));
+        // A disturbance of the load does not depend on holes.
+        let difference = disturbance_error(&run)[0] / disturbance_error(&whole)[0] - 1.0;
         assert!(difference.abs() < 1e-9, "{difference}");
     }
 }

@@ -15,7 +15,7 @@ pub(in crate::diagnosis) struct Inferred {
     pub(in crate::diagnosis) given: bool,
     /// That it is there, beside all others that may be.
     pub(in crate::diagnosis) probability: f64,
-    /// Whether these runs would show it at its slab, and why they cannot be asked at all.
+    /// Whether these runs would show it at its slab, and why it is not eligible.
     pub(in crate::diagnosis) excited: bool,
     pub(in crate::diagnosis) why_not: Option<&'static str>,
     /// Its size is below this with 95 %, in the unit of its first parameter; an amplitude where it has sine and cosine.

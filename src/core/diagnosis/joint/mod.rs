@@ -1,4 +1,5 @@
-//! Several effects at once: one linear Gaussian model of what the runs' innovations hold, one posterior over all sets.
+//! Spike-and-slab variable selection (George and McCulloch, Variable selection via Gibbs sampling, J. Am. Stat. Assoc. 88, 1993)
+//! over a model that is linearised along a Kalman filter and refined by Gauss-Newton: the posterior over all sets of effects.
 //!
 //! ```text
 //! model, run --(follow: Kalman filter)--> innovations, gains
@@ -7,27 +8,28 @@
 //!                 |             column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
-//! asked:    which effects a run can be asked about, and what of it is fit to be asked
+//! eligible: which effects a run can judge, and which of its rows count
 //! acting:   what effects do at an instant
 //! events:   what happens in one run, at a moment of its own
 //! solution: the model at the linear solution of a set --> prediction_error: its refit
 //! refits:   what refits refute of a set;  approach: far from the data, effects that join one by one
 //! search:   all of these in rounds, linearised anew, until set and noise stand
 //! free_run: what a model leaves of a run: error that none can foretell, excess over white noise, likelihood ratio
-//! foresight: what the same problem with a run more, as it is expected, would show
-//! shown:    how sharply runs show an effect, and one that happens once whenever it came
+//! expected_information: what the same problem with a run more would show of each effect
+//! detectability: how sharply runs show an effect, and one that happens once whenever it came
 //! rivals:   what these runs do not tell apart
-//! answer:   probability, bound and detectable size of each effect; what follows an axis and is none of them
+//! marginal: probability, bound and detectable size of one effect;  answer: of all, and what follows an axis and is none of them
 //! ```
 
 mod acting;
 pub(super) mod answer;
 mod approach;
-pub(super) mod asked;
 mod columns;
+mod detectability;
+pub(super) mod eligible;
 pub(super) mod events;
+pub(super) mod expected_information;
 mod follow;
-pub(super) mod foresight;
 mod forms;
 pub(super) mod free_run;
 pub(super) mod marginal;
@@ -38,7 +40,6 @@ mod refits;
 mod rivals;
 mod search;
 mod select;
-mod shown;
 mod solution;
 mod tangent;
 mod whitened;

@@ -1,9 +1,10 @@
-//! Noise levels of a run by marginal likelihood, with every effect in under its slab.
+//! Noise levels of a run by maximum marginal likelihood (empirical Bayes), with every effect in under its slab. The likelihood is
+//! that of the innovations of a Kalman filter (Schweppe, IEEE Trans. Information Theory 11, 1965).
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
-use super::columns::{Around, Linear};
+use super::columns::{Linear, LinearisedRun};
 use super::follow::{Noise, P, Passage, corrected, jump_of, predicted, stop};
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
@@ -40,7 +41,7 @@ fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
 }
 
 fn averaged(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     whitened: &Whitened,
     present: &DVector<f64>,
     columns: &[usize],
@@ -113,14 +114,18 @@ fn averaged(
 }
 
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
-fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) -> (Passage, bool) {
+fn passage_of(
+    run: &LinearisedRun<'_>,
+    samples: std::ops::Range<usize>,
+    size: usize,
+) -> (Passage, bool) {
     let mut kept = 1.0;
     let mut form = [0.0; 3];
     let mut interval_s = 0.0;
     let mut jumps = false;
     let mut direction = 0.0;
     let mut fresh = [0.0; 2];
-    let mut unseen = [0.0; 2];
+    let mut unobserved = [0.0; 2];
     let mut together = 0.0;
     let mut begins_again = false;
     for sample in samples {
@@ -133,14 +138,14 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
         if passage.begins_again {
             begins_again = true;
             fresh = [0.0; 2];
-            unseen = [0.0; 2];
+            unobserved = [0.0; 2];
             together = 0.0;
         }
         together += passage.together;
         for (sum, part) in fresh.iter_mut().zip(passage.fresh) {
             *sum += part;
         }
-        for (sum, part) in unseen.iter_mut().zip(passage.unseen) {
+        for (sum, part) in unobserved.iter_mut().zip(passage.unobserved) {
             *sum += part;
         }
         interval_s += passage.interval_s;
@@ -153,7 +158,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     }
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
     let passage = Passage {
-        unseen,
+        unobserved,
         together,
         propagator: if begins_again {
             Propagator::default()
@@ -174,7 +179,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
 
 impl Averaged {
     /// The normal matrix (residual last, then the padding) and the sum of the logarithms of the variances.
-    fn filter(&self, run: &Around<'_>, noise: &Noise) -> (DMatrix<f64>, f64) {
+    fn filter(&self, run: &LinearisedRun<'_>, noise: &Noise) -> (DMatrix<f64>, f64) {
         let width = self.width;
         let jump = jump_of(run.scenario);
         let mut states = vec![Deviations::default(); width / LANES];
@@ -228,7 +233,7 @@ impl Averaged {
 /// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest. What the runs do not
 /// tell from what `start` has stays as it is.
 pub(super) fn likeliest(
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     reduced: &Reduced,
     forms: &[usize],
     floor: &Noise,
@@ -487,7 +492,7 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::diagnosis::joint::follow::{QUIET, WANDERING, hole};
+    use crate::diagnosis::joint::follow::{DISTURBED, QUIET, hole};
     use crate::diagnosis::kit::nameplate;
     use crate::plant::State;
     use crate::plant::testing::record;
@@ -496,7 +501,7 @@ mod tests {
     fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
         let floor = Noise {
             input: 0.0,
-            ..WANDERING
+            ..DISTURBED
         };
         let likelihood = |noise: &Noise| {
             let corner = (noise.correlation_s / 0.05).ln();
@@ -512,7 +517,7 @@ mod tests {
     fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
         let floor = Noise {
             input: 0.01,
-            ..WANDERING
+            ..DISTURBED
         };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
@@ -583,14 +588,14 @@ mod tests {
         let model = nameplate();
         let mut scenario = record(&model, vec![(0.0, 20.0), (0.5, 25.0)], 1e-3, 1.0, 3);
         scenario.unknown_input = vec![hole(0.7, 0.71, 9.0)];
-        let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
+        let run = LinearisedRun::new(&model, &scenario, State::default(), QUIET).unwrap();
         let n = scenario.samples();
         let block = passage_of(&run, 0..n, n).0;
         let each = run.follower.passages.iter();
         for signal in 0..2 {
-            let sum: f64 = each.clone().map(|passage| passage.unseen[signal]).sum();
-            assert!(sum > 0.0 && (block.unseen[signal] / sum - 1.0).abs() < 1e-12);
-            assert!(block.fresh[signal] >= block.unseen[signal]);
+            let sum: f64 = each.clone().map(|passage| passage.unobserved[signal]).sum();
+            assert!(sum > 0.0 && (block.unobserved[signal] / sum - 1.0).abs() < 1e-12);
+            assert!(block.fresh[signal] >= block.unobserved[signal]);
         }
     }
 }

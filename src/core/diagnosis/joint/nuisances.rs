@@ -1,4 +1,4 @@
-//! Nuisance columns beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
+//! Nuisance parameters beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
 //! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
 
 use std::mem::{self, Discriminant};
@@ -6,10 +6,10 @@ use std::mem::{self, Discriminant};
 use nalgebra::DVector;
 
 use super::acting::constants;
-use super::columns::{Around, Column, Form, Part, SLAB, Source, columns_of};
-use super::tangent::{Tangent, Wave, are_tangents, wave_of_current};
+use super::columns::{Column, Form, LinearisedRun, Part, SLAB, Source, columns_of};
+use super::tangent::{Tangent, Wave, are_tangents};
 use crate::numerics::statistics::largest;
-use crate::plant::effect::{Axis, TermKind};
+use crate::plant::effect::{Axis, Harmonic, TermKind};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
     typical_size,
@@ -158,7 +158,7 @@ pub(super) struct ErrorOf {
 
 /// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
 /// and the forms of its effects. Which forms there are is a matter of the run.
-pub(super) fn of_equations(run: &Around<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
+pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
     let of_effects = run.model.effects.iter().enumerate();
     let forms = of_effects.flat_map(|(number, active)| {
         let values = active.values_or_guess();
@@ -257,7 +257,7 @@ pub(super) fn bends(
         let order = pairs().find(|(spec, _)| spec.key == "order");
         let order = order.map_or(1.0, |(_, order)| *order);
         // What goes with the current does so in any form.
-        let of_current = wave_of_current(effect) == Some(true);
+        let of_current = effect.card().harmonic == Some(Harmonic::OfCurrent);
         for harmonic in [2.0, 3.0] {
             for sine in [true, false] {
                 let wave = Wave {
@@ -381,7 +381,7 @@ fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
 }
 
 /// Torque and voltage as functions that no effect of the catalogue gives.
-pub(super) fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
+pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     let run = &runs[0];
     let by_voltage = run.scenario.input == Input::Voltage;
     let most = |k: usize| largest(run.followed.after.iter().map(|state| state[k]));

@@ -1,10 +1,11 @@
-//! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
+//! Prediction-error fit (Ljung, System Identification, 1999, chapter 7) with priors: every free parameter of a model, and of its
+//! effects, from the whitened innovations of the runs, by Gauss-Newton steps damped after Levenberg and Marquardt.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::asked::why_not;
-use super::columns::{Around, SLAB, Source, columns_of};
+use super::columns::{LinearisedRun, SLAB, Source, columns_of};
+use super::eligible::why_not;
 use super::events::{Event, Hypothesis};
 use super::follow::follow;
 use super::free_run::excess;
@@ -125,7 +126,7 @@ struct Innovations<'a> {
     hypothesis: Hypothesis,
     free: Vec<(Slot, Coordinate)>,
     sizes: Vec<Coordinate>,
-    runs: &'a [Around<'a>],
+    runs: &'a [LinearisedRun<'a>],
     len: usize,
     /// Whether their slopes are tangents.
     along: bool,
@@ -160,7 +161,7 @@ fn sizes(model: &Model) -> Vec<f64> {
 
 impl Vague {
     /// Of runs that were followed with the model itself, and with events behind its effects.
-    fn of(model: &Model, runs: &[Around<'_>]) -> Self {
+    fn of(model: &Model, runs: &[LinearisedRun<'_>]) -> Self {
         let mut columns: Vec<Vec<f32>> = Vec::new();
         let mut errors: Vec<ErrorOf> = Vec::new();
         let mut rows = 0;
@@ -245,7 +246,7 @@ impl Freeing<'_> {
 }
 
 impl<'a> Innovations<'a> {
-    fn new(hypothesis: &Hypothesis, runs: &'a [Around<'a>]) -> Self {
+    fn new(hypothesis: &Hypothesis, runs: &'a [LinearisedRun<'a>]) -> Self {
         let model = &hypothesis.model;
         let size = |event: &Event| {
             let index = event.effect.size_index();
@@ -353,9 +354,9 @@ impl Problem for Innovations<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let there = self.hypothesis_at(x);
         let (out, priors) = out.split_at_mut(self.len - x.len() - 1);
-        let of_run = |(number, run): (usize, &Around<'_>)| {
+        let of_run = |(number, run): (usize, &LinearisedRun<'_>)| {
             let model = there.in_run(number);
-            let Around {
+            let LinearisedRun {
                 follower,
                 scenario,
                 start,
@@ -450,7 +451,7 @@ impl Problem for Innovations<'_> {
     }
 }
 
-/// Of a refit only its likelihood is asked.
+/// Of a refit only its likelihood is needed.
 const QUICK: Options = Options {
     most_iterations: 25,
     relative_cost: 1e-4,
@@ -472,7 +473,7 @@ pub(super) struct Refit {
 /// of the squares of what is left. `None` where it cannot be simulated.
 pub(super) fn fit_as_followed(
     start: &Hypothesis,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
 ) -> Option<(Hypothesis, f64)> {
     let problem = Innovations::new(start, runs);
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
@@ -481,14 +482,15 @@ pub(super) fn fit_as_followed(
 
 /// Fits all that is free but the moments of events to runs, each followed with the start itself: what its effects and the
 /// stamps may be wrong by is no reproach to it, but counts for it neither. `None` where it cannot be simulated.
-pub(super) fn fit(start: &Hypothesis, runs: &[Around<'_>]) -> Option<Refit> {
-    let own: Vec<Around<'_>> = runs
+pub(super) fn fit(start: &Hypothesis, runs: &[LinearisedRun<'_>]) -> Option<Refit> {
+    let own: Vec<LinearisedRun<'_>> = runs
         .par_iter()
         .with_max_len(1)
         .enumerate()
         .map(|(number, run)| {
             let events = start.events_of(number);
-            let own = Around::beside(&start.model, events, run.scenario, run.start, run.noise)?;
+            let own =
+                LinearisedRun::beside(&start.model, events, run.scenario, run.start, run.noise)?;
             Some(own.counted(run.work))
         })
         .collect::<Option<_>>()?;
@@ -518,7 +520,7 @@ pub(super) struct Estimated {
 /// Fits all that is free in the model of `run` and says how well each parameter is known: jointly with what may be wrong
 /// with the stamps and with the forms of the effects, times the excess of what is left over white noise. What was believed
 /// of the parameters beforehand has no part in it.
-pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
+pub(super) fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     let runs = std::slice::from_ref(run);
     let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
     // Values that took all of the misfit would be further off than values for which stamps and forms may be wrong.
@@ -584,14 +586,14 @@ mod tests {
             let value = start.motor.get(key).unwrap();
             start.motor.set(key, factor * value);
         }
-        let around: Vec<Around<'_>> = runs
+        let linearised: Vec<LinearisedRun<'_>> = runs
             .iter()
             .map(|run| {
                 let noise = noise(run, disturbance_n_m);
-                Around::new(&start, run, State::default(), noise).unwrap()
+                LinearisedRun::new(&start, run, State::default(), noise).unwrap()
             })
             .collect();
-        fit(&Hypothesis::of(&start), &around)
+        fit(&Hypothesis::of(&start), &linearised)
             .unwrap()
             .hypothesis
             .model
@@ -628,8 +630,8 @@ mod tests {
         let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
         let run = testing::record(&model, levels, 1e-3, 2.5, 11);
         let noise = noise(&record(&model, 0, 7), 1e-3);
-        let around = [Around::new(&model, &run, State::default(), noise).unwrap()];
-        let mut problem = Innovations::new(&Hypothesis::whole(&model), &around);
+        let linearised = [LinearisedRun::new(&model, &run, State::default(), noise).unwrap()];
+        let mut problem = Innovations::new(&Hypothesis::whole(&model), &linearised);
         let x = problem.start();
         assert!(problem.slopes(&x).iter().all(Option::is_some));
         let mut residual = vec![0.0; problem.residual_len()];
@@ -650,11 +652,12 @@ mod tests {
         let soft = truth("discontinuous_conduction", &[2.4, 0.5]);
         let run = record(&soft, 0, 7);
         let start = truth("voltage_drop", &[1.0]);
-        let around = [Around::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
-        let found = fit(&Hypothesis::of(&start), &around).unwrap();
+        let linearised =
+            [LinearisedRun::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
+        let found = fit(&Hypothesis::of(&start), &linearised).unwrap();
         let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();
         assert!((drop_v / 1.2 - 1.0).abs() < 0.1, "{drop_v}");
-        let mean = found.squares / around[0].follower.rows as f64;
+        let mean = found.squares / linearised[0].follower.rows as f64;
         assert!(mean < 1.5, "{mean}");
     }
 
@@ -665,12 +668,13 @@ mod tests {
         let mut small = large.clone();
         // Where no current reaches the level of the drop.
         small.current_a.iter_mut().for_each(|a| *a *= 1e-3);
-        let around = [&large, &small].map(|run| {
+        let linearised = [&large, &small].map(|run| {
             let noise = noise(&large, 1e-4);
-            Around::new(&model, run, State::default(), noise).unwrap()
+            LinearisedRun::new(&model, run, State::default(), noise).unwrap()
         });
         // Three stamps; either how slowly the level is reached, or powers.
-        let each = [&around[..1], &around[1..], &around].map(|runs| Vague::of(&model, runs));
+        let each =
+            [&linearised[..1], &linearised[1..], &linearised].map(|runs| Vague::of(&model, runs));
         assert_eq!(each.each_ref().map(|of| of.effects.len()), [6, 5, 8]);
         let [_, _, both] = each;
         assert!(
@@ -686,7 +690,7 @@ mod tests {
         let mut run = record(&truth("speed_delay", &[2e-4]), 0, 7);
         run.time_half_width_s = vec![2e-4; run.samples()];
         let model = nameplate();
-        let run = Around::new(&model, &run, State::default(), noise(&run, 1e-4)).unwrap();
+        let run = LinearisedRun::new(&model, &run, State::default(), noise(&run, 1e-4)).unwrap();
         let key = MotorKey::Inertia;
         let off = |found: &Model| {
             let [found, known] = [found, &model].map(|model| model.motor.get(key).unwrap());

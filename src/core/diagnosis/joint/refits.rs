@@ -1,9 +1,9 @@
-//! A set that the linear solution wants, held against refits: what they refute is barred, and where a simpler effect serves as
-//! well it stands for a richer one or for two.
+//! Refits against the linear solution: what they refute of its best set is barred, and where a simpler effect serves as well by
+//! their likelihood ratio it stands for a richer one or for two.
 
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Linear};
+use super::columns::{Candidate, Linear, LinearisedRun};
 use super::events::Hypothesis;
 use super::prediction_error::{Refit, fit};
 use super::select::{Posterior, Reduced, Set};
@@ -18,9 +18,9 @@ const KEPT_LOG_ODDS: f64 = 30.0;
 /// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
 const WORTH_A_SECOND_NATS: f64 = 5.7;
 
-/// What a refit found against the linear solution.
+/// Verdict of a refit on the linear solution.
 #[derive(PartialEq)]
-pub(super) enum Judged {
+pub(super) enum RefitVerdict {
     /// An effect that is not there, and what is left of its probability.
     Barred { id: &'static str, probability: f64 },
     /// One that is there.
@@ -28,7 +28,7 @@ pub(super) enum Judged {
 }
 
 /// Keeps effects out of the sets, or in them, as refits found, and out pairs for which `one` was found to stand as well.
-pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static str>) {
+pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'static str>) {
     let one = one.and_then(effect::find);
     for pair in one.map_or(&[][..], |one| one.card().stands_for) {
         let places = pair.map(|id| linear.candidates.iter().position(|own| own.id == id));
@@ -39,12 +39,12 @@ pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static s
     }
     for candidate in &mut linear.candidates {
         let log_odds = candidate.log_odds;
-        for judged in judged {
-            match judged {
-                Judged::Barred { id, .. } if *id == candidate.id => {
+        for verdict in verdicts {
+            match verdict {
+                RefitVerdict::Barred { id, .. } if *id == candidate.id => {
                     candidate.log_odds = BARRED_LOG_ODDS;
                 }
-                Judged::Kept { id } if *id == candidate.id => {
+                RefitVerdict::Kept { id } if *id == candidate.id => {
                     candidate.log_odds = log_odds + KEPT_LOG_ODDS;
                 }
                 _ => {}
@@ -63,7 +63,11 @@ pub(super) fn bar_what_rings(linear: &mut Linear) {
 
 /// The effects of `hypothesis` that the linear solution took out where `next`, refitted, is clearly worse without them: it is
 /// wrong where what an effect does is not in proportion to its size, as impacts' times to a delay.
-pub(super) fn needed(hypothesis: &Hypothesis, next: &Refit, runs: &[Around<'_>]) -> Vec<Judged> {
+pub(super) fn needed(
+    hypothesis: &Hypothesis,
+    next: &Refit,
+    runs: &[LinearisedRun<'_>],
+) -> Vec<RefitVerdict> {
     let ids = hypothesis.model.effect_ids().into_iter();
     let removed: Vec<&'static str> = ids.filter(|id| !next.hypothesis.model.has(id)).collect();
     let is_worse = |now: Refit| {
@@ -72,14 +76,17 @@ pub(super) fn needed(hypothesis: &Hypothesis, next: &Refit, runs: &[Around<'_>])
     if removed.is_empty() || !fit(hypothesis, runs).is_some_and(is_worse) {
         return Vec::new();
     }
-    removed.into_iter().map(|id| Judged::Kept { id }).collect()
+    removed
+        .into_iter()
+        .map(|id| RefitVerdict::Kept { id })
+        .collect()
 }
 
 /// Gives effects that were barred what the refit left of their probability.
-pub(super) fn keep_doubts(judged: &[Judged], linear: &Linear, posterior: &mut Posterior) {
+pub(super) fn keep_doubts(verdicts: &[RefitVerdict], linear: &Linear, posterior: &mut Posterior) {
     for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
-        for judged in judged {
-            if let Judged::Barred { id, probability } = judged
+        for verdict in verdicts {
+            if let RefitVerdict::Barred { id, probability } = verdict
                 && *id == candidate.id
             {
                 *p = probability.max(*p);
@@ -119,23 +126,23 @@ pub(super) struct Weighed<'a> {
     pub(super) hypothesis: &'a Hypothesis,
     pub(super) reduced: &'a Reduced,
     pub(super) posterior: &'a Posterior,
-    pub(super) runs: &'a [Around<'a>],
+    pub(super) runs: &'a [LinearisedRun<'a>],
 }
 
 impl Weighed<'_> {
     /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
     /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
-    pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(Judged, Hypothesis)> {
+    pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(RefitVerdict, Hypothesis)> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
         let whole = likelihood(best);
-        let asked = |(k, candidate): &(usize, &Candidate)| {
+        let eligible = |(k, candidate): &(usize, &Candidate)| {
             let named = best[*k].is_some() && !candidate.is_unknown();
             named && !given.contains(&candidate.id)
         };
         let candidates = self.reduced.linear.candidates.iter().enumerate();
-        let asked: Vec<(usize, &Candidate)> = candidates.filter(asked).collect();
-        if asked.is_empty() {
+        let eligible: Vec<(usize, &Candidate)> = candidates.filter(eligible).collect();
+        if eligible.is_empty() {
             return None;
         }
         // What is left where it goes, or its deviance where it joins.
@@ -151,33 +158,36 @@ impl Weighed<'_> {
         let (base, refitted) = rayon::join(
             || fit(self.hypothesis, self.runs),
             || {
-                let each = asked.par_iter().with_max_len(1).map(refitted);
+                let each = eligible.par_iter().with_max_len(1).map(refitted);
                 each.collect::<Option<Vec<Option<Refit>>>>()
             },
         );
         let base = base?;
-        let judged = asked.iter().zip(refitted?).map(|((k, candidate), refit)| {
-            let mut without = best.clone();
-            without[*k] = None;
-            let promised = whole - likelihood(&without);
-            let change = refit.as_ref();
-            let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
-            let gained = if candidate.in_model { change } else { -change };
-            let left = refit.filter(|_| candidate.in_model);
-            let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
-            let raised = if candidate.log_odds > 0.0 {
-                KEPT_LOG_ODDS
-            } else {
-                0.0
-            };
-            let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
-            (odds, candidate.id, left)
-        });
-        let refuted = judged.filter(|own| own.0 < 0.0);
+        let removals = eligible
+            .iter()
+            .zip(refitted?)
+            .map(|((k, candidate), refit)| {
+                let mut without = best.clone();
+                without[*k] = None;
+                let promised = whole - likelihood(&without);
+                let change = refit.as_ref();
+                let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
+                let gained = if candidate.in_model { change } else { -change };
+                let left = refit.filter(|_| candidate.in_model);
+                let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
+                let raised = if candidate.log_odds > 0.0 {
+                    KEPT_LOG_ODDS
+                } else {
+                    0.0
+                };
+                let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
+                (odds, candidate.id, left)
+            });
+        let refuted = removals.filter(|own| own.0 < 0.0);
         let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
         let (odds, id, left) = worst?;
         let probability = 1.0 / (1.0 + (-odds).exp());
-        Some((Judged::Barred { id, probability }, left))
+        Some((RefitVerdict::Barred { id, probability }, left))
     }
 
     /// A simple effect, and the model with it in the place of a richer one, or of two that it is alike to, where those are not
@@ -233,27 +243,29 @@ mod tests {
     /// The least boundary of the gaps of a converter, A.
     const LEAST_BOUNDARY_A: f64 = 0.9;
 
-    fn led<'a>(model: &Model, run: &'a Scenario) -> [Around<'a>; 1] {
+    fn led<'a>(model: &Model, run: &'a Scenario) -> [LinearisedRun<'a>; 1] {
         let noise = Noise {
             disturbance_n_m: 1e-4,
             input: 1e-3,
             ..QUIET
         };
-        [Around::new(model, run, State::default(), noise).unwrap()]
+        [LinearisedRun::new(model, run, State::default(), noise).unwrap()]
     }
 
     /// What `about` makes of the sets as they are weighed from `model` on.
     fn weighed<T>(
         model: &Model,
         run: &Scenario,
-        asked: &[&'static str],
+        eligible: &[&'static str],
         pretend: impl FnOnce(&mut Linear),
         about: impl FnOnce(&Weighed<'_>) -> T,
     ) -> T {
-        let asked: Vec<&'static dyn Effect> =
-            asked.iter().map(|id| effect::find(id).unwrap()).collect();
+        let eligible: Vec<&'static dyn Effect> = eligible
+            .iter()
+            .map(|id| effect::find(id).unwrap())
+            .collect();
         let (hypothesis, runs) = (Hypothesis::of(model), led(model, run));
-        let mut linear = linearise(&hypothesis, &asked, &runs, false).unwrap();
+        let mut linear = linearise(&hypothesis, &eligible, &runs, false).unwrap();
         pretend(&mut linear);
         let there = present(&linear);
         let reduced = Reduced::new(linear, 1.0, true).unwrap();
@@ -279,12 +291,12 @@ mod tests {
     fn a_sharp_drop_stands_for_gaps_that_end_early_only_where_it_leaves_hardly_more() {
         let gaps =
             |extra_ohm: f64| truth("discontinuous_conduction", &[extra_ohm, LEAST_BOUNDARY_A]);
-        let asked = ["voltage_drop", "discontinuous_conduction"];
-        // A small drop is hardly seen, whatever its form; of a large one the form is.
+        let eligible = ["voltage_drop", "discontinuous_conduction"];
+        // A small drop hardly shows, whatever its form; of a large one the form is.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
             let machine = gaps(extra_ohm);
             let run = record(&machine, 0, 7);
-            let simpler = weighed(&machine, &run, &asked, |_| {}, |own| own.simpler(&[]));
+            let simpler = weighed(&machine, &run, &eligible, |_| {}, |own| own.simpler(&[]));
             assert_eq!(simpler.is_some(), stands, "{extra_ohm} ohm");
         }
     }
@@ -313,14 +325,14 @@ mod tests {
             with(nameplate(), &effects)
         };
         let apart = two(&[4e-3], &[5e-4]);
-        let asked = ["command_delay", "speed_delay", "current_filter"];
+        let eligible = ["command_delay", "speed_delay", "current_filter"];
         for (machine, model, stands) in [
             (&late, two(&[6e-4], &[6e-4]), Some("command_delay")),
             (&apart, apart.clone(), None),
         ] {
             let run = record(machine, 0, 7);
             let simpler = |given: &[&'static str]| {
-                weighed(&model, &run, &asked, |_| {}, |own| own.simpler(given))
+                weighed(&model, &run, &eligible, |_| {}, |own| own.simpler(given))
             };
             let found = simpler(&[]);
             assert_eq!(found.as_ref().map(|own| own.0), stands);
@@ -336,10 +348,10 @@ mod tests {
     #[test]
     fn two_that_one_stands_for_are_not_both_asked_for_again() {
         let run = record(&nameplate(), 0, 7);
-        let asked = ["command_delay", "speed_delay", "current_filter"];
+        let eligible = ["command_delay", "speed_delay", "current_filter"];
         let excluded = |one| {
             let pretend = |linear: &mut Linear| bar(linear, &[], one);
-            weighed(&nameplate(), &run, &asked, pretend, |own| {
+            weighed(&nameplate(), &run, &eligible, pretend, |own| {
                 let candidates = own.reduced.linear.candidates.iter();
                 let filter = candidates.clone().find(|own| own.id == "current_filter");
                 let delay = candidates.clone().position(|c| c.id == "speed_delay");
@@ -365,7 +377,7 @@ mod tests {
                 own.doubtful(&[])
             });
             assert_eq!(found.is_some(), more > 0.0);
-            if let Some((Judged::Barred { id, probability }, _)) = found {
+            if let Some((RefitVerdict::Barred { id, probability }, _)) = found {
                 assert!(id == drag && probability < 0.1, "{id} {probability}");
             }
         }
@@ -375,7 +387,10 @@ mod tests {
     fn what_a_refit_needs_is_kept_and_what_it_does_not_is_not() {
         let id = "viscous_friction";
         let drag = truth(id, &[4e-4]);
-        for (machine, expected) in [(&drag, &[Judged::Kept { id }][..]), (&nameplate(), &[])] {
+        for (machine, expected) in [
+            (&drag, &[RefitVerdict::Kept { id }][..]),
+            (&nameplate(), &[]),
+        ] {
             let run = record(machine, 0, 7);
             let runs = led(&drag, &run);
             let next = fit(&Hypothesis::of(&nameplate()), &runs).unwrap();

@@ -1,9 +1,9 @@
 //! Effects that runs do not tell apart: which they are, and how they share what is known of one of them.
 
+use super::detectability::without;
 use super::marginal::{Inferred, NAMED_PROBABILITY};
 use super::search::SearchResult;
 use super::select::Set;
-use super::shown::without;
 
 /// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
 const SERVES_AS_WELL_NATS: f64 = 3.0;

@@ -1,4 +1,4 @@
-//! Search for the set of effects: linearised, weighed, refitted and linearised anew until the set and the noise stand.
+//! Search for the set of effects by Gauss-Newton: linearised, weighed, refitted and linearised anew until set and noise stand.
 //!
 //! ```text
 //! far from the data   approach: the single effect that, refitted, explains most joins, until the linear solution holds
@@ -8,15 +8,15 @@
 use nalgebra::DVector;
 
 use super::approach::{approach, nearer};
-use super::columns::{Around, Candidate, Linear, linearise, squares};
+use super::columns::{Candidate, Linear, LinearisedRun, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
-use super::free_run::{excess, unseen, wandering};
+use super::free_run::{disturbance_error, excess, unobserved};
 use super::noise::likeliest;
 use super::prediction_error::fit;
-use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
+use super::refits::{RefitVerdict, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
-use super::solution::{Happened, around, happened, placed, present};
+use super::solution::{Happened, happened, linearised_runs, placed, present};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::progress::{Event as Notice, Progress, Stage};
 use crate::diagnosis::work::Work;
@@ -51,9 +51,9 @@ pub(super) struct SearchResult {
     /// How many times as large as expected what the best set leaves is.
     pub(super) excess: f64,
     /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the held-out run.
-    pub(super) wandering: [f64; 2],
+    pub(super) disturbance_error: [f64; 2],
     /// The same of what the holes of its record make.
-    pub(super) unseen: [f64; 2],
+    pub(super) unobserved: [f64; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
     /// Whether the budget was spent before set and noise stood.
@@ -64,15 +64,16 @@ pub(super) struct SearchResult {
 type Names = Vec<(&'static str, Vec<usize>)>;
 
 /// Whether a set stands: the one before it was the same, or one before that, but for the first, which is of no refit.
-fn was_seen(seen: &[Names], set: &Names) -> bool {
-    match seen {
+fn was_visited(visited: &[Names], set: &Names) -> bool {
+    match visited {
         [first] => first == set,
-        _ => seen.iter().skip(1).any(|had| had == set),
+        _ => visited.iter().skip(1).any(|had| had == set),
     }
 }
 
 /// Whether a set has an event that the model lacks, and nothing new that rings, of which no linear solution is true. Put only
-/// to a part of a second an event leaves what a load that wanders would explain better: it is placed before the noise is found.
+/// to a part of a second an event leaves what a disturbance of the load would explain better: it is placed before the noise is
+/// found.
 fn has_new_event(linear: &Linear, set: &Set) -> bool {
     let candidates = linear.candidates.iter().zip(set);
     let new = candidates.filter(|(candidate, form)| form.is_some() && !candidate.in_model);
@@ -110,9 +111,13 @@ pub(super) struct Runs<'a> {
 
 impl<'a> Runs<'a> {
     /// All of them around a hypothesis.
-    pub(super) fn around(&self, hypothesis: &Hypothesis, noise: Noise) -> Option<Vec<Around<'a>>> {
+    pub(super) fn linearised_runs(
+        &self,
+        hypothesis: &Hypothesis,
+        noise: Noise,
+    ) -> Option<Vec<LinearisedRun<'a>>> {
         let work = Some(self.work);
-        around(hypothesis, self.scenarios, self.starts, noise, work)
+        linearised_runs(hypothesis, self.scenarios, self.starts, noise, work)
     }
 
     /// The first of them.
@@ -125,24 +130,24 @@ impl<'a> Runs<'a> {
     }
 }
 
-/// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
+/// Searches from a fitted model on, or from the one that it was fitted from, for the `eligible`, among them what the model has
 /// already; `floor` is the noise to begin with, whose sensors are those at rest. A refit may end where the model is no machine,
 /// or is led by sensors that are much too late, so that no column means anything: then the last model that could be followed
 /// and weighed is the answer. `None` where not even the first one can.
 pub(super) fn search(
     models: [&Model; 2],
-    asked: &[&'static dyn Effect],
+    eligible: &[&'static dyn Effect],
     runs: Runs<'_>,
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<SearchResult> {
     let mut search = Search {
-        asked,
+        eligible,
         runs,
         floor,
         noise: floor,
         is_near: false,
-        judged: Vec::new(),
+        verdicts: Vec::new(),
         replaced: None,
         last: Hypothesis::of(models[0]),
     };
@@ -153,34 +158,34 @@ pub(super) fn search(
 
 /// A search on its way.
 struct Search<'a> {
-    asked: &'a [&'static dyn Effect],
+    eligible: &'a [&'static dyn Effect],
     runs: Runs<'a>,
     floor: Noise,
     /// What is random as far as it is known, and whether little was missing to begin with.
     noise: Noise,
     is_near: bool,
     /// What refits found, and the simple effect that stands for a richer one or for two.
-    judged: Vec<Judged>,
+    verdicts: Vec<RefitVerdict>,
     replaced: Option<&'static str>,
     /// The last model that could be followed and weighed: at first what the search began with.
     last: Hypothesis,
 }
 
 impl<'a> Search<'a> {
-    fn around(&self, hypothesis: &Hypothesis) -> Option<Vec<Around<'a>>> {
-        self.runs.around(hypothesis, self.noise)
+    fn linearised_runs(&self, hypothesis: &Hypothesis) -> Option<Vec<LinearisedRun<'a>>> {
+        self.runs.linearised_runs(hypothesis, self.noise)
     }
 
-    /// Far from the data neither what follows an axis is asked for, nor anything new that rings: no linear solution is true of
+    /// Far from the data neither what follows an axis is eligible, nor anything new that rings: no linear solution is true of
     /// that, and a refit that a coupling joined by mistake is as slow as it is lost.
     fn linearised(
         &self,
         hypothesis: &Hypothesis,
-        runs: &[Around<'_>],
+        runs: &[LinearisedRun<'_>],
         is_far: bool,
     ) -> Option<Linear> {
-        let mut linear = linearise(hypothesis, self.asked, runs, !is_far)?;
-        bar(&mut linear, &self.judged, self.replaced);
+        let mut linear = linearise(hypothesis, self.eligible, runs, !is_far)?;
+        bar(&mut linear, &self.verdicts, self.replaced);
         if is_far {
             bar_what_rings(&mut linear);
         }
@@ -190,7 +195,7 @@ impl<'a> Search<'a> {
     /// The answer at the last model that could be followed and weighed.
     fn ended_at_last(&self) -> Option<SearchResult> {
         let hypothesis = self.last.clone();
-        let runs = self.around(&hypothesis)?;
+        let runs = self.linearised_runs(&hypothesis)?;
         let linear = self.linearised(&hypothesis, &runs, false)?;
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let reduced = Reduced::new(linear, 1.0, true)?;
@@ -201,22 +206,22 @@ impl<'a> Search<'a> {
     /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
     /// the balance is linear, however much is missing.
     fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<SearchResult> {
-        let (asked, floor) = (self.asked, self.floor);
+        let (eligible, floor) = (self.eligible, self.floor);
         let scenarios = self.runs.scenarios;
         let by_voltage = scenarios[0].input == Input::Voltage;
         let given = models[0].effect_ids();
         let mut hypothesis = Hypothesis::of(models[0]);
         if by_voltage {
             hypothesis = nearer(models, self.runs, floor);
-            hypothesis = approach(hypothesis, asked, self.runs, floor)?;
+            hypothesis = approach(hypothesis, eligible, self.runs, floor)?;
         }
-        (self.noise, self.is_near) = first_noise(&hypothesis, asked, self.runs, [floor; 2])?;
+        (self.noise, self.is_near) = first_noise(&hypothesis, eligible, self.runs, [floor; 2])?;
         let is_near = self.is_near;
-        let (mut seen, mut moves): (Vec<Names>, usize) = (vec![], 0);
+        let (mut visited, mut moves): (Vec<Names>, usize) = (vec![], 0);
         let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
         for round in 0..rounds {
             let is_far = round == 0 && !is_near;
-            let mut runs = self.around(&hypothesis)?;
+            let mut runs = self.linearised_runs(&hypothesis)?;
             let linear = self.linearised(&hypothesis, &runs, is_far)?;
             let sets = [vec![None; linear.candidates.len()], present(&linear)];
             let mut reduced = Reduced::new(linear, 1.0, true)?;
@@ -231,7 +236,7 @@ impl<'a> Search<'a> {
             let is_first = by_voltage && is_near && round == 0;
             let is_to_be_placed = is_first && has_new_event(&reduced.linear, &posterior.best);
             if round < NOISE_ROUNDS && !is_to_be_placed {
-                // A load that wanders explains what an effect would: from little of it on the effects come first.
+                // A disturbance of the load explains what an effect would: from little of it on the effects come first.
                 let from = [self.noise, floor][usize::from(round == 0 && !is_near)];
                 let better = likeliest(&runs, &reduced, &posterior.forms, &floor, from);
                 if is_another(&better, &self.noise) {
@@ -239,11 +244,11 @@ impl<'a> Search<'a> {
                 }
             }
             let mut is_settled = self.noise == followed_with;
-            // With more that is random fewer effects are asked for; far from the data with less of it others are.
+            // With more noise fewer effects are supported; far from the data with less of it others are.
             if self.noise.disturbance_n_m > followed_with.disturbance_n_m
                 || (!is_near && !is_settled)
             {
-                runs = self.around(&hypothesis)?;
+                runs = self.linearised_runs(&hypothesis)?;
                 let linear = self.linearised(&hypothesis, &runs, is_far)?;
                 reduced = Reduced::new(linear, 1.0, true)?;
                 posterior = select(&reduced, &sets);
@@ -255,8 +260,9 @@ impl<'a> Search<'a> {
             let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
             moves += usize::from(!stays);
             // Near the data a model that lacks nothing need not be linearised twice.
-            let is_whole = seen.is_empty() && is_near && posterior.best == present(&reduced.linear);
-            let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
+            let is_whole =
+                visited.is_empty() && is_near && posterior.best == present(&reduced.linear);
+            let stands = stays && is_settled && (is_whole || was_visited(&visited, &set));
             // Where a torque drives, the balance of torques has the last word instead.
             let is_last = round + 1 == rounds || self.runs.work.is_spent();
             if by_voltage && stands && !is_last {
@@ -267,7 +273,7 @@ impl<'a> Search<'a> {
                     runs: &runs,
                 };
                 if let Some(other) = self.contested(&weighed, &given) {
-                    seen.clear();
+                    visited.clear();
                     hypothesis = other;
                     continue;
                 }
@@ -275,20 +281,20 @@ impl<'a> Search<'a> {
             if stands || is_last {
                 return self.ended(hypothesis, (reduced, posterior), &runs, stands);
             }
-            seen.push(set);
+            visited.push(set);
             if !is_settled {
-                runs = self.around(&hypothesis)?;
+                runs = self.linearised_runs(&hypothesis)?;
             }
-            let (kept, next) = refitted(&hypothesis, &start, &runs, &self.judged);
+            let (kept, next) = refitted(&hypothesis, &start, &runs, &self.verdicts);
             if !kept.is_empty() {
-                self.judged.extend(kept);
-                seen.clear();
+                self.verdicts.extend(kept);
+                visited.clear();
             } else if let Some(next) = next {
                 hypothesis = next;
                 // What is fitted no longer counts as random.
                 if is_near && (is_to_be_placed || !is_settled) {
                     let known = [floor, self.noise];
-                    self.noise = first_noise(&hypothesis, asked, self.runs, known)
+                    self.noise = first_noise(&hypothesis, eligible, self.runs, known)
                         .map_or(self.noise, |known| known.0);
                 }
             }
@@ -301,19 +307,19 @@ impl<'a> Search<'a> {
         &self,
         hypothesis: Hypothesis,
         (mut reduced, mut posterior): (Reduced, Posterior),
-        runs: &[Around<'_>],
+        runs: &[LinearisedRun<'_>],
         stands: bool,
     ) -> Option<SearchResult> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
         let held_out = runs.get(self.runs.held_out)?;
-        let (wandering, unseen) = (wandering(held_out), unseen(held_out));
+        let (disturbance_error, unobserved) = (disturbance_error(held_out), unobserved(held_out));
         if excess > 1.0 {
             reduced = Reduced::new(reduced.linear, excess, true)?;
             let sets = [posterior.best.clone(), present(&reduced.linear)];
             posterior = select(&reduced, &sets);
         }
-        keep_doubts(&self.judged, &reduced.linear, &mut posterior);
+        keep_doubts(&self.verdicts, &reduced.linear, &mut posterior);
         let happened = happened(&reduced, &posterior.best, runs, excess)?;
         Some(SearchResult {
             hypothesis,
@@ -322,8 +328,8 @@ impl<'a> Search<'a> {
             posterior,
             noise: self.noise,
             excess,
-            wandering,
-            unseen,
+            disturbance_error,
+            unobserved,
             unknown_share,
             is_cut: !stands && self.runs.work.is_spent(),
         })
@@ -339,7 +345,7 @@ impl<'a> Search<'a> {
             return Some(simpler);
         }
         let (doubt, without) = weighed.doubtful(given)?;
-        self.judged.push(doubt);
+        self.verdicts.push(doubt);
         Some(without)
     }
 }
@@ -349,14 +355,14 @@ impl<'a> Search<'a> {
 fn refitted(
     hypothesis: &Hypothesis,
     start: &Hypothesis,
-    runs: &[Around<'_>],
-    judged: &[Judged],
-) -> (Vec<Judged>, Option<Hypothesis>) {
+    runs: &[LinearisedRun<'_>],
+    verdicts: &[RefitVerdict],
+) -> (Vec<RefitVerdict>, Option<Hypothesis>) {
     let Some(next) = fit(start, runs) else {
         return (Vec::new(), None);
     };
     let kept = needed(hypothesis, &next, runs).into_iter();
-    let kept: Vec<Judged> = kept.filter(|own| !judged.contains(own)).collect();
+    let kept: Vec<RefitVerdict> = kept.filter(|own| !verdicts.contains(own)).collect();
     let is_same = start.ids() == hypothesis.ids();
     let stands = is_same || next.squares < LOST_RATIO * squares(runs);
     let goes_on = kept.is_empty() && stands;
@@ -367,22 +373,22 @@ fn refitted(
 /// noise, for next to nothing.
 fn first_noise(
     hypothesis: &Hypothesis,
-    asked: &[&'static dyn Effect],
+    eligible: &[&'static dyn Effect],
     runs: Runs<'_>,
     [floor, known]: [Noise; 2],
 ) -> Option<(Noise, bool)> {
-    let runs = runs.around(hypothesis, known)?;
+    let runs = runs.linearised_runs(hypothesis, known)?;
     let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
     if squares(&runs) > NEAR_MEAN_SQUARE * rows as f64 {
         return Some((known, false));
     }
     let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
-    let own: Vec<&'static dyn Effect> = asked.iter().filter(own).copied().collect();
+    let own: Vec<&'static dyn Effect> = eligible.iter().filter(own).copied().collect();
     let linear = linearise(hypothesis, &own, &runs, false)?;
     let forms = vec![0; linear.candidates.len()];
     let reduced = Reduced::new(linear, 1.0, true)?;
     let noise = likeliest(&runs, &reduced, &forms, &floor, known);
-    // A load that wanders would explain what is missing: it is not taken for more than was thought.
+    // A disturbance of the load would explain what is missing: it is not taken for more than was thought.
     let is_less = noise.disturbance_n_m <= known.disturbance_n_m;
     Some((if is_less { noise } else { known }, true))
 }
@@ -421,7 +427,7 @@ fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
 /// What two columns do to the readings of a run that is left to itself, in standard deviations of the sensors: for each
 /// sample and column current and speed.
 fn readings(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     white: impl Fn(usize) -> [[f64; 2]; 2],
 ) -> impl Iterator<Item = [[f64; 2]; 2]> {
     let mut track = Deviations::default();
@@ -439,7 +445,7 @@ fn readings(
 }
 
 /// What each unknown part of a set takes from the error that the runs have without the set.
-fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> Option<Vec<f64>> {
+fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]) -> Option<Vec<f64>> {
     let linear = &reduced.linear;
     let solution = solution(reduced, set)?;
     let share = |variant: usize, candidate: usize| {
@@ -483,7 +489,12 @@ const BLOCKS: f64 = 20.0;
 
 /// How many times as large as white noise makes it the variance of an effect's size is by the scatter between blocks of
 /// the runs, for the worst of the set: what a torque leaves of a real machine is the same over a whole motion.
-fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVector<f64>]) -> f64 {
+fn clustered(
+    linear: &Linear,
+    set: &Set,
+    runs: &[LinearisedRun<'_>],
+    explained: &[DVector<f64>],
+) -> f64 {
     let m = linear.nuisances.len();
     let (mut all, mut named): (Vec<usize>, Vec<usize>) = ((0..m).collect(), Vec::new());
     for (candidate, form) in linear.candidates.iter().zip(set) {
@@ -526,7 +537,7 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
 }
 
 /// The excess of what a set leaves at its linear solution.
-fn excess_of(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> f64 {
+fn excess_of(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]) -> f64 {
     let linear = &reduced.linear;
     let Some(solution) = solution(reduced, set) else {
         return 1.0;

@@ -1,8 +1,12 @@
-//! Posterior over all sets of effects and forms: every set worth a thought is found by steps from the best ones.
+//! Posterior over all sets of effects and forms: spike-and-slab selection (George and McCulloch, J. Am. Stat. Assoc. 88, 1993).
 //!
-//! The motor's parameters are integrated out first. A set's log evidence is `b'(G+I)^-1 b / 2 - log det(G+I) / 2`, with
-//! `log 2 Phi(m/s)` for effects whose sign is known. From each of the best sets all that differ by one effect added,
-//! taken out or exchanged are weighed; the probability of an effect is its share among all sets weighed.
+//! Beforehand the size of an effect that is in a set is normal with a deviation of one slab, that of one that is out with the
+//! small deviation of a spike. The motor's parameters and the spikes are integrated out first. A set's log evidence is
+//! `b'(G+I)^-1 b / 2 - log det(G+I) / 2`, with `log 2 Phi(m/s)` for effects whose sign is known.
+//!
+//! The sets are not sampled. From each of the best ones all that differ by one effect added, taken out or exchanged are weighed
+//! (the neighbourhood of the shotgun stochastic search of Hans, Dobra and West, J. Am. Stat. Assoc. 102, 2007), down to Occam's
+//! window (Madigan and Raftery, J. Am. Stat. Assoc. 89, 1994). The probability of an effect is its share among all sets weighed.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -11,8 +15,8 @@ use statrs::function::erf::erfc;
 
 use super::columns::{ColumnInformation, Linear, Variant};
 
-/// Size, in slabs, below which an effect counts as not there.
-const HAIR_SLABS: f64 = 0.004;
+/// Deviation of the spike, in slabs: below, an effect counts as not there.
+const SPIKE_SLABS: f64 = 0.004;
 /// Sets from which neighbours are looked at, at most, and how far behind the best they may be, nats.
 const MOST_EXPANDED: usize = 60;
 const WINDOW_NATS: f64 = 6.0;
@@ -47,33 +51,32 @@ pub(super) struct Reduced {
 
 impl Reduced {
     /// `excess` is how many times as large as expected the variance of what the model leaves is.
-    pub(super) fn new(linear: Linear, excess: f64, hairs: bool) -> Option<Self> {
-        let none_is_zero = hairs;
+    pub(super) fn new(linear: Linear, excess: f64, with_spikes: bool) -> Option<Self> {
         let m = linear.nuisances.len();
         let p = linear.gram.nrows();
         let gram = &linear.gram / excess;
         let right = &linear.right / excess;
-        // What is always in: the nuisances, and a hair of every effect, since none is exactly zero.
-        let always = (0..m).map(|column| (column, linear.precision(column)));
-        let mut hairs: Vec<(usize, f64)> = always.collect();
+        // What is always in: the nuisances, and the spike of every effect, since none is exactly zero.
+        let nuisances = (0..m).map(|column| (column, linear.precision(column)));
+        let mut always: Vec<(usize, f64)> = nuisances.collect();
         for candidate in &linear.candidates {
-            if none_is_zero && !candidate.is_unknown() {
+            if with_spikes && !candidate.is_unknown() {
                 // Forms of an event share columns.
                 let variants = candidate.variants.iter();
                 let columns: BTreeSet<usize> = variants.flat_map(Variant::numbers).collect();
-                let hair = 1.0 / (HAIR_SLABS * HAIR_SLABS);
-                hairs.extend(columns.into_iter().map(|column| (column, hair)));
+                let spike = 1.0 / (SPIKE_SLABS * SPIKE_SLABS);
+                always.extend(columns.into_iter().map(|column| (column, spike)));
             }
         }
-        let k = hairs.len();
-        let mut base = DMatrix::from_fn(k, k, |r, c| gram[(hairs[r].0, hairs[c].0)]);
-        for (d, hair) in hairs.iter().enumerate() {
-            base[(d, d)] += hair.1;
+        let k = always.len();
+        let mut base = DMatrix::from_fn(k, k, |r, c| gram[(always[r].0, always[c].0)]);
+        for (d, own) in always.iter().enumerate() {
+            base[(d, d)] += own.1;
         }
-        let cross = DMatrix::from_fn(k, p - m, |r, c| gram[(hairs[r].0, m + c)]);
+        let cross = DMatrix::from_fn(k, p - m, |r, c| gram[(always[r].0, m + c)]);
         // With `L L'` the base, what it explains of others is `(L^-1 c)' L^-1 c`: half of a solution.
         let factor = base.cholesky()?.unpack();
-        let b = DVector::from_fn(k, |r, _| right[hairs[r].0]);
+        let b = DVector::from_fn(k, |r, _| right[always[r].0]);
         let half = factor.solve_lower_triangular(&cross)?;
         let half_b = factor.solve_lower_triangular(&b)?;
         let squares = linear.squares / excess - half_b.norm_squared();
@@ -112,8 +115,8 @@ impl Reduced {
         })
     }
 
-    /// What is asked of columns, their means beforehand included.
-    fn asked(&self, columns: &[usize]) -> DVector<f64> {
+    /// Right-hand side of the normal equations of columns, their prior means included.
+    fn right_side(&self, columns: &[usize]) -> DVector<f64> {
         DVector::from_fn(columns.len(), |r, _| {
             self.right[columns[r]] + self.prior[columns[r]]
         })
@@ -124,7 +127,7 @@ impl Reduced {
         for d in 0..columns.len() {
             a[(d, d)] += 1.0;
         }
-        Some((a.cholesky()?, self.asked(columns)))
+        Some((a.cholesky()?, self.right_side(columns)))
     }
 
     /// Mean and covariance of the columns of a set, in slabs.
@@ -158,12 +161,12 @@ impl Reduced {
             for d in 0..own.len() {
                 a[(d, d)] += 1.0;
             }
-            let right = self.asked(&own) - cross.tr_mul(mean);
+            let right = self.right_side(&own) - cross.tr_mul(mean);
             let Some(schur) = a.cholesky() else {
                 return f64::NEG_INFINITY;
             };
             let size = schur.solve(&right);
-            if c.is_by_halves(size[0], variant) {
+            if c.exceeds_linear_range(size[0], variant) {
                 return f64::NEG_INFINITY;
             }
             let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
@@ -191,7 +194,7 @@ impl Reduced {
         for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
             let Some(v) = variant else { continue };
             let variant = &candidate.variants[*v];
-            if candidate.is_by_halves(mean[at], variant) {
+            if candidate.exceeds_linear_range(mean[at], variant) {
                 return f64::NEG_INFINITY;
             }
             log += candidate.log_odds + variant.log_prior - 0.5 * variant.mean * variant.mean;
@@ -243,11 +246,16 @@ impl Reduced {
     }
 
     /// What the runs say of one column, a slab of which is `unit`, beside others.
-    pub(super) fn seen(&self, others: &[usize], column: usize, unit: f64) -> ColumnInformation {
+    pub(super) fn information(
+        &self,
+        others: &[usize],
+        column: usize,
+        unit: f64,
+    ) -> ColumnInformation {
         let Some((factor, b)) = self.factor(others) else {
             return ColumnInformation {
                 information: 0.0,
-                asked: 0.0,
+                score: 0.0,
                 unit,
             };
         };
@@ -255,7 +263,7 @@ impl Reduced {
         let solved = factor.solve(&cross);
         ColumnInformation {
             information: self.gram[(column, column)] - cross.dot(&solved),
-            asked: self.right[column] - b.dot(&solved),
+            score: self.right[column] - b.dot(&solved),
             unit,
         }
     }
@@ -294,7 +302,7 @@ impl Reduced {
     }
 }
 
-/// A form beside others, with so much of it in the records as is asked and nothing by chance.
+/// A form beside others, with a given size of it in the records and no noise.
 pub(super) struct Injection {
     left: DMatrix<f64>,
     schur: Cholesky<f64, Dyn>,

@@ -1,8 +1,8 @@
-//! The linear solution of a set as a hypothesis: the runs around it, the model and the events that it has there.
+//! The posterior mean of a set as a hypothesis: the runs linearised there, the model and the events that it has.
 
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Column, Linear};
+use super::columns::{Candidate, Column, Linear, LinearisedRun};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::follow::Noise;
 use super::select::{Reduced, Set};
@@ -21,18 +21,18 @@ pub(super) struct Happened {
     pub(super) deviation: f64,
 }
 
-pub(super) fn around<'a>(
+pub(super) fn linearised_runs<'a>(
     hypothesis: &Hypothesis,
     scenarios: &[&'a Scenario],
     starts: &[State],
     noise: Noise,
     work: Option<&'a Work>,
-) -> Option<Vec<Around<'a>>> {
+) -> Option<Vec<LinearisedRun<'a>>> {
     let runs = scenarios.par_iter().zip(starts).enumerate();
     runs.with_max_len(1)
         .map(|(number, (scenario, start))| {
             let own = hypothesis.events_of(number);
-            let run = Around::beside(&hypothesis.model, own, scenario, *start, noise)?;
+            let run = LinearisedRun::beside(&hypothesis.model, own, scenario, *start, noise)?;
             Some(run.counted(work))
         })
         .collect()
@@ -133,7 +133,7 @@ pub(super) fn placed(
     hypothesis: &Hypothesis,
     reduced: &Reduced,
     set: &Set,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
 ) -> Option<Hypothesis> {
     let mut next = at_solution(hypothesis, reduced, set)?;
     let moments = events::placed(&next.events, &reduced.linear, set, runs, 1.0);
@@ -147,7 +147,7 @@ pub(super) fn placed(
 pub(super) fn happened(
     reduced: &Reduced,
     set: &Set,
-    runs: &[Around<'_>],
+    runs: &[LinearisedRun<'_>],
     excess: f64,
 ) -> Option<Vec<Happened>> {
     let linear = &reduced.linear;

@@ -1,7 +1,7 @@
-//! Tangents of a followed run: what small forcings along its trajectory do to the innovations, eight side by side; and which
+//! Sensitivities of a linearised run: what small forcings along its trajectory do to the innovations, eight side by side; and which
 //! of them are the slopes over what is free in its model.
 
-use super::columns::Around;
+use super::columns::LinearisedRun;
 use super::follow::{Dynamics, Passage, Update};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median_step;
@@ -243,7 +243,7 @@ struct Traveller<'a> {
 }
 
 /// What commands that act `late_s` later do to the current in the interval before each sample, as a constant forcing of it.
-fn pulses(run: &Around<'_>, late_s: f64) -> Vec<f64> {
+fn pulses(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
     let times = &run.scenario.sample_time_s;
     let mut forcing = vec![0.0; times.len()];
     let known_s = run.follower.late_s;
@@ -265,7 +265,7 @@ fn pulses(run: &Around<'_>, late_s: f64) -> Vec<f64> {
 }
 
 impl<'a> Traveller<'a> {
-    fn new(tangent: &'a Tangent, run: &Around<'_>) -> Self {
+    fn new(tangent: &'a Tangent, run: &LinearisedRun<'_>) -> Self {
         let states = match tangent {
             Tangent::Terms(terms) => terms.states(),
             // The voltage that has come through.
@@ -408,7 +408,7 @@ impl Waves {
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
 /// whitened innovations of its samples: current, speed, current, ... Chunks in which no tangent has begun are left out.
 pub(super) fn carry(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     tangents: &[&Tangent],
     mut hand_on: impl FnMut(usize, &[Lane]),
 ) {
@@ -474,7 +474,7 @@ fn sinc(x: f64) -> f64 {
 }
 
 /// Voltage across the inductance, but for what effects drop.
-fn inductive_v(run: &Around<'_>, at: &Instant) -> f64 {
+fn inductive_v(run: &LinearisedRun<'_>, at: &Instant) -> f64 {
     let value = |key| run.model.motor.get(key).unwrap_or(0.0);
     let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
     at.voltage_v - r * at.current_a - ke * at.speed_rad_s
@@ -482,7 +482,7 @@ fn inductive_v(run: &Around<'_>, at: &Instant) -> f64 {
 
 /// The forcing of one tangent at the samples of a chunk.
 fn force(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     traveller: &mut Traveller<'_>,
     range: std::ops::Range<usize>,
     waves: &mut Waves,
@@ -582,7 +582,7 @@ fn curve(most: f64, values: &[f64], speed_rad_s: f64) -> f64 {
 
 /// What a unit more of a motor's parameter does at rates of current and speed.
 fn of_motor(
-    run: &Around<'_>,
+    run: &LinearisedRun<'_>,
     key: MotorKey,
     at: &Instant,
     direction: f64,
@@ -688,15 +688,9 @@ pub(super) fn of_effect(
     let mut moved = values.to_vec();
     moved[index] += step;
     let (from, to) = (effect.terms(values), effect.terms(&moved));
-    let is_wave = wave_of_current(effect).is_some();
+    let is_wave = effect.card().harmonic.is_some();
     let acts_on_path = from.path() != Path::default();
     (from.states() == 0 && !is_wave && !acts_on_path).then_some(Tangent::Change { from, to, over })
-}
-
-/// Whether the effect is a wave over the angle, and then whether in proportion to the current.
-pub(super) fn wave_of_current(effect: &dyn Effect) -> Option<bool> {
-    let harmonic = effect.card().harmonic?;
-    Some(harmonic == Harmonic::OfCurrent)
 }
 
 /// What one coefficient of an effect does by itself, all others at zero; `None` where that is no small forcing.
@@ -705,13 +699,13 @@ pub(super) fn alone_at(
     values: &[f64],
     index: usize,
 ) -> Option<Tangent> {
-    if let Some(of_current) = wave_of_current(effect) {
+    if let Some(harmonic) = effect.card().harmonic {
         let order = effect.parameters().iter().position(is_order)?;
         return Some(Tangent::Wave(Wave {
             order: values[order],
             sine: index == 0,
             size: values[index],
-            of_current,
+            of_current: harmonic == Harmonic::OfCurrent,
         }));
     }
     let terms = effect.terms(values);
@@ -732,7 +726,7 @@ fn is_order(spec: &ParameterSpec) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::follow::{WANDERING, hole};
+    use crate::diagnosis::joint::follow::{DISTURBED, hole};
     use crate::diagnosis::kit::{nameplate, truth};
     use crate::plant::State;
     use crate::plant::testing::record;
@@ -744,7 +738,7 @@ mod tests {
     }
 
     /// The column of a tangent, and what the other model does to the same run.
-    fn both(run: &Around<'_>, tangent: &Tangent, with: &Model) -> [Vec<f64>; 2] {
+    fn both(run: &LinearisedRun<'_>, tangent: &Tangent, with: &Model) -> [Vec<f64>; 2] {
         let mut column = Vec::new();
         carry(run, &[tangent], |first, white| {
             assert_eq!(column.len(), 2 * first);
@@ -763,7 +757,8 @@ mod tests {
     #[test]
     fn a_tangent_is_what_two_followed_runs_differ_by() {
         let (model, scenario, by_s) = (nameplate(), run(1e-3), 2e-5);
-        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+        let linearised =
+            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
         let mut cases = vec![
             (Tangent::LateCommands(by_s), truth("command_delay", &[by_s])),
             (
@@ -804,7 +799,7 @@ mod tests {
             (Tangent::Motor(key, 0.002 * value), with)
         }));
         for (number, (tangent, with)) in cases.iter().enumerate() {
-            let [column, difference] = both(&around, tangent, with);
+            let [column, difference] = both(&linearised, tangent, with);
             let apart = distance(&column, &difference);
             assert!(apart < 0.05, "case {number} {:?}: {apart}", with.effects);
         }
@@ -819,10 +814,11 @@ mod tests {
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
             ..hole(from_s, to_s, 0.0)
         }];
-        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+        let linearised =
+            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
         for (id, offset) in [("current_offset", [0.4, 0.0]), ("speed_offset", [0.0, 3.0])] {
             let with = truth(id, &[offset[0] + offset[1]]);
-            let [column, difference] = both(&around, &Tangent::Offset(offset), &with);
+            let [column, difference] = both(&linearised, &Tangent::Offset(offset), &with);
             let behind = 2 * last..2 * last + 100;
             let apart = distance(&column[behind.clone()], &difference[behind]);
             assert!(apart < 1e-6, "{id}: {apart}");
@@ -834,7 +830,8 @@ mod tests {
         let model = nameplate();
         for (period_s, order, most) in [(1e-3, 2.5, 0.02), (1e-3, 23.0, 0.1), (1e-2, 1.0, 0.15)] {
             let scenario = run(period_s);
-            let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+            let linearised =
+                LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
             for (id, of_current, size) in [("cogging", false, 0.004), ("torque_ripple", true, 0.02)]
             {
                 for sine in [true, false] {
@@ -846,7 +843,7 @@ mod tests {
                     });
                     let [sines, cosines] = if sine { [size, 0.0] } else { [0.0, size] };
                     let with = truth(id, &[sines, cosines, order]);
-                    let [column, difference] = both(&around, &wave, &with);
+                    let [column, difference] = both(&linearised, &wave, &with);
                     let apart = distance(&column, &difference);
                     assert!(apart < most, "{id} {order} {period_s}: {apart}");
                 }
@@ -858,10 +855,11 @@ mod tests {
     fn colouring_undoes_the_whitening() {
         let model = nameplate();
         let scenario = run(1e-3);
-        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+        let linearised =
+            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
         let forcing = [[300.0; LANES], [-20.0; LANES]];
         let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
-        for (step, update) in around.steps.iter().zip(&around.follower.updates) {
+        for (step, update) in linearised.steps.iter().zip(&linearised.follower.updates) {
             free.pass(step, &forcing);
             filtered.pass(step, &forcing);
             back.drift(step);

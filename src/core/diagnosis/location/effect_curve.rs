@@ -127,7 +127,7 @@ impl EffectCurve {
 }
 
 /// The effect `id` of a complete `model` beside what `run` lacks without it. `None` where it is not in the model, or where
-/// the run cannot be asked.
+/// the run cannot tell.
 pub fn effect_curve(
     model: &Model,
     id: &str,
@@ -157,7 +157,7 @@ pub fn effect_curve(
     Ok(pairs.curve(Some(active)))
 }
 
-/// What `run` lacks under a complete `model`, along the axis that it follows most. `None` where the run cannot be asked.
+/// What `run` lacks under a complete `model`, along the axis that it follows most. `None` where the run cannot tell.
 pub fn error_curve(
     model: &Model,
     run: &Scenario,
@@ -429,12 +429,12 @@ impl Pairs<'_> {
     }
 }
 
-/// Only the places that are `asked`, where they are enough; all of them else.
-fn where_enough(places: Vec<f64>, asked: Vec<bool>) -> Vec<f64> {
-    if asked.iter().filter(|is| **is).count() < STILL_WINDOWS {
+/// Only the `eligible` places, where they are enough; all of them else.
+fn where_enough(places: Vec<f64>, eligible: Vec<bool>) -> Vec<f64> {
+    if eligible.iter().filter(|is| **is).count() < STILL_WINDOWS {
         return places;
     }
-    let kept = places.into_iter().zip(asked);
+    let kept = places.into_iter().zip(eligible);
     kept.map(|(place, is)| if is { place } else { f64::NAN })
         .collect()
 }

@@ -75,7 +75,7 @@ pub struct EquationBalance {
     pub rms: f64,
     /// The same over the root mean square of the equation's drive (voltage, or torque of the current).
     pub relative: f64,
-    /// Share of both equations' error beyond the noise, each in units of its noise; null where only one can be asked.
+    /// Share of both equations' error beyond the noise, each in units of its noise; null where the run has only one.
     pub share_of_error: Option<f64>,
     /// Share of the squared error beyond noise while the shaft turned forward, and the share of the time that it did.
     pub forward_share_of_error: Option<f64>,
@@ -107,7 +107,7 @@ pub struct Located {
     /// The worse first.
     pub balances: Vec<EquationBalance>,
     pub map: Option<ErrorMap>,
-    /// What could not be asked, and why.
+    /// What could not be judged, and why.
     pub notes: Vec<String>,
 }
 
@@ -129,7 +129,7 @@ const MATERIAL_SHARE: f64 = 0.03;
 /// fitted, which changed: without it what is left lies where it did not change.
 const ANOTHER_SHARE: f64 = 0.5;
 
-/// The equations that a run can be asked about: without a voltage there is no balance of it.
+/// The equations that a run has: without a voltage there is no balance of it.
 const fn equations(input: Input) -> &'static [Balance] {
     match input {
         Input::Voltage => &[Balance::Torque, Balance::Voltage],

@@ -328,7 +328,7 @@ impl<'a> Windows<'a> {
         each.filter(move |window| window.error(equation).is_finite())
     }
 
-    /// Which signal is missing, if without it neither balance can be asked.
+    /// Which signal is missing, if without it the run has neither balance.
     pub(super) fn missing_signal(&self) -> Option<&'static str> {
         let has = |values: &[f64]| values.iter().any(|value| value.is_finite());
         if !has(&self.scenario.speed_rad_s) {

@@ -10,8 +10,8 @@
 //!
 //! Where no pair is to be told apart, a run is recommended for what the runs in hand would not have shown: each recipe is
 //! simulated with the model that was found, put behind the runs in hand, and weighed by the linear problem that will judge it
-//! (`joint/foresight`). An effect is promised where twice the precision that shows it is expected: no repetition of a run in
-//! hand doubles what is known, so that no run is recommended twice.
+//! (`joint/expected_information`). An effect is promised where twice the precision that shows it is expected: no repetition
+//! of a run in hand doubles what is known, so that no run is recommended twice.
 //!
 //! After the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
 //! run is the one in which the rival still differs when it has been fitted to the old data and the new.
@@ -49,9 +49,9 @@ pub struct NextExperiment {
     pub sentence: String,
     /// A complete bench file; filled in where the bench is known, and none where no run will do.
     pub bench: Option<String>,
-    /// The rivals; none where an effect is to be seen that the runs in hand did not excite.
+    /// The rivals; none where an effect is to be shown that the runs in hand did not excite.
     pub pair: Option<[&'static str; 2]>,
-    /// Every pair that the recommended run was asked to tell apart.
+    /// Every pair that the recommended run was to tell apart.
     pub pairs: Vec<PairEntry>,
     /// The effects that become visible, where there is no pair.
     pub reveals: Vec<&'static str>,

@@ -61,12 +61,12 @@ fn figures(value: f64) -> f64 {
     // Whole divisions give the shortest decimal; multiplying by 0.01 does not.
     let places = 2.0 - value.abs().log10().floor();
     let unit = 10_f64.powf(places.abs());
-    // A hair up: 9.5 must not become 9.49.
-    let hair = value * (1.0 + 1e-12);
+    // Above its rounding: 9.5 must not become 9.49.
+    let above = value * (1.0 + 1e-12);
     if places >= 0.0 {
-        (hair * unit).trunc() / unit
+        (above * unit).trunc() / unit
     } else {
-        (hair / unit).trunc() * unit
+        (above / unit).trunc() * unit
     }
 }
 

@@ -12,7 +12,7 @@ use crate::identification::output_error::{self, FitError};
 use crate::plant::{Input, Model, Scenario, effect};
 use crate::text::number::significant;
 
-/// Pairs that one run is asked to tell apart.
+/// Pairs that one run is to tell apart.
 const MOST_PAIRS: usize = 3;
 /// Runs of the menu whose separation is found with a full refit of the rival, at most.
 const FINALISTS: usize = 3;
@@ -60,7 +60,7 @@ impl Question<'_> {
     /// For each pair the smaller of the two directions from linear fits, over the pair's inflation; and the separation
     /// that is needed in this run. Where that is more than the runs of any pair differ by before a rival is fitted to
     /// them, what they differ by stands for the rest.
-    fn ask(&self, plan: Planned) -> Tried {
+    fn evaluated(&self, plan: Planned) -> Tried {
         let noise = plan.noise(self.evidence.noise);
         let residuals = 2.0 * plan.rows();
         let rivals = self.rivals.par_iter();
@@ -126,13 +126,13 @@ impl Question<'_> {
         let plans = (0..COUNT).into_par_iter();
         let plans = plans.filter_map(|index| planned(index, &models, limits));
         let plans = plans.filter(|plan| !known.contains(&&plan.recipe));
-        let mut tried: Vec<Tried> = plans.map(|plan| self.ask(plan)).collect();
+        let mut tried: Vec<Tried> = plans.map(|plan| self.evaluated(plan)).collect();
         tried.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
         tried
     }
 
-    /// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is asked
-    /// from its top until the next one could not be much better. Where the first tells nothing apart no refit is asked.
+    /// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is followed
+    /// from its top until the next one could not be much better. Where the first tells nothing apart nothing is refitted.
     fn best(&self, tried: &[Tried]) -> Option<(usize, Vec<f64>)> {
         let first = tried.first()?;
         if !first.tells_any() {

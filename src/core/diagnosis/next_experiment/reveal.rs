@@ -5,14 +5,14 @@ use rayon::prelude::*;
 use super::plan::{COUNT, Planned, planned};
 use super::recommend::{described, name};
 use super::{ExperimentLimits, Hidden, MenuEntry, NextExperiment};
-use crate::diagnosis::joint::answer::asked;
-use crate::diagnosis::joint::foresight::{Foresight, SHOWS};
+use crate::diagnosis::joint::answer::eligible;
+use crate::diagnosis::joint::expected_information::{DETECTS, ExpectedInformation};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use crate::plant::{ActiveEffect, Effect, Model, Scenario, effect, typical_size};
 
 /// Precision, in units of that from which on an effect shows, from which on it is promised. Twice: no run in hand doubles by
 /// being repeated what is known.
-const PROMISED: f64 = 2.0 * SHOWS;
+const PROMISED: f64 = 2.0 * DETECTS;
 /// Factor by which a limit is lifted to see whether it is in the way.
 const LIFTED: f64 = 2.0;
 /// Names of a list that are said; the rest is counted.
@@ -21,34 +21,36 @@ const MOST_NAMES: usize = 4;
 /// A run of the menu and what it would show of each effect that the runs in hand do not, in their order.
 struct Tried {
     plan: Planned,
-    shown: Vec<f64>,
+    information: Vec<f64>,
 }
 
 impl Tried {
     fn promises(&self, place: usize) -> bool {
-        self.shown[place] >= PROMISED
+        self.information[place] >= PROMISED
     }
 
     fn count(&self) -> usize {
-        (0..self.shown.len()).filter(|k| self.promises(*k)).count()
+        (0..self.information.len())
+            .filter(|k| self.promises(*k))
+            .count()
     }
 
     fn total(&self) -> f64 {
-        self.shown.iter().map(|shown| (1.0 + shown).ln()).sum()
+        self.information.iter().map(|own| (1.0 + own).ln()).sum()
     }
 
     fn largest(&self) -> f64 {
-        self.shown.iter().copied().fold(0.0, f64::max)
+        self.information.iter().copied().fold(0.0, f64::max)
     }
 }
 
-/// What is asked of a menu.
+/// What a menu is weighed for.
 struct Question<'a> {
     model: &'a Model,
-    unseen: Vec<&'static str>,
-    /// With each of what is not seen at its typical size: the run keeps its limits with it, too.
+    undetected: Vec<&'static str>,
+    /// With each that is not detectable at its typical size: the run keeps its limits with it, too.
     with: Vec<Model>,
-    foresight: Foresight,
+    information: ExpectedInformation,
     /// The runs behind the first one that is fitted: one of the menu each, where they were recommended.
     made: &'a [Scenario],
 }
@@ -73,13 +75,13 @@ impl Question<'_> {
         let all_made = allowed > 0 && open.is_empty();
         let tried = open.into_par_iter().filter_map(|plan| {
             let run = plan.measured(self.model)?;
-            let all = self.foresight.shown_with(&run, plan.stands_for())?;
+            let all = self.information.with_run(&run, plan.stands_for())?;
             let of = |id: &&'static str| {
                 let own = all.iter().find(|own| own.0 == *id);
                 own.map_or(0.0, |own| own.1)
             };
-            let shown = self.unseen.iter().map(of).collect();
-            Some(Tried { plan, shown })
+            let information = self.undetected.iter().map(of).collect();
+            Some(Tried { plan, information })
         });
         let mut tried: Vec<Tried> = tried.collect();
         tried.sort_by(|a, b| {
@@ -93,13 +95,13 @@ impl Question<'_> {
     /// Why each of what the best run of a menu does not show stays hidden.
     fn hidden(&self, tried: &[Tried], limits: &ExperimentLimits) -> Vec<Hidden> {
         let best = tried.first();
-        let places = 0..self.unseen.len();
+        let places = 0..self.undetected.len();
         let left: Vec<usize> = places
             .filter(|place| !best.is_some_and(|best| best.promises(*place)))
             .collect();
         let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.promises(place));
         let alone: Vec<usize> = left.iter().copied().filter(|p| !shows(tried, *p)).collect();
-        // What limits are in the way of is asked only where no run is left: it takes a menu for each of them.
+        // What limits are in the way of is worked out only where no run is left: it takes a menu for each of them.
         let lifted: Vec<(String, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0) {
             Vec::new()
         } else {
@@ -113,14 +115,14 @@ impl Question<'_> {
                 return "another run after it shows it".to_owned();
             }
             let in_the_way = lifted.iter().find(|(_, tried)| shows(tried, place));
-            let effect = effect::find(self.unseen[place]);
+            let effect = effect::find(self.undetected[place]);
             in_the_way.map_or_else(
                 || effect.map_or_else(String::new, |effect| effect.card().excite.to_owned()),
                 |(words, _)| words.clone(),
             )
         };
         let hidden = left.into_iter().map(|place| Hidden {
-            effect: self.unseen[place],
+            effect: self.undetected[place],
             reason: reason(place),
         });
         hidden.collect()
@@ -174,7 +176,7 @@ pub(super) fn reveal(
     evidence: &Evidence,
     limits: &ExperimentLimits,
 ) -> Option<NextExperiment> {
-    let grounds = diagnosis.grounds?;
+    let basis = diagnosis.information_basis?;
     if matches!(
         diagnosis.verdict,
         DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted
@@ -187,23 +189,23 @@ pub(super) fn reveal(
         return None;
     }
     let candidates = diagnosis.candidates.iter();
-    let unseen = candidates.filter(|one| one.status == Status::NotExcited);
-    let unseen: Vec<&'static str> = unseen.map(|one| one.effect).collect();
-    if unseen.is_empty() {
+    let undetected = candidates.filter(|one| one.status == Status::NotExcited);
+    let undetected: Vec<&'static str> = undetected.map(|one| one.effect).collect();
+    if undetected.is_empty() {
         return None;
     }
-    let missing: Vec<&'static dyn Effect> = asked(model, None)
+    let missing: Vec<&'static dyn Effect> = eligible(model, None)
         .into_iter()
-        .filter(|effect| unseen.contains(&effect.card().id))
+        .filter(|effect| undetected.contains(&effect.card().id))
         .collect();
-    let with = unseen.iter();
+    let with = undetected.iter();
     let question = Question {
         model,
         with: with
             .filter_map(|id| with_typical(model, id, evidence))
             .collect(),
-        unseen,
-        foresight: Foresight::new(model, &missing, evidence, grounds),
+        undetected,
+        information: ExpectedInformation::new(model, &missing, evidence, basis),
         made: evidence.parts.get(1..).unwrap_or_default(),
     };
     let (tried, is_known) = question.menu(limits);
@@ -233,10 +235,13 @@ pub(super) fn reveal(
     let Some(best) = best else {
         return Some(nothing());
     };
-    let places = (0..question.unseen.len()).filter(|place| best.promises(*place));
+    let places = (0..question.undetected.len()).filter(|place| best.promises(*place));
     let places: Vec<usize> = places.collect();
-    let reveals: Vec<&'static str> = places.iter().map(|place| question.unseen[*place]).collect();
-    let weakest = places.iter().map(|place| best.shown[*place]);
+    let reveals: Vec<&'static str> = places
+        .iter()
+        .map(|place| question.undetected[*place])
+        .collect();
+    let weakest = places.iter().map(|place| best.information[*place]);
     Some(NextExperiment {
         sentence: reveals_in_words(&best.plan, &reveals, &hidden),
         expected_separation: weakest.fold(f64::INFINITY, f64::min),

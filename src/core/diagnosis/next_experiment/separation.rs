@@ -212,13 +212,13 @@ impl Response {
     fn step(&self, difference: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = self.jacobian.tr_mul(&self.jacobian) + &self.information;
         let gradient = self.jacobian.tr_mul(difference);
-        // Scaled to a unit diagonal, with a hair for directions that nothing determines.
+        // Scaled to a unit diagonal, with a ridge for directions that nothing determines.
         let scale: Vec<f64> = (0..normal.nrows())
             .map(|k| 1.0 / normal[(k, k)].max(f64::MIN_POSITIVE).sqrt())
             .collect();
         let scaled = DMatrix::from_fn(normal.nrows(), normal.ncols(), |row, column| {
-            let hair = if row == column { 1e-10 } else { 0.0 };
-            normal[(row, column)] * scale[row] * scale[column] + hair
+            let ridge = if row == column { 1e-10 } else { 0.0 };
+            normal[(row, column)] * scale[row] * scale[column] + ridge
         });
         let right = DVector::from_fn(gradient.len(), |k, _| gradient[k] * scale[k]);
         let solved = scaled.cholesky()?.solve(&right);
