@@ -30,7 +30,6 @@ const WRITTEN: &str = "model written to ";
 /// What the screen and the model file say of the runs.
 pub(crate) struct Shown {
     pub(crate) title: String,
-    pub(crate) guess_first: bool,
     /// With what the screen opens.
     pub(crate) opens: Opens,
     /// Where the run was stopped, if it was.
@@ -162,7 +161,6 @@ fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
     let place = Place::of(None, &prepared)?;
     let shown = Shown {
         title: prepared.about.title.clone(),
-        guess_first: false,
         opens,
         stopped_at: pages::stopped_at(&prepared),
         fitted_on: prepared.run.run.name.clone(),
@@ -181,7 +179,6 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     let (told, news) = channel();
     let sources = DiagnosisSources {
         title: shown.title.clone(),
-        guess_first: shown.guess_first,
         opens: shown.opens,
         stopped_at: shown.stopped_at.clone(),
         news,

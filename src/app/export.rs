@@ -208,7 +208,7 @@ const NO_PARQUET: &str = "this program was built without Parquet";
 
 /// Refuses Parquet where this program was built without it; to be asked before the work.
 pub(crate) fn require_parquet() -> Result<(), Failure> {
-    let help = "samples.csv is read by pandas, Polars and DuckDB as it is; or build without `--no-default-features`";
+    let help = "pandas, Polars and DuckDB read the CSV as it is; or install with `cargo install --path . --features parquet`";
     let refused = Failure::usage(NO_PARQUET, help);
     cfg!(feature = "parquet").then_some(()).ok_or(refused)
 }

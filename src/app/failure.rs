@@ -7,7 +7,6 @@ use crate::control::PlantError;
 use crate::control::tuning::TuningError;
 use crate::drive::{LinkError, ProfileError, TargetError};
 use crate::emulator::EmulatorConfigError;
-use crate::emulator::mystery::SealError;
 use crate::identification::frequency_response::FrequencyResponseError;
 use crate::identification::kalman::LoadError;
 use crate::identification::output_error::FitError;
@@ -145,7 +144,6 @@ failures! {
     RegulatorError: |_| USAGE;
     // A file without the columns, the rows or the time axis of a run: it, or how it is read, is to be changed.
     ScenarioError: |_| USAGE;
-    SealError: |_| USAGE;
     TargetError: |_| USAGE;
     TuningError: |_| USAGE;
     CheckError: |error| if matches!(error, CheckError::Stopped) { INTERRUPTED } else { LINK };

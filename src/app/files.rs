@@ -1,4 +1,4 @@
-//! Runs, models and texts from files, and the files that commands write: models with their history, sealed truths; a run that
+//! Runs, models and texts from files, and the files that commands write: models with their history; a run that
 //! has been recorded: its files, what ended it early, and what could not be kept of it.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,6 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use crate::diagnosis::{Fitted, Rung};
-use crate::emulator::mystery::Mystery;
 use crate::identification::noise::FloorSource;
 use crate::identification::{sanity, speed_from_angle};
 use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
@@ -110,23 +109,6 @@ fn rung_text(rung: &Rung, floor: FloorSource) -> String {
     };
     let (error, times) = (rung.holdout_rmse, floor.times());
     format!("{effects}: held-out error {error:.2} {times}")
-}
-
-/// Writes the sealed truth and says where it is. The seed fixes every letter of it, so that the same mystery may be
-/// drawn again, and another one finds its place taken.
-pub(crate) fn seal(mystery: &Mystery, path: &Path) -> Result<(), Failure> {
-    let text = mystery.truth.seal()?;
-    let is_there = std::fs::read_to_string(path).is_ok_and(|there| there == text);
-    if !is_there {
-        output::refuse_existing(path, "--seal or --out")?;
-        output::file(path, &text)?;
-    }
-    output::message(&format!("sealed truth in {}", path.display()));
-    Ok(())
-}
-
-pub(crate) fn sealed_name(seed: u64) -> PathBuf {
-    PathBuf::from(format!("mystery-{seed}.sealed.json"))
 }
 
 /// A run that was recorded, to its end or not.

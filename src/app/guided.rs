@@ -4,7 +4,7 @@
 //! ```text
 //! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+
 //!                  ^              +- l: checks, speed loop with the model that was found +
-//!                  |              +- d, v, p: diagnosis by hand --------------------------+
+//!                  |              +- d, v: diagnosis by hand -----------------------------+
 //!                  '---------------------------------------------------------------------'
 //! ```
 //!
@@ -70,7 +70,7 @@ pub(crate) fn follow(
             break left.conclude(done.unkept.take());
         };
         let (step, came) = match exit {
-            Exit::Diagnosis | Exit::Guess | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
+            Exit::Diagnosis | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
             Exit::Experiment => (
                 Step::Experiment,
                 experiment(&mut done, &mut next_file, options),
@@ -169,8 +169,7 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
         return Ok(String::new());
     };
     let fitted_on = first_folder(done)?;
-    let guess_first = exit == Exit::Guess;
-    let mut shown = shown("the runs of this commissioning", guess_first, &fitted_on);
+    let mut shown = shown("the runs of this commissioning", &fitted_on);
     if exit == Exit::Traces {
         shown.opens = Opens::Traces;
     }
@@ -187,10 +186,9 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
     })
 }
 
-fn shown(title: &str, guess_first: bool, fitted_on: &Path) -> Shown {
+fn shown(title: &str, fitted_on: &Path) -> Shown {
     Shown {
         title: title.to_owned(),
-        guess_first,
         opens: Opens::Search,
         stopped_at: None,
         fitted_on: fitted_on.display().to_string(),
@@ -234,7 +232,7 @@ fn experiment(
     let discovery = before.with_run(scenario);
     let seen = by_hand::show(
         discovery.clone(),
-        shown("with the run that tells more", false, &folder),
+        shown("with the run that tells more", &folder),
     )?;
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));

@@ -21,7 +21,7 @@ use crate::report::{
 };
 use crate::sample::Channel;
 use crate::tui::StoppedAt;
-use crate::workflow::CommissionResult;
+use crate::workflow::{CommissionResult, Truth};
 
 /// Writes the page of one run into its folder; where there is none that is said.
 pub(crate) fn write_run(
@@ -161,7 +161,7 @@ pub(crate) fn commission<T>(
     let diagnosis = &result.diagnosis;
     let nameplate = Model::baseline(rig.plate.clone());
     let free_runs = FreeRuns::of(diagnosis, scenarios.get(2), diagnosis.model.noise)?;
-    let truth: Vec<String> = result.truth.iter().map(truth_sentence).collect();
+    let truth = (result.truth.as_ref()).map_or_else(Vec::new, Truth::lines);
     let report = CommissionReport {
         kind: "Commission",
         title: &rig.bench.name,
@@ -179,19 +179,6 @@ pub(crate) fn commission<T>(
         truth: &truth,
     };
     Ok(take(&report))
-}
-
-fn truth_sentence(truth: &crate::workflow::Truth) -> String {
-    let carried = match truth.effects.as_slice() {
-        [] => "no hidden effect".to_owned(),
-        effects => effects.join(", "),
-    };
-    let verdict = if truth.named_correctly {
-        "right"
-    } else {
-        "wrong"
-    };
-    format!("the emulator carries {carried}: the answer is {verdict}")
 }
 
 /// What `take` makes of the report of a diagnosis of recorded runs.

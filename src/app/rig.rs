@@ -11,7 +11,6 @@ use std::sync::atomic::Ordering;
 use super::controls::{Controls, DriveCell, DriveWord};
 use super::failure::{Failure, LINK, USAGE};
 use super::files::Recorded;
-use super::files::{seal, sealed_name};
 use super::opening::{
     self, Reopener, Tap, emulator_config, in_memory, now, on_a_line, serve, suited, tap, target,
     wired_profile,
@@ -128,7 +127,7 @@ pub(crate) struct Opened {
     pub(crate) reopener: Option<Reopener>,
     /// Dropping it completes the capture, so it outlives the link.
     pub(crate) tap: Tap,
-    /// None where the truth is not to be told.
+    /// None on a real drive.
     pub(crate) emulator: Option<EmulatorConfig>,
     /// Dropping it ends the emulator, so it outlives the link.
     _server: Option<ServerHandle>,
@@ -666,18 +665,16 @@ impl Opened {
         let bench = &options.bench;
         let guise = Guise::of(profile);
         let port = bench.port();
-        // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
-        let mystery = (bench.emulator.config == MYSTERY && port.is_emulated())
-            .then(|| mystery::draw(bench.emulator.seed));
-        let mut emulator = match (&port, &mystery) {
-            (Port::Emulator | Port::Sim | Port::SimRtu, Some(mystery)) => {
-                Some(mystery.config.clone())
+        let mut emulator = match &port {
+            // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
+            Port::Emulator | Port::Sim | Port::SimRtu if bench.emulator.config == MYSTERY => {
+                Some(mystery::draw(bench.emulator.seed).config)
             }
-            (Port::Emulator | Port::Sim | Port::SimRtu, None) => {
+            Port::Emulator | Port::Sim | Port::SimRtu => {
                 Some(emulator_config(&bench.emulator.config)?)
             }
-            (Port::Tcp(_) | Port::Serial(_), _) if !options.mystery => None,
-            (Port::Tcp(_) | Port::Serial(_), _) => {
+            Port::Tcp(_) | Port::Serial(_) if !options.mystery => None,
+            Port::Tcp(_) | Port::Serial(_) => {
                 let port = &bench.link.port;
                 return Err(Failure::usage(
                     format!(
@@ -689,12 +686,6 @@ impl Opened {
         };
         if let (Some(config), Some(seed)) = (&mut emulator, run_seed) {
             config.day = seed.wrapping_sub(bench.runs.fit);
-        }
-        if let Some(mystery) = &mystery {
-            let out = &options.out;
-            let cannot = |error| Failure::new(USAGE, format!("{}: {error}", out.display()));
-            std::fs::create_dir_all(out).map_err(cannot)?;
-            seal(mystery, &out.join(sealed_name(mystery.seed)))?;
         }
         let tap = tap(options.tap.as_deref(), &port)?;
         let real = MonotonicClock::start();
@@ -744,8 +735,7 @@ impl Opened {
             reopener,
             tap,
             _server: server,
-            // What a seal is on stays out of manifest, result and report.
-            emulator: emulator.filter(|_| mystery.is_none()),
+            emulator,
         })
     }
 }

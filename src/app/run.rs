@@ -17,6 +17,7 @@ use super::{output, pages, progress, signals};
 use crate::bench::{CheckReport, Plan, RunSummary, Snapshot, burst_part};
 use crate::diagnosis::{Evidence, Score};
 use crate::drive::offer::Purpose;
+use crate::emulator::mystery::TrueEffect;
 use crate::identification::escalation::Ending;
 use crate::identification::nameplate::Comparison;
 use crate::identification::noise::FloorSource;
@@ -400,10 +401,7 @@ pub fn commission(
     // A machine that changes while it runs is more than what it hides: an answer to it is not scored.
     let emulator = rig.way.emulator.as_ref();
     let steady = emulator.filter(|emulator| emulator.changes.is_empty());
-    let truth = steady.map(|emulator| {
-        let hidden = emulator.hidden.iter();
-        hidden.map(|effect| effect.id().to_owned()).collect()
-    });
+    let truth = steady.map(|emulator| emulator.hidden.iter().map(TrueEffect::from).collect());
     let (plate, bench) = (Model::baseline(rig.plate.clone()), rig.bench.clone());
     let mut workflow = Commission::new(plate, rig.escalates, bench, truth, called);
     let mut records: Vec<Recorded> = Vec::new();

@@ -28,7 +28,6 @@ pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failu
         .with_limits(place.limits());
     let shown = Shown {
         title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
-        guess_first: false,
         opens: Opens::Comparison(error_of),
         stopped_at: pages::stopped_at(prepared),
         fitted_on: prepared.run.run.name.clone(),

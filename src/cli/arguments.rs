@@ -382,7 +382,7 @@ pub(super) struct LiveArguments {
     /// Seed of the software drive: draws the specimen and the sensor noise
     #[arg(long)]
     seed: Option<u64>,
-    /// Hide an effect that this number draws in the emulated motor; the truth is sealed into the folder of runs
+    /// Hide an effect that this number draws in the emulated motor; `commission` shows it at the end
     #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
     mystery: Option<u64>,
     /// Where run folders are made

@@ -24,7 +24,6 @@ use crate::workflow::Discovery;
   drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
   drivebench run next.toml && drivebench diagnose runs/a --with runs/NEW
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
-  drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first
 
 Answers:
   EFFECT FOUND    these effects lower the held-out error; NOT SUFFICIENT where more than noise is left
@@ -73,9 +72,6 @@ struct ScreenArguments {
     /// Work on the screen: see where the model fails, add and remove effects, write the model
     #[arg(long, conflicts_with = "json")]
     screen: bool,
-    /// On the screen: no name is shown before you have given one
-    #[arg(long, requires = "screen")]
-    guess: bool,
     /// On the screen: where the model is written to; never overwritten
     #[arg(long, value_name = "MODEL2.toml", requires = "screen")]
     output: Option<PathBuf>,
@@ -113,7 +109,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         drop(attended.take());
         let shown = Shown {
             title: prepared.about.title.clone(),
-            guess_first: on_screen.guess,
             opens: Opens::Search,
             stopped_at: pages::stopped_at(&prepared),
             fitted_on: prepared.run.run.name.clone(),

@@ -7,19 +7,17 @@ use serde::Serialize;
 
 use super::failure::{Failure, LINK, USAGE};
 use super::{opening, output, signals};
-use crate::app::files::{read_text, seal, sealed_name};
+use crate::app::files::read_text;
 use crate::drive::{DriveProfile, Protocol};
-use crate::emulator::{
-    EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, mystery, ready_line, serve,
-};
+use crate::emulator::mystery::{self, Mystery};
+use crate::emulator::{EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, ready_line, serve};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
   drivebench run --port ./drive.pty --headless
-  drivebench emulate --mystery 7 --pty drive.pty      a motor whose hidden effect is for you to find
-  drivebench reveal mystery-7.sealed.json --guess cogging
+  drivebench emulate --mystery 7 --pty drive.pty      a hidden effect that the seed draws; shown at the end
   drivebench emulate --profile siemens-v20 --pty v20.pty  answers as that drive, with its registers and its watchdog"
 )]
 pub(super) struct Arguments {
@@ -38,12 +36,9 @@ pub(super) struct Arguments {
     /// Draws the specimen within its tolerance, and the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Hide an effect that this number draws, and its size; the truth goes into a sealed file for `reveal`
+    /// Hide an effect that this number draws, and its size; both are printed when the drive ends
     #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
     mystery: Option<u64>,
-    /// Where the sealed truth goes; without it mystery-SEED.sealed.json
-    #[arg(long, value_name = "FILE", requires = "mystery")]
-    seal: Option<PathBuf>,
     /// Drive to answer as: a built-in profile or a file
     #[arg(long, value_name = "DRIVE", default_value = "own")]
     profile: String,
@@ -70,9 +65,6 @@ enum State<'a> {
         unit: u8,
         baud: u32,
         profile: &'a str,
-        /// Where the sealed truth of a mystery is.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        sealed: Option<&'a Path>,
     },
     Stopped {
         link: String,
@@ -133,12 +125,6 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     {
         output::message(&warning);
     }
-    let mut sealed = None;
-    if let Some(mystery) = &mystery {
-        let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
-        seal(mystery, &path)?;
-        sealed = Some(path);
-    }
     let journal = arguments.journal.as_deref().map(|path| {
         output::refuse_existing(path, "--journal")?;
         Journal::create(path).map_err(|error| output::cannot_write(path, &error))
@@ -165,7 +151,6 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 unit,
                 baud,
                 profile: &profile.name,
-                sealed: sealed.as_deref(),
             };
             state.print();
         } else {
@@ -177,6 +162,11 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         let status = if error.is_usage() { USAGE } else { LINK };
         Failure::with_help(status, error.to_string(), error.help())
     })?;
+    if let Some(Mystery { seed, truth, .. }) = &mystery {
+        let hidden = truth.effect().map(ToString::to_string);
+        let hidden = hidden.unwrap_or_else(|| "no effect".to_owned());
+        output::message(&format!("mystery {seed} hides {hidden}"));
+    }
     if arguments.json {
         let state = State::Stopped {
             link: link.to_string(),

@@ -22,7 +22,6 @@ mod registers;
 mod replay;
 mod report;
 mod reproduce;
-mod reveal;
 mod run;
 mod shell;
 mod simulate;
@@ -105,7 +104,6 @@ enum Command {
     Export(export::Arguments),
     Report(report::Arguments),
     Reproduce(reproduce::Arguments),
-    Reveal(reveal::Arguments),
     Completions(shell::Completions),
     Man(shell::Man),
 }
@@ -163,7 +161,6 @@ pub fn main() -> ExitCode {
         Command::Export(arguments) => export::execute(&arguments),
         Command::Report(arguments) => report::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
-        Command::Reveal(arguments) => reveal::execute(&arguments),
         Command::Completions(arguments) => shell::execute_completions(&arguments),
         Command::Man(arguments) => shell::execute_man(&arguments),
     })

@@ -82,7 +82,7 @@ impl MemoryLink {
         }
     }
 
-    /// The drive behind the link: its truth is for tests and for revealing a mystery.
+    /// The drive behind the link: its truth is for tests.
     pub const fn drive(&self) -> &SoftDrive {
         &self.drive
     }

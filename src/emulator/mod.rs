@@ -4,7 +4,7 @@
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
 //!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
-//!   mystery/   draws a configuration that nobody knows, and seals what it hides
+//!   mystery/   draws from a seed what a drive hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs, line.rs  virtual time, without bytes and with them
 //!   journal.rs what the motor does, row by row, for whoever judges a host

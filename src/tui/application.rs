@@ -62,8 +62,6 @@ pub enum Exit {
     Diagnosis,
     /// `v` then: the same, measured and model over time first.
     Traces,
-    /// The same, and no name is to be shown before the person has given one.
-    Guess,
     /// The run that would tell more is to be made.
     Experiment,
     /// The speed loop is to be run with what was found.

@@ -42,7 +42,6 @@ pub enum Press {
     Curve,
     /// That curve as an effect without a name.
     Table,
-    Guess,
     Write,
     /// Measured and model over time.
     Traces,
@@ -64,7 +63,7 @@ pub enum Press {
 }
 
 /// Characters, letters in either case.
-pub(super) const CHARACTERS: [(char, Press); 32] = [
+pub(super) const CHARACTERS: [(char, Press); 31] = [
     ('q', Press::Quit),
     ('?', Press::Help),
     ('s', Press::Start),
@@ -85,7 +84,6 @@ pub(super) const CHARACTERS: [(char, Press); 32] = [
     ('n', Press::Next),
     ('c', Press::Curve),
     ('t', Press::Table),
-    ('p', Press::Guess),
     ('w', Press::Write),
     ('v', Press::Traces),
     ('g', Press::Response),
@@ -110,7 +108,7 @@ pub(super) enum On {
 }
 
 /// The keys as the help shows them.
-const HELP: [(On, &str, &str); 36] = [
+const HELP: [(On, &str, &str); 34] = [
     (
         On::Every,
         "Space Esc",
@@ -146,11 +144,6 @@ const HELP: [(On, &str, &str); 36] = [
         On::Live,
         "l",
         "the speed loop with what was found, after the report",
-    ),
-    (
-        On::Live,
-        "p",
-        "guess first: no names until you have given one",
     ),
     (
         On::Diagnosis,
@@ -201,11 +194,6 @@ const HELP: [(On, &str, &str); 36] = [
         On::Diagnosis,
         "c t",
         "error along its axis, the effect drawn through it; add a curve",
-    ),
-    (
-        On::Diagnosis,
-        "p",
-        "guess first: no names until you have given one",
     ),
     (On::Diagnosis, "u", "undo the last change by hand"),
     (

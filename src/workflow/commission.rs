@@ -10,6 +10,7 @@ use super::burst::BurstResult;
 use super::discovery::Discovery;
 use super::guide::{Called, Role, Step};
 use super::keyed::with_keys;
+use super::truth::Truth;
 use crate::bench::{
     BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
     loop_timing, next_bench, scale,
@@ -18,6 +19,7 @@ use crate::control::Actuator;
 use crate::diagnosis::{
     self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, compare, diagnose_with, recommend,
 };
+use crate::emulator::mystery::TrueEffect;
 use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
 use crate::identification::nameplate::{self, Comparison};
 use crate::identification::output_error::FitError;
@@ -58,7 +60,7 @@ pub struct Commission {
     online: Vec<ParameterEstimate>,
     result: Option<CommissionResult>,
     /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
-    truth: Option<Vec<String>>,
+    truth: Option<Vec<TrueEffect>>,
     /// The bench of the loop, which a recommended run is for.
     bench: BenchFile,
     discovery: Option<Discovery>,
@@ -78,7 +80,7 @@ impl Commission {
         nameplate: Model,
         unknown: bool,
         bench: BenchFile,
-        truth: Option<Vec<String>>,
+        truth: Option<Vec<TrueEffect>>,
         called: Called,
     ) -> Self {
         let steps = Step::all(unknown);
@@ -313,7 +315,7 @@ impl Commission {
             escalation: self.escalation.clone(),
             burst: burst.map(|burst| burst.beside(&diagnosis)),
             ladder: diagnosis.ladder.clone(),
-            truth: self.truth.clone().map(|effects| score(effects, &diagnosis)),
+            truth: (self.truth.as_ref()).map(|hidden| Truth::of(hidden, &diagnosis)),
             runs: self.runs.clone(),
             diagnosis,
             before,
@@ -408,17 +410,6 @@ impl Commission {
             following.state = StepState::Active;
         }
         self.task = next;
-    }
-}
-
-fn score(mut effects: Vec<String>, diagnosis: &Diagnosis) -> Truth {
-    effects.sort();
-    let named = diagnosis.effects.iter();
-    let mut named: Vec<String> = named.map(|id| (*id).to_owned()).collect();
-    named.sort();
-    Truth {
-        named_correctly: named == effects,
-        effects,
     }
 }
 
@@ -523,13 +514,6 @@ pub struct RunRecord {
     pub rows: u64,
     pub rate_hz: f64,
     pub missed_cycles: u64,
-}
-
-/// What an emulator carried, for scoring the answer; a real drive has none.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Truth {
-    pub effects: Vec<String>,
-    pub named_correctly: bool,
 }
 
 /// The whole loop's outcome.

@@ -91,14 +91,6 @@ impl Step {
         }
     }
 
-    /// Whether what it shows would give away the name of an effect.
-    pub const fn names_an_effect(self) -> bool {
-        matches!(
-            self,
-            Self::Diagnose | Self::Ladder | Self::Tune | Self::Experiment
-        )
-    }
-
     /// Whether it follows the report, when a person asks for it.
     pub const fn is_on_request(self) -> bool {
         matches!(self, Self::Experiment | Self::SpeedLoop)

@@ -10,7 +10,7 @@
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
 //! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
 //! suite/ reads a suite of bench tests and judges what came of its cases.
-//! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
+//! truth.rs sets what a software drive hides beside the answer, after the analysis.
 //!
 //! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
@@ -21,17 +21,17 @@ mod guide;
 mod keyed;
 mod leaning;
 pub mod reproduce;
-mod reveal;
 pub mod suite;
+mod truth;
 
 pub use burst::BurstResult;
 pub use commission::{
     Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, RunRecord,
-    StageRecord, StepState, StepView, Task, Truth, compared, scaled_sentence,
+    StageRecord, StepState, StepView, Task, compared, scaled_sentence,
 };
 pub use discovery::{
     Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
 };
 pub use guide::{Called, Role, Step};
 pub use leaning::{LeaningCell, LeaningWatch, Provisional};
-pub use reveal::{Answer, Outcome, Revelation, reveal};
+pub use truth::{ORDER, Size, Truth, sizes};

@@ -162,7 +162,7 @@ const PRINTED: &str = "
 plan
 plan bench.toml
 plan unknown.toml
-run --headless --port sim: --seed 7 --parquet
+run --headless --port sim: --seed 7
 run --headless --port sim: --escalate --seed 7
 run --headless --port sim: --escalate --emulator small-servo-behind-zk-22fc
 run --headless --port nowhere
@@ -199,7 +199,6 @@ emulate --profile nobody
 init --drive nobody --port x --motor y
 registers
 registers read x --port nowhere
-reveal nowhere
 reproduce paper-c
 completions tcsh
 man --out man1

@@ -401,7 +401,7 @@ fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
         ] {
             let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
             let said = refusal(command, &paths);
-            has(&said, &["built without Parquet", "samples.csv"]);
+            has(&said, &["built without Parquet", "--features parquet"]);
         }
         assert!(!desk.out().exists(), "nothing is recorded");
         return;

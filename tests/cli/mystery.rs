@@ -1,7 +1,7 @@
-//! A mystery from the drawing of its seed to its revelation, through the real binary.
+//! A mystery from the drawing of its seed to the answer beside its truth, through the real binary.
 
 use crate::kit::prelude::*;
-use drivebench::emulator::mystery::{Truth, draw};
+use drivebench::emulator::mystery::draw;
 
 /// The first seed that hides this effect; `None`: that hides nothing.
 fn seed_of(id: Option<&str>) -> u64 {
@@ -9,13 +9,7 @@ fn seed_of(id: Option<&str>) -> u64 {
     (0..2000).find(hides).expect("every effect is drawn")
 }
 
-#[track_caller]
-fn sealed(seed: u64, desk: &Desk) -> PathBuf {
-    let text = draw(seed).truth.seal().expect("a truth can be sealed");
-    desk.put("sealed.json", &text)
-}
-
-/// The run, beside which the sealed truth lies.
+/// The run that was recorded.
 fn run_in(out: &Path) -> PathBuf {
     let mut entries = fs::read_dir(out)
         .unwrap()
@@ -25,84 +19,46 @@ fn run_in(out: &Path) -> PathBuf {
         .unwrap()
 }
 
-/// No effect's name, no size and no true value of the motor stands in this text.
-#[track_caller]
-fn tells_nothing(seed: u64, place: &str, text: &str) {
-    let truth = draw(seed).truth;
-    let values = truth
-        .effects
-        .iter()
-        .flat_map(|effect| &effect.parameters)
-        .map(|one| one.value);
-    let motor = [truth.motor.resistance_ohm, truth.motor.inertia_kg_m2];
-    // A short number, as an order, stands in many a text by chance.
-    let long = values
-        .chain(motor)
-        .map(|value| value.to_string())
-        .filter(|text| text.len() > 8);
-    for value in long {
-        assert!(!text.contains(&value), "{value} in {place}");
-    }
-    assert!(!text.contains("[[hidden]]"), "{place}");
-    for effect in &truth.effects {
-        assert!(!text.contains(&effect.id), "{} in {place}", effect.id);
-    }
-}
-
 #[test]
-fn the_emulator_of_a_mystery_seals_its_truth_and_does_not_tell_it() {
+fn an_emulator_of_a_mystery_shows_at_its_end_what_it_hid() {
     let folder = Desk::new();
-    let (pty, seal) = (folder.path("d.pty"), folder.path("s.json"));
+    let pty = folder.path("d.pty");
     let seed = seed_of(Some("backlash"));
-    let text = format!("emulate --mystery {seed} --pty {{}} --seal {{}}");
-    let emulator = Emulator::start(&text, &[&pty, &seal]);
+    let text = format!("emulate --mystery {seed} --pty {{}}");
+    let emulator = Emulator::start(&text, &[&pty]);
     emulator.process.signal(Signal::SIGTERM);
     let (ready, told) = (emulator.ready, emulator.process.end().stderr);
-
-    assert!(ready.starts_with("ready modbus-rtu "), "{ready}");
-    has(&told, &["sealed truth in "]);
-    let sealed = fs::read_to_string(&seal).expect("the sealed file is there");
-    for (place, text) in [
-        ("ready line", &ready),
-        ("stderr", &told),
-        ("sealed file", &sealed),
-    ] {
-        tells_nothing(seed, place, text);
-    }
-    assert_eq!(
-        Truth::open("s", &sealed).expect("it opens"),
-        draw(seed).truth
-    );
+    lacks(&ready, &["backlash"]);
+    has(&told, &[&format!("mystery {seed} hides backlash (")]);
 }
 
 #[test]
-fn nothing_that_a_run_leaves_behind_tells_what_a_mystery_hides() {
+fn a_commissioning_of_a_mystery_ends_with_what_was_hidden_beside_what_was_found() {
     let out = Desk::new();
-    let seed = seed_of(Some("torque_ripple"));
-    let text = format!("run --port sim: --headless --json --mystery {seed} --out {{}}");
+    let seed = seed_of(Some("voltage_drop"));
     let runs = out.path("runs");
-    let done = call(&text, &[&runs]).expect(0);
-    assert_eq!(only_folder(out.folder()), runs);
-    tells_nothing(seed, "stdout", &done.stdout);
-    tells_nothing(seed, "stderr", &done.stderr);
-    let mut seen = 0;
-    let mut open = vec![runs.clone()];
-    while let Some(folder) = open.pop() {
-        for entry in fs::read_dir(folder).expect("a folder of the run") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                open.push(path);
-            } else if let Ok(text) = fs::read_to_string(&path) {
-                tells_nothing(seed, &path.display().to_string(), &text);
-                seen += 1;
-            }
-        }
-    }
-    assert!(
-        seen >= 4,
-        "samples, manifest, result and the sealed truth: {seen}"
+    let text = format!("commission --port sim: --headless --mystery {seed} --out {{}}");
+    let card = call(&text, &[&runs]).expect(0).stdout;
+    let sentence = "the emulator carries voltage_drop: the answer is right";
+    has(&card, &[sentence, "voltage_drop.drop_v: true "]);
+    let result = fs::read_to_string(run_in(&runs).join("result.json")).expect("a result");
+    let result: Value = serde_json::from_str(&result).expect("JSON");
+    let size = &result["truth"]["sizes"][0];
+    let drop_v = draw(seed).truth.effects[0].parameters[0].value;
+    assert_eq!(
+        (&size["key"], &size["true"]),
+        (&"drop_v".into(), &drop_v.into())
     );
-    assert!(runs.join(format!("mystery-{seed}.sealed.json")).exists());
+    assert!(number(size, "/error_percent").abs() < 10.0, "{size}");
+}
+
+#[test]
+fn a_mystery_is_of_the_emulator_alone() {
+    refusals(
+        "run --headless --port /dev/nowhere --mystery 3 => --mystery hides an effect in our own
+         emulate zk-22fc-plain --mystery 3 => cannot be used with",
+        &[],
+    );
 }
 
 #[test]
@@ -121,8 +77,6 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
             &paths[1..]
         };
         call(text, paths).expect(0);
-        let sealed = runs.join("mystery-11.sealed.json");
-        fs::remove_file(sealed).expect("the sealed truth is beside the run");
         fs::read_to_string(only_folder(&runs).join("samples.csv")).expect("samples")
     };
     let named = samples("run {} --port sim: --headless --json --out {}", "named");
@@ -131,84 +85,6 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
         "asked",
     );
     assert_eq!(named, asked);
-}
-
-#[test]
-fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
-    let folder = Desk::new();
-    let file = sealed(seed_of(Some("voltage_drop")), &folder);
-    for (word, outcome) in [
-        ("voltage_drop", "right"),
-        ("supply_sag", "wrong"),
-        ("none", "wrong"),
-        ("abstain", "abstained"),
-    ] {
-        let text = format!("reveal {{}} --answer {word} --json");
-        let json = json_of(&text, &[&file]);
-        assert_eq!(json["outcome"], outcome, "{word}");
-        assert_eq!(json["truth"]["effects"][0]["effect"], "voltage_drop");
-    }
-    let drop_v = draw(seed_of(Some("voltage_drop"))).truth.effects[0].parameters[0].value;
-    let diagnosis = json!({
-        "verdict": "effect", "effect": "voltage_drop", "effects": ["voltage_drop"],
-        "candidates": [{ "effect": "voltage_drop", "status": "supported",
-            "parameters": { "drop_v": { "value": 1.05 * drop_v } } }],
-    });
-    let said = folder.put("diagnosis.json", &diagnosis.to_string());
-    let text = "reveal {} --diagnosis {} --guess supply_sag";
-    let done = call(text, &[&file, &said]).expect(0);
-    has(
-        &done.stdout,
-        &[
-            "hidden: voltage_drop (drop_v = ",
-            "your guess: supply_sag: not it",
-            "the tool's answer: right: voltage_drop was named",
-            "(+5.0 %)",
-            "what shows it: ",
-            "what brings it out: ",
-        ],
-    );
-}
-
-#[test]
-fn without_a_terminal_reveal_asks_nothing() {
-    let folder = Desk::new();
-    let file = sealed(seed_of(None), &folder);
-    let done = call("reveal {}", &[&file]).expect(0);
-    assert!(
-        done.stdout.starts_with("hidden: nothing"),
-        "{}",
-        done.stdout
-    );
-    assert!(done.stderr.is_empty(), "{}", done.stderr);
-    let json = json_of("reveal {} --json", &[&file]);
-    assert!(json["outcome"].is_null());
-    assert_eq!(json["truth"]["effects"], json!([]));
-}
-
-#[test]
-fn what_cannot_be_revealed_is_refused_with_a_next_step() {
-    let folder = Desk::new();
-    let seed = seed_of(Some("cogging"));
-    let file = sealed(seed, &folder);
-    let text = fs::read_to_string(&file).expect("it was written");
-    let text = text.replace("\"checksum\": \"", "\"checksum\": \"f");
-    let broken = folder.put("broken.json", &text);
-    call("reveal {}", &[&broken]).fails(2, &["the seal is broken"]);
-    call("reveal {}", &[folder.folder()]).fails(2, &["help: "]);
-    refusals(
-        "reveal {} --answer coging => did you mean `cogging`?",
-        &[&file],
-    );
-    refusals(
-        "reveal {} --diagnosis {} => holds no verdict",
-        &[&file, &file],
-    );
-    refusals(
-        "run --headless --port /dev/nowhere --mystery 3 => --mystery hides an effect in our own
-         emulate zk-22fc-plain --mystery 3 => cannot be used with",
-        &[],
-    );
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The diagnosis on the screen of a real pseudo-terminal: guess, add with one key, see the error fall, write, leave.
+//! The diagnosis on the screen of a real pseudo-terminal: add with one key, see the error fall, write, leave.
 
 use crate::kit::prelude::*;
 use std::num::NonZero;
@@ -25,30 +25,15 @@ const UP: &str = "\u{1b}[A";
 const DOWN: &str = "\u{1b}[B";
 
 #[test]
-fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
+fn one_key_adds_an_effect_and_the_error_falls_to_the_floor() {
     let folder = Desk::new();
-    let mut session = diagnose("--guess --output found.toml", folder.folder(), (80, 24));
-    session.wait_for("the tool has its answer");
-    // No name is given away, and nothing can be added before there is a guess.
-    lacks(&session.text(), &["supported"]);
-    session.press("a");
-    session.wait_for("guess first");
-    // No row stands for a guess by itself.
-    session.press("p");
-    session.wait_for("choose first");
-    for _ in 0..5 {
-        session.press(DOWN);
-    }
-    session.wait_for("▶ stribeck_friction");
-    session.press("p");
-    session.wait_for("right: you and the tool say stribeck_friction");
+    let mut session = diagnose("--output found.toml", folder.folder(), (80, 24));
+    session.wait_for(ADD);
     session.press("a");
     session.wait_for("+ in the model stribeck_friction");
     session.wait_for("added stribeck_friction");
     session.wait_for("at the floor");
     session.wait_for("NOTHING MISSING");
-    // The guess was at what was missing then.
-    lacks(&session.text(), &["you: "]);
     session.press("w");
     session.wait_for("model written to");
     session.press(UP);

@@ -275,9 +275,9 @@ fn an_emulator_ends_quietly_and_takes_its_path_with_it() {
 #[test]
 fn an_emulator_tells_its_states_as_json_one_object_a_line() {
     let desk = Desk::new();
-    let (pty, sealed) = (desk.path("drive.pty"), desk.path("sealed.json"));
-    let text = "emulate --json --mystery 3 --pty {} --seal {}";
-    let mut drive = Process::start(&line(text, &[&pty, &sealed]));
+    let pty = desk.path("drive.pty");
+    let text = "emulate --json --mystery 3 --pty {}";
+    let mut drive = Process::start(&line(text, &[&pty]));
     let mut stdout = BufReader::new(drive.0.stdout.take().expect("a pipe"));
     let mut state = || -> Value {
         let mut text = String::new();
@@ -289,7 +289,7 @@ fn an_emulator_tells_its_states_as_json_one_object_a_line() {
         ready,
         json!({
             "state": "ready", "link": "modbus-rtu", "address": pty, "unit": 1, "baud": 115_200,
-            "profile": "own", "sealed": sealed
+            "profile": "own"
         })
     );
     assert!(pty.exists());

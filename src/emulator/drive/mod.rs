@@ -243,7 +243,7 @@ impl SoftDrive {
         self.troubles.has(kind)
     }
 
-    /// The true parameters of this specimen: for tests, and for the one who reveals a mystery.
+    /// The true parameters of this specimen: for tests.
     pub const fn truth(&self) -> &MotorTruth {
         &self.specimen
     }

@@ -1,24 +1,21 @@
-//! A drive whose hidden effect nobody knows until it is revealed.
+//! A drive whose hidden effect a seed draws.
 //!
 //! ```text
-//! seed --draw--> Mystery { config: goes into the drive, truth: goes under the seal }
-//!                           truth --seal--> text that a glance does not read --open--> truth
+//! seed --draw--> Mystery { config: of the drive, truth: what an answer is compared with }
 //! ```
 //!
-//! The seed fixes everything: effect, sizes and specimen. The seal keeps an honest person from reading the answer by
-//! accident; it is no secret from someone who wants to know.
+//! The seed fixes everything: effect, sizes and specimen.
 
-mod seal;
+use std::fmt;
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
-
-pub use seal::SealError;
+use serde::Serialize;
 
 use super::EmulatorConfig;
 use super::truth::MotorTruth;
 use super::truth::effect::{HiddenEffect, Site};
+use crate::text::number::{shortest, with_unit};
 
 /// Stream of the generator; tolerances, noise and random loads have their own.
 const MYSTERY_STREAM: u64 = 4;
@@ -35,13 +32,13 @@ const WINDING_LIMIT_C: f64 = 300.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mystery {
     pub seed: u64,
-    /// To be given to the drive together with the seed, and to nobody else.
+    /// Of the drive, together with the seed.
     pub config: EmulatorConfig,
     pub truth: Truth,
 }
 
 /// What a mystery hides.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Truth {
     pub seed: u64,
     /// The specimen, not the nameplate.
@@ -51,7 +48,7 @@ pub struct Truth {
 }
 
 /// One hidden effect with its size.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrueEffect {
     pub id: String,
     /// No catalogue of the host has it: the right answer is that nothing known explains the run.
@@ -60,7 +57,7 @@ pub struct TrueEffect {
 }
 
 /// One parameter, under the key of the model file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrueValue {
     pub key: String,
     pub value: f64,
@@ -71,16 +68,6 @@ impl Truth {
     /// The only effect, if there is one.
     pub fn effect(&self) -> Option<&TrueEffect> {
         self.effects.first()
-    }
-
-    /// The text that goes into a file.
-    pub fn seal(&self) -> Result<String, SealError> {
-        seal::seal(self)
-    }
-
-    /// Reads such a text; `file` names it in errors.
-    pub fn open(file: &str, text: &str) -> Result<Self, SealError> {
-        seal::open(file, text)
     }
 }
 
@@ -99,7 +86,7 @@ pub fn draw(seed: u64) -> Mystery {
     config.hidden = hidden(&mut rng, &Site::of(&config.motor))
         .into_iter()
         .collect();
-    let effects = config.hidden.iter().map(true_effect).collect();
+    let effects = config.hidden.iter().map(TrueEffect::from).collect();
     let motor = config.motor.specimen(config.tolerance, seed);
     Mystery {
         seed,
@@ -122,19 +109,33 @@ fn hidden(rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<HiddenEffect> {
     HiddenEffect::mystery(id, rng, nameplate)
 }
 
-fn true_effect(effect: &HiddenEffect) -> TrueEffect {
-    TrueEffect {
-        id: effect.id().to_owned(),
-        is_foreign: effect.is_foreign(),
-        parameters: effect
-            .parameters()
-            .into_iter()
-            .map(|(key, value, unit)| TrueValue {
-                key: key.to_owned(),
-                value,
-                unit: unit.to_owned(),
-            })
-            .collect(),
+impl From<&HiddenEffect> for TrueEffect {
+    fn from(effect: &HiddenEffect) -> Self {
+        Self {
+            id: effect.id().to_owned(),
+            is_foreign: effect.is_foreign(),
+            parameters: effect
+                .parameters()
+                .into_iter()
+                .map(|(key, value, unit)| TrueValue {
+                    key: key.to_owned(),
+                    value,
+                    unit: unit.to_owned(),
+                })
+                .collect(),
+        }
+    }
+}
+
+impl fmt::Display for TrueEffect {
+    /// The effect with its sizes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let size = |own: &TrueValue| {
+            let value = with_unit(&shortest(own.value, 4), &own.unit);
+            format!("{} = {value}", own.key)
+        };
+        let sizes: Vec<String> = self.parameters.iter().map(size).collect();
+        write!(f, "{} ({})", self.id, sizes.join(", "))
     }
 }
 

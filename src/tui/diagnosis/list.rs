@@ -6,7 +6,6 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use super::guess::{Guess, Guessing};
 use super::state::State;
 use crate::diagnosis::{Candidate, Status};
 use crate::plant::effect;
@@ -32,7 +31,6 @@ pub(super) enum Row<'a> {
     Present(&'static str),
     Judged(&'static str, Judged),
     Candidate(&'a Candidate),
-    Choice(Guess),
 }
 
 impl Row<'_> {
@@ -41,7 +39,6 @@ impl Row<'_> {
         match self {
             Self::Present(id) | Self::Judged(id, _) => id,
             Self::Candidate(candidate) => candidate.effect,
-            Self::Choice(guess) => guess.key(),
         }
     }
 
@@ -54,9 +51,6 @@ impl Row<'_> {
 impl State {
     /// The rows of the list, in the order in which they are shown.
     pub(super) fn rows(&self) -> Vec<Row<'_>> {
-        if self.guessing == Guessing::Choosing {
-            return Guess::all(&self.present).map(Row::Choice).collect();
-        }
         let mut rows: Vec<Row<'_>> = self.present.iter().map(|id| Row::Present(id)).collect();
         if let Some(diagnosis) = &self.diagnosis {
             rows.extend(diagnosis.candidates.iter().map(Row::Candidate));
@@ -70,17 +64,14 @@ impl State {
         rows
     }
 
-    /// The place of the selected row: before the person has moved, the first that is not in the model; of guesses none, as
-    /// a guess is the person's own.
+    /// The place of the selected row: before the person has moved, the first that is not in the model.
     fn selected(&self, rows: &[Row<'_>]) -> Option<usize> {
         let chosen = |key| rows.iter().position(|row| row.key() == key);
         let first = || {
             let absent = |row: &Row<'_>| !matches!(row, Row::Present(_));
             rows.iter().position(absent).or(Some(0))
         };
-        let is_guess = self.guessing == Guessing::Choosing;
-        let selected = self.selected.and_then(chosen);
-        let selected = selected.or_else(|| if is_guess { None } else { first() });
+        let selected = self.selected.and_then(chosen).or_else(first);
         selected.filter(|_| !rows.is_empty())
     }
 
@@ -137,9 +128,7 @@ pub(super) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
         return;
     }
-    let title = if state.guessing == Guessing::Choosing {
-        "what is missing? your guess"
-    } else if state.diagnosis.is_none() {
+    let title = if state.diagnosis.is_none() {
         "effects being judged: share of the error explained, to first order"
     } else {
         "effects: status, probability, size ± 95 %"
@@ -174,13 +163,6 @@ pub(super) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
 
 fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
     match row {
-        Row::Choice(guess) => {
-            let name = row.effect().map_or("", |effect| effect.card().name);
-            vec![
-                Span::raw(format!("{:<25} ", guess.key())),
-                Span::styled(name.to_owned(), theme::DIM),
-            ]
-        }
         Row::Present(id) => vec![
             Span::styled("+ in the model ", theme::GOOD),
             Span::raw((*id).to_owned()),

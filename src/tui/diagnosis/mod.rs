@@ -12,11 +12,8 @@
 //! | keys                                      |
 //! +-------------------------------------------+   over it: pages (card, traces, map, curve, response, next run)
 //! ```
-//!
-//! `guess` is the teaching flow, in which no name is shown before the person has given one.
 
 mod charts;
-mod guess;
 mod list;
 mod state;
 mod view;
@@ -66,8 +63,6 @@ impl Opens {
 pub struct DiagnosisSources {
     /// What is diagnosed, in a few words.
     pub title: String,
-    /// No name is shown before the person has given one.
-    pub guess_first: bool,
     pub opens: Opens,
     /// Where the run was stopped, if it was: the traces open there.
     pub stopped_at: Option<StoppedAt>,
@@ -93,7 +88,7 @@ impl DiagnosisScreen {
                 Order::Compare(error_of),
                 State::of_a_comparison(title, error_of),
             ),
-            _ => (Order::Diagnose, State::new(title, sources.guess_first)),
+            _ => (Order::Diagnose, State::new(title)),
         };
         state.opens = sources.opens;
         state.stops_at(sources.stopped_at.clone());

@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use super::Opens;
 use super::charts::of_a_map;
-use super::guess::{Guessing, compared};
 use super::list::{Judged, Row};
 use crate::diagnosis::{
     AddResult, AxisMap, Candidate, Comparison, Diagnosis, EffectCurve, ErrorOf, Event as Found,
@@ -21,7 +20,6 @@ use crate::tui::response::ResponsePage;
 use crate::tui::traces::{FRAMES, StoppedAt, TracesPage};
 use crate::workflow::{News, Order};
 
-const GUESS_FIRST: &str = "guess first: p takes the selected row, Esc shows the names";
 const LEAVING: &str =
     "leaves when the model is written; Esc stays, Ctrl-C leaves at once without it";
 
@@ -119,7 +117,6 @@ pub(super) struct State {
     pub(super) help: Option<usize>,
     /// Rows for which what scrolls had no room when it was drawn: the keys go no further.
     pub(super) hidden: Cell<usize>,
-    pub(super) guessing: Guessing,
     /// A model that is to be written is not in its file yet.
     pub(super) writing: bool,
     /// To be left as soon as it is.
@@ -130,16 +127,10 @@ pub(super) struct State {
 }
 
 impl State {
-    /// `guess_first`: no name is shown before the person has given one.
-    pub(super) fn new(title: String, guess_first: bool) -> Self {
+    pub(super) fn new(title: String) -> Self {
         Self {
             title,
             working: Some("fitting the model".to_owned()),
-            guessing: if guess_first {
-                Guessing::Choosing
-            } else {
-                Guessing::Off
-            },
             ..Self::default()
         }
     }
@@ -155,7 +146,7 @@ impl State {
         Self {
             opens: Opens::Comparison(error_of),
             working: Some("comparing".to_owned()),
-            ..Self::new(title, false)
+            ..Self::new(title)
         }
     }
 
@@ -332,9 +323,6 @@ impl State {
             let (error, noise) = (diagnosis.holdout_before, &diagnosis.baseline.noise);
             self.ladder.push(Step::new(name, error, noise));
         }
-        if let Guessing::Guessed(guess) = self.guessing {
-            self.message = Some(compared(guess, &diagnosis));
-        }
         self.diagnosis = Some(Arc::new(diagnosis));
     }
 
@@ -371,10 +359,6 @@ impl State {
         self.judged.clear();
         self.taken.clear();
         self.selected = Some(changed);
-        if let Guessing::Guessed(_) = self.guessing {
-            // It was a guess at what was missing then.
-            self.guessing = Guessing::Off;
-        }
         self.working = Some("searching what is missing now".to_owned());
     }
 
@@ -425,7 +409,6 @@ impl State {
             Press::Before => self.see_before(),
             Press::Map => self.map(),
             Press::Next => self.next(),
-            Press::Guess => self.guess(),
             Press::Write => return self.write(),
             Press::Curve => self.curve(),
             Press::Table => return self.table(),
@@ -470,26 +453,24 @@ impl State {
             self.over = Over::Nothing;
             return;
         }
-        let row = self.row();
-        let effect = row.filter(|row| row.effect().is_some());
-        match (effect.map(|row| row.key()), row.map(|row| row.key())) {
-            (Some(key), _) => {
+        match self.row().map(|row| row.key()) {
+            Some(key) => {
                 // The list may be put in another order while the card is read.
                 self.selected = Some(key);
                 self.over = Over::Card(0);
             }
-            (None, Some(guess)) => self.say(format!("\"{guess}\" is no effect and has no card")),
-            (None, None) => self.say(self.why_none()),
+            None => self.say(self.why_none()),
         }
     }
 
     /// Why no row is selected.
     fn why_none(&self) -> &'static str {
-        match (self.guessing, self.only_compares()) {
-            (Guessing::Choosing, _) => "choose first: Up and Down go through the list",
-            (_, true) => "there is no list of effects yet: d searches what is missing",
-            _ if self.working.is_none() => "no effect has been judged",
-            _ => "not yet: no effect has been judged",
+        if self.only_compares() {
+            "there is no list of effects yet: d searches what is missing"
+        } else if self.working.is_none() {
+            "no effect has been judged"
+        } else {
+            "not yet: no effect has been judged"
         }
     }
 
@@ -522,9 +503,6 @@ impl State {
     /// The effect that `a` and `r` are about, with whether it is in the model; the reason where there is none.
     fn chosen(&self) -> Result<(&'static str, bool), String> {
         self.busy()?;
-        if self.guessing == Guessing::Choosing {
-            return Err(GUESS_FIRST.to_owned());
-        }
         match self.row() {
             Some(Row::Present(id)) => Ok((id, true)),
             Some(Row::Candidate(candidate)) => Ok((candidate.effect, false)),
@@ -556,9 +534,7 @@ impl State {
     }
 
     fn undo(&mut self) -> Option<Effect> {
-        if self.guessing == Guessing::Choosing {
-            self.say(GUESS_FIRST);
-        } else if let Err(reason) = self.busy() {
+        if let Err(reason) = self.busy() {
             self.say(reason);
         } else if self.ladder.len() < 2 {
             self.say("nothing was changed by hand that could be taken back");
@@ -645,10 +621,6 @@ impl State {
     fn next(&mut self) {
         self.over = match self.over {
             Over::Next(_) => Over::Nothing,
-            _ if self.guessing == Guessing::Choosing => {
-                self.say(GUESS_FIRST);
-                Over::Nothing
-            }
             _ if self.diagnosis.is_none() => {
                 self.say("not yet: there is no answer that a run could add to");
                 self.over
@@ -701,10 +673,6 @@ impl State {
     fn curve(&mut self) {
         let curves = self.drawn().len();
         self.over = match self.over {
-            _ if self.guessing == Guessing::Choosing => {
-                self.say(GUESS_FIRST);
-                Over::Nothing
-            }
             over if curves == 0 && (self.working.is_some() || self.comparison.is_none()) => {
                 self.say(self.why_empty("there is no curve"));
                 over
@@ -740,15 +708,14 @@ impl State {
             }
             _ => None,
         };
-        let is_open = self.guessing != Guessing::Choosing;
         let curves = self.curves();
         let mut wanted = curves.iter();
         let map = match in_sight {
             Some(in_sight) => wanted.find(|(place, _)| *place == in_sight),
             None => wanted.next(),
         };
-        let Some((place, map)) = map.filter(|_| is_open) else {
-            if is_open && self.diagnosis.is_some() {
+        let Some((place, map)) = map else {
+            if self.diagnosis.is_some() {
                 self.say("there is no curve to add: the error is explained, or follows no axis");
             } else {
                 self.curve();
@@ -762,37 +729,8 @@ impl State {
         Some(Effect::Order(Order::AddCurve(place)))
     }
 
-    fn guess(&mut self) {
-        match self.guessing {
-            Guessing::Choosing => {
-                let Some(Row::Choice(guess)) = self.row() else {
-                    self.say(self.why_none());
-                    return;
-                };
-                self.guessing = Guessing::Guessed(guess);
-                self.over = Over::Nothing;
-                self.selected = None;
-                let sentence = match &self.diagnosis {
-                    Some(diagnosis) => compared(guess, diagnosis),
-                    None => format!("you: {}. The tool has not answered yet", guess.key()),
-                };
-                self.say(sentence);
-            }
-            _ if self.diagnosis.is_some() => {
-                self.say("too late to guess: the answer has been shown");
-            }
-            _ => {
-                self.guessing = Guessing::Choosing;
-                self.selected = None;
-                self.over = Over::Nothing;
-            }
-        }
-    }
-
     fn write(&mut self) -> Option<Effect> {
-        if self.guessing == Guessing::Choosing {
-            self.say(GUESS_FIRST);
-        } else if self.writing {
+        if self.writing {
             self.say("not yet: the model is being written");
         } else if let Err(reason) = self.busy() {
             self.say(reason);
@@ -808,12 +746,7 @@ impl State {
     }
 
     fn back(&mut self) {
-        if self.over != Over::Nothing {
-            self.over = Over::Nothing;
-        } else if self.guessing == Guessing::Choosing {
-            self.guessing = Guessing::Off;
-            self.selected = None;
-        }
+        self.over = Over::Nothing;
     }
 }
 

@@ -7,7 +7,6 @@ use ratatui::layout::{Position, Rect};
 mod answers;
 mod any;
 
-use super::guess::{Guess, Guessing, compared};
 use super::state::{Event, Over, State};
 use super::view::view;
 use crate::diagnosis::{
@@ -15,6 +14,7 @@ use crate::diagnosis::{
     NextExperiment, Status, effect_curve, error_curve,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::plant::effect::CATALOGUE;
 use crate::plant::testing::with_a_fan;
 use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
 use crate::sample::Channel;
@@ -67,15 +67,15 @@ fn press(state: &mut State, press: Press) -> Option<Effect> {
     state.update(Event::Press(press))
 }
 
-fn begun(guess_first: bool) -> State {
-    let mut state = State::new("run-a, held out run-b".to_owned(), guess_first);
+fn begun() -> State {
+    let mut state = State::new("run-a, held out run-b".to_owned());
     hear(&mut state, News::Compared(Box::new(comparison(0.76))));
     state
 }
 
 /// While the effects are being judged.
-fn searching(guess_first: bool) -> State {
-    let mut state = begun(guess_first);
+fn searching() -> State {
+    let mut state = begun();
     for (effect, share) in [
         ("viscous_friction", 0.11),
         ("stribeck_friction", 0.97),
@@ -94,7 +94,7 @@ fn searching(guess_first: bool) -> State {
 }
 
 fn answered() -> State {
-    let mut state = searching(false);
+    let mut state = searching();
     hear(&mut state, News::Diagnosed(Box::new(diagnosis())));
     state
 }
@@ -122,7 +122,7 @@ fn fan_curves() -> Vec<EffectCurve> {
 
 /// The answer to a run with a fan, with its traces and curves.
 fn of_a_fan() -> State {
-    let mut state = begun(false);
+    let mut state = begun();
     hear(&mut state, News::Traced(Box::new(fan_traces(false))));
     let mut found = diagnosis();
     found.candidates[0] = candidate(1, "quadratic_load", Status::Supported, 1.03);
@@ -213,7 +213,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         pressed(state, &[Press::Next])
     };
     let failed = || {
-        let mut state = begun(false);
+        let mut state = begun();
         let reason = "the run is too short: 12 rows, at least 200 are needed";
         hear(&mut state, News::Failed(reason.to_owned()));
         state
@@ -221,9 +221,8 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
     let traces = pressed(of_a_fan(), &[Press::Traces]);
     let curve = pressed(of_a_fan(), &[Press::Curve]);
     let states = [
-        ("begun", begun(false)),
-        ("searching", searching(false)),
-        ("guessing", pressed(searching(true), &[Press::Move(1)])),
+        ("begun", begun()),
+        ("searching", searching()),
         ("answered", answered()),
         ("fan", of_a_fan()),
         ("falling", falling()),
@@ -271,7 +270,7 @@ const OVER: [Over; 7] = [
 #[test]
 fn every_small_size() {
     let more = [of_a_fan(), falling(), compared_alone()];
-    for state in [begun(false), searching(true), answered(), at_the_floor()]
+    for state in [begun(), searching(), answered(), at_the_floor()]
         .into_iter()
         .chain(more)
     {
@@ -287,7 +286,14 @@ fn every_small_size() {
 
 #[test]
 fn the_selected_row_is_always_in_sight() {
-    let mut state = searching(true);
+    let mut state = begun();
+    for effect in CATALOGUE {
+        let (effect, share) = (effect.card().id, 0.1);
+        hear(
+            &mut state,
+            News::Progress(Found::Screened { effect, share }),
+        );
+    }
     for _ in 0..40 {
         press(&mut state, Press::Move(1));
         let shown = text(&state, 80, 24);
@@ -300,12 +306,11 @@ const UP: Press = Press::Move(-1);
 const FINISHED: Option<Effect> = Some(Effect::Leave(Exit::Finished));
 
 fn every_state() -> Vec<State> {
-    let mut failed = begun(false);
+    let mut failed = begun();
     hear(&mut failed, News::Failed("the run is too short".to_owned()));
     let mut states = vec![
-        begun(false),
-        searching(false),
-        searching(true),
+        begun(),
+        searching(),
         answered(),
         at_the_floor(),
         failed,
@@ -460,28 +465,6 @@ fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
 }
 
 #[test]
-fn a_guess_is_the_persons_own_and_no_row_stands_for_one_by_itself() {
-    let mut state = begun(false);
-    for _ in 0..3 {
-        press(&mut state, Press::Guess);
-        assert_eq!(state.guessing, Guessing::Choosing);
-    }
-    assert!(told(&state).starts_with("choose first"), "{}", told(&state));
-    assert!(!text(&state, 80, 24).contains('▶'));
-    press(&mut state, Press::Open);
-    assert!(told(&state).starts_with("choose first"), "{}", told(&state));
-    press(&mut state, DOWN);
-    assert_eq!(selected(&state), "nothing is missing");
-    press(&mut state, Press::Open);
-    assert_eq!(
-        told(&state),
-        "\"nothing is missing\" is no effect and has no card"
-    );
-    press(&mut state, Press::Guess);
-    assert_eq!(state.guessing, Guessing::Guessed(Guess::Nothing));
-}
-
-#[test]
 fn the_help_gives_back_the_page_that_it_explains() {
     for over in OVER {
         let mut state = State { over, ..of_a_fan() };
@@ -535,10 +518,9 @@ fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
 fn orders_wait_for_the_worker_and_q_always_leaves() {
     for state in every_state() {
         let busy = state.working.is_some();
-        let guessing = state.guessing == Guessing::Choosing;
         for key in [Press::Add, Press::Remove, Press::Write] {
             let effect = press(&mut state.clone(), key);
-            assert!(effect.is_none() || !(busy || guessing), "{key:?} {state:?}");
+            assert!(effect.is_none() || !busy, "{key:?} {state:?}");
         }
         let mut quits = state.clone();
         // A first q closes what lies over the screen.
@@ -552,65 +534,6 @@ fn orders_wait_for_the_worker_and_q_always_leaves() {
 }
 
 #[test]
-fn no_name_is_shown_before_the_guess() {
-    let mut state = searching(true);
-    select(&mut state, "stribeck_friction");
-    for _ in 0..2 {
-        let shown = text(&state, 120, 60);
-        for word in ["missing: stribeck", "supported", "refitted"] {
-            assert!(!shown.contains(word), "{word}: {shown}");
-        }
-        for key in [Press::Add, Press::Next, Press::Remove, Press::Write] {
-            assert_eq!(press(&mut state, key), None);
-            assert!(!text(&state, 120, 60).contains("supported"));
-        }
-        press(&mut state, Press::Open);
-        let card = text(&state, 120, 60);
-        assert!(
-            card.contains("equation: ") && !card.contains("here: "),
-            "{card}"
-        );
-        press(&mut state, Press::Open);
-        answer(&mut state, diagnosis());
-    }
-    for _ in 0..40 {
-        press(&mut state, UP);
-    }
-    assert_eq!(selected(&state), "nothing is missing");
-    assert_eq!(press(&mut state, Press::Guess), None);
-    assert_eq!(state.guessing, Guessing::Guessed(Guess::Nothing));
-    let sentence = "you: nothing is missing. The tool: stribeck_friction";
-    assert_eq!(told(&state), sentence);
-    assert!(text(&state, 120, 60).contains("supported"));
-}
-
-#[test]
-fn a_guess_is_compared_with_the_answer() {
-    use DiagnosisVerdict::{Ambiguous, Effect, None, Unexplained};
-    let pair = vec![["stribeck_friction", "viscous_friction"]];
-    let worse = "ruled out: held-out error 5.10 -> 5.08";
-    for (guess, verdict, rivals, expected) in [
-        ("stribeck_friction", Effect, vec![], "right: "),
-        ("viscous_friction", Effect, vec![], worse),
-        ("viscous_friction", Ambiguous, pair, "as good: "),
-        ("nothing is missing", None, vec![], "right"),
-        ("nothing of the catalogue", Unexplained, vec![], "right"),
-    ] {
-        let mut state = searching(true);
-        select(&mut state, guess);
-        press(&mut state, Press::Guess);
-        let mut found = diagnosis();
-        (found.verdict, found.confusable) = (verdict, rivals);
-        answer(&mut state, found);
-        let sentence = told(&state);
-        // The reason stands behind what was guessed, a judgement before it.
-        let begins = sentence.starts_with(expected);
-        let has_reason = expected.contains("held-out") && sentence.contains(expected);
-        assert!(begins || has_reason, "{guess}: {sentence}");
-    }
-}
-
-#[test]
 fn without_a_floor_nothing_is_said_in_multiples_of_it() {
     let without = || {
         let mut diagnosis = diagnosis();
@@ -618,15 +541,6 @@ fn without_a_floor_nothing_is_said_in_multiples_of_it() {
         diagnosis.sentence = "missing: stribeck_friction".to_owned();
         diagnosis
     };
-    for id in ["cogging", "viscous_friction"] {
-        let text = compared(Guess::Effect(id), &without());
-        assert!(text.contains("times the baseline's residual"), "{text}");
-    }
-    let mut state = searching(true);
-    answer(&mut state, without());
-    let shown = text(&state, 120, 30);
-    let part = "to 1.03 times the baseline's residual";
-    assert!(shown.contains(part), "{shown}");
     let mut state = answered();
     answer(&mut state, without());
     press(&mut state, Press::Add);
@@ -644,21 +558,8 @@ fn without_a_floor_nothing_is_said_in_multiples_of_it() {
 }
 
 #[test]
-fn guessing_ends_with_escape_and_is_refused_after_the_answer() {
-    let mut state = searching(false);
-    press(&mut state, Press::Guess);
-    assert_eq!(state.guessing, Guessing::Choosing);
-    press(&mut state, Press::Stop);
-    assert_eq!(state.guessing, Guessing::Off);
-    let mut state = answered();
-    press(&mut state, Press::Guess);
-    assert_eq!(state.guessing, Guessing::Off);
-    assert!(told(&state).starts_with("too late"));
-}
-
-#[test]
 fn the_selection_stays_on_its_effect_while_the_order_changes() {
-    let mut state = searching(false);
+    let mut state = searching();
     press(&mut state, DOWN);
     assert_eq!(selected(&state), "cogging");
     let screened = Found::Screened {
@@ -680,7 +581,7 @@ fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
         press(&mut state, Press::Map);
         assert_eq!(state.over, over);
     }
-    let mut bare = State::new(String::new(), false);
+    let mut bare = State::new(String::new());
     press(&mut bare, Press::Map);
     assert_eq!(bare.over, Over::Nothing);
     assert_eq!(told(&bare), "not yet: fitting the model");
@@ -786,7 +687,7 @@ fn a_comparison_alone_searches_only_when_it_is_asked_to() {
             "this page does not scroll",
         ),
         (compared_alone(), "there is no list of effects yet"),
-        (begun(false), "not yet: no effect has been judged"),
+        (begun(), "not yet: no effect has been judged"),
     ] {
         press(&mut state, DOWN);
         assert!(told(&state).starts_with(expected), "{}", told(&state));
@@ -795,7 +696,7 @@ fn a_comparison_alone_searches_only_when_it_is_asked_to() {
 
 #[test]
 fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
-    let mut state = searching(false);
+    let mut state = searching();
     press(&mut state, Press::Next);
     assert_eq!(state.over, Over::Nothing);
     let mut found = diagnosis();
@@ -825,7 +726,7 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
 
 #[test]
 fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
-    let mut state = searching(false);
+    let mut state = searching();
     let without_limits = Diagnosis {
         limits: Vec::new(),
         ..diagnosis()
@@ -882,7 +783,7 @@ fn a_model_that_cannot_be_written_keeps_the_screen() {
 
 #[test]
 fn a_worker_that_has_gone_is_told() {
-    let mut state = searching(false);
+    let mut state = searching();
     state.update(Event::WorkerGone);
     shows(&state, &["ERROR: the analysis has ended"]);
     let mut idle = answered();

@@ -10,7 +10,6 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::charts;
-use super::guess::Guessing;
 use super::list::{candidates, status};
 use super::state::{Over, State, Step};
 use crate::diagnosis::{
@@ -232,9 +231,6 @@ fn verdict_line(state: &State) -> Line<'static> {
     if let Some(failure) = &state.failure {
         return Line::styled(format!("ERROR: {failure}"), theme::BAD);
     }
-    if state.guessing == Guessing::Choosing {
-        return Line::styled(guess_first(state), theme::BOLD);
-    }
     if let (true, Some(comparison)) = (state.only_compares(), &state.comparison) {
         return Line::styled(comparison.where_it_fails().0, theme::BOLD);
     }
@@ -277,28 +273,6 @@ fn inset(area: Rect) -> Rect {
         width: area.width.saturating_sub(1),
         ..area
     }
-}
-
-fn guess_first(state: &State) -> String {
-    if let Some(diagnosis) = &state.diagnosis {
-        let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
-        let times = diagnosis.noise_floor_from.times();
-        let found = if diagnosis.effects.is_empty() {
-            "and adds nothing".to_owned()
-        } else {
-            format!("and takes the held-out error from {before:.2} to {after:.2} {times}")
-        };
-        return format!("the tool has its answer {found}; what is yours?");
-    }
-    let shares = state.judged.values().filter_map(|judged| judged.share);
-    let best = shares.fold(f64::NAN, f64::max);
-    if best.is_finite() {
-        let percent = 100.0 * best.clamp(0.0, 1.0);
-        return format!(
-            "the tool is at work, its best effect explains {percent:.0} %; what is your guess?"
-        );
-    }
-    "the tool is at work; what is your guess?".to_owned()
 }
 
 /// The verdict as a word, which the colour only repeats.
@@ -347,18 +321,13 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
             };
             (keys, LEAVE)
         }
-        Over::Nothing if state.guessing == Guessing::Choosing => (
-            "p guess it|Esc show names|Up Down choose|Enter card|v traces|e map",
-            LEAVE,
-        ),
         Over::Nothing if state.only_compares() => (
             "d diagnose|v traces|j worst place|c curve|g frequency|e map",
             LEAVE,
         ),
-        Over::Nothing if state.working.is_some() => (
-            "v traces|Up Down select|Enter card|p guess first|e map",
-            LEAVE,
-        ),
+        Over::Nothing if state.working.is_some() => {
+            ("v traces|Up Down select|Enter card|e map", LEAVE)
+        }
         Over::Nothing if followed > 0 => (
             "c curve|t add it|v traces|a add|r remove|w write|n next run|e map",
             LEAVE,
@@ -581,10 +550,7 @@ pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer)
     let card = effect.card();
     let inner = titled(&format!("{} ({})", card.name, card.id), area, buffer);
     let mut lines = Vec::new();
-    // While the person is guessing, what the run says of an effect would give the answer away.
-    if state.guessing != Guessing::Choosing
-        && let Some(candidate) = state.candidate(card.id)
-    {
+    if let Some(candidate) = state.candidate(card.id) {
         let word = status(candidate).0;
         lines.push(paragraph("here", format!("{word}: {}", candidate.evidence)));
         for parameter in &candidate.parameters {

@@ -79,8 +79,6 @@ pub(super) struct Model {
     pub(super) hidden: Cell<usize>,
     /// What each step needs, unlocks and is called, also of those that are not under way.
     pub(super) explains: bool,
-    /// No name of an effect is shown: the person is to give one first.
-    pub(super) guess_first: bool,
     pub(super) marks: u32,
     /// Answer to the last key, and for how many looks it still stands.
     pub(super) message: Option<String>,
@@ -195,7 +193,7 @@ impl Model {
                 self.confirm_start &= self.waits_for_start();
             }
             Event::Workflow(workflow) => {
-                if workflow.report.is_some() && !self.shows_report() && !self.guess_first {
+                if workflow.report.is_some() && !self.shows_report() {
                     // The answer that everything was done for.
                     self.page = Page::Steps;
                     self.scroll = 0;
@@ -246,7 +244,6 @@ impl Model {
         let has_shown_nothing = self.snapshot.phase.is_none() && !self.shows_report();
         let exit = match (state, self.leaving) {
             (WorkerState::Working, _) => None,
-            (_, None) if self.guess_first && self.shows_report() => Some(Exit::Guess),
             (WorkerState::Finished, None) => has_shown_nothing.then_some(Exit::Finished),
             (WorkerState::Leave, None) => Some(Exit::Finished),
             (_, leaving) => leaving,
@@ -292,7 +289,6 @@ impl Model {
             }
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
             Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
-            Press::Guess => self.guess(),
             Press::Open if self.page != Page::Steps => {
                 self.say("Enter explains the steps of a commissioning: 3 shows them");
             }
@@ -372,21 +368,6 @@ impl Model {
             Err(reason) => self.say(format!("{}: {reason}", step.title())),
         }
         Vec::new()
-    }
-
-    fn guess(&mut self) {
-        match &self.workflow {
-            None => self.say("only a commissioning names an effect"),
-            Some(_) if self.shows_report() => self.say("the names are on the screen already"),
-            Some(_) if self.guess_first => {
-                self.guess_first = false;
-                self.say("names are shown");
-            }
-            Some(_) => {
-                self.guess_first = true;
-                self.say("guess first: no name is shown before you have given one");
-            }
-        }
     }
 
     fn stop(&mut self) -> Vec<Effect> {

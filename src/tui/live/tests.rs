@@ -436,9 +436,6 @@ fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
     );
     let shown = text(&finished(leaning(done())), 80, 24);
     assert!(!shown.contains("provisional"), "{shown}");
-    let guessing = with(&run, |own| own.guess_first = true);
-    let shown = text(&guessing, 80, 24);
-    assert!(!shown.contains("quadratic_load"), "{shown}");
 }
 
 #[test]
@@ -756,31 +753,6 @@ fn what_follows_the_report_is_left_for_only_where_it_is_offered() {
             }
         }
     }
-}
-
-#[test]
-fn whoever_guesses_first_sees_no_name_and_comes_to_the_diagnosis() {
-    let mut model = model(running());
-    report(&mut model, false);
-    press(&mut model, Press::Guess);
-    let mut named = workflow(false);
-    named.steps[2].line = "quadratic_load, probability 0.99".to_owned();
-    model.update(Event::Workflow(Arc::new(named)));
-    model.page = Page::Steps;
-    let shown = text(&model, 120, 40);
-    assert!(!shown.contains("quadratic"), "{shown}");
-    assert!(shown.contains("hidden until you have named it"), "{shown}");
-    report(&mut model, true);
-    assert_eq!(finish(&mut model), [Effect::Leave(Exit::Guess)]);
-    // Taken back in time, everything is shown; afterwards there is nothing to guess.
-    let mut told = self::model(running());
-    report(&mut told, false);
-    press(&mut told, Press::Guess);
-    press(&mut told, Press::Guess);
-    report(&mut told, true);
-    assert_eq!(finish(&mut told), []);
-    press(&mut told, Press::Guess);
-    assert!(!told.guess_first);
 }
 
 #[test]

@@ -68,7 +68,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     top_bar(model, top, buffer);
     progress_bar(&model.snapshot, progress, buffer);
     if let Some(workflow) = model.workflow.as_ref().filter(|_| step_rows > 0) {
-        row(&step_line(workflow, model.guess_first), step, buffer);
+        row(&step_line(workflow), step, buffer);
     }
     if let Some(banner) = banner {
         banner.render(box_area, buffer);
@@ -204,7 +204,7 @@ fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
 }
 
 /// The step of the workflow that is under way.
-fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
+fn step_line(workflow: &Progress) -> Line<'static> {
     let steps = &workflow.steps;
     let active = steps
         .iter()
@@ -222,7 +222,7 @@ fn step_line(workflow: &Progress, hides: bool) -> Line<'static> {
     let head = format!(" step {number} of {}: {title} ", steps.len());
     Line::from(vec![
         Span::styled(head, theme::BOLD),
-        Span::raw(format!(" {}", said(step, hides))),
+        Span::raw(format!(" {}", step.line)),
     ])
 }
 
@@ -271,8 +271,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    // It would give a name before the person has.
-    if model.leaning.seconds > 0.0 && !model.guess_first {
+    if model.leaning.seconds > 0.0 {
         let text = format!(" {}", model.leaning.line());
         row(&Line::styled(text, theme::CAREFUL), lean, buffer);
     }
@@ -340,14 +339,6 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         );
         row(&more, last, buffer);
     }
-}
-
-/// What is said of a step; nothing that names an effect where the person is to name it.
-fn said(step: &StepView, hides: bool) -> &str {
-    if hides && step.step.names_an_effect() && !step.line.is_empty() {
-        return "hidden until you have named it";
-    }
-    &step.line
 }
 
 /// What a step needs, what it makes possible and which command does the same.
@@ -419,7 +410,7 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         let beside: usize = head.iter().map(Span::width).sum();
         let indent = if is_narrow { INDENT } else { beside };
         let room = width.saturating_sub(indent).max(10);
-        let said = Some(said(step, model.guess_first)).filter(|text| !text.is_empty());
+        let said = Some(&step.line).filter(|text| !text.is_empty());
         let lines = said.map_or_else(Vec::new, |text| wrapped(text, room));
         let mut lines = lines.into_iter();
         if !is_narrow {

@@ -27,7 +27,7 @@ fn a_key_that_does_nothing_says_why() {
 #[test]
 fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
     for key in [Press::Curve, Press::Traces, Press::Worst] {
-        let mut state = State::new(String::new(), false);
+        let mut state = State::new(String::new());
         press(&mut state, key);
         assert_eq!(state.over, Over::Nothing, "{key:?}");
         assert!(
@@ -44,7 +44,7 @@ fn after_a_failure_only_what_there_is_is_offered() {
         hear(&mut state, News::Failed("the run is too short".to_owned()));
         state
     };
-    let mut bare = failed(State::new(String::new(), false));
+    let mut bare = failed(State::new(String::new()));
     let shown = text(&bare, 80, 24);
     assert!(
         !shown.contains("v traces") && !shown.contains("e map"),
@@ -61,7 +61,7 @@ fn after_a_failure_only_what_there_is_is_offered() {
     press(&mut bare, DOWN);
     assert_eq!(told(&bare), "no effect has been judged");
     // The comparison was there before.
-    let shown = text(&failed(begun(false)), 80, 24);
+    let shown = text(&failed(begun()), 80, 24);
     assert!(
         !shown.contains("v traces") && shown.contains("e map"),
         "{shown}"
@@ -73,7 +73,7 @@ fn d_says_whether_it_is_searched_or_what_is_done_instead() {
     let comparing = State::of_a_comparison(String::new(), ErrorOf::Model);
     for (mut state, expected) in [
         (comparing, "at work already: comparing"),
-        (searching(false), "at work already: "),
+        (searching(), "at work already: "),
         (answered(), "what is missing has been searched"),
     ] {
         assert_eq!(press(&mut state, Press::Diagnose), None);

@@ -5,12 +5,13 @@ use serde::{Deserialize, Serialize};
 use super::calibration::{INTERVAL_SIGMAS, ParameterFinding, parameters_of};
 use super::cases::BACKGROUND;
 use super::record::Truth;
+use super::reported::Reported;
 use super::{Case, Group};
 use crate::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use crate::emulator::truth::MotorTruth;
 use crate::plant::{Model, Slot};
 use crate::sample::ParameterEstimate;
-use crate::workflow::reveal::{self, ORDER};
+use crate::workflow::ORDER;
 
 /// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first
 /// order and told apart only by a quick dither, and drag and fan.
@@ -159,7 +160,7 @@ impl<'a> Claims<'a> {
     }
 
     /// Of an answer as JSON has it, whose effects are all that it leaves open; none where its verdict is unknown.
-    pub(super) fn of_answer(answer: &'a reveal::Answer) -> Option<Self> {
+    pub(super) fn of_answer(answer: &'a Reported) -> Option<Self> {
         let effects: Vec<&str> = answer.effects.iter().map(String::as_str).collect();
         let order = |id: &&'a str| Some((*id, answer.value(id, ORDER)?));
         Some(Self {

@@ -15,6 +15,7 @@ mod cases;
 mod judge;
 mod mysteries;
 mod record;
+mod reported;
 #[cfg(test)]
 mod tests;
 

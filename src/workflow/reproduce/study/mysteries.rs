@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::calibration::{ParameterFinding, truths};
 use super::judge::{self, Claims};
+use super::reported::Reported;
 use super::{Group, Outcome};
 use crate::diagnosis::{Diagnosis, Evidence, diagnose};
 use crate::emulator::mystery::{Truth, draw};
@@ -16,7 +17,7 @@ use crate::identification::speed_from_angle;
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::recording::{ColumnMap, open_run};
 use crate::sample::Verdict;
-use crate::workflow::reveal::{Answer as Said, ORDER, reveal};
+use crate::workflow::{ORDER, sizes};
 
 /// One mystery, commissioned.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -45,25 +46,25 @@ impl MysteryAnswer {
     /// Marks what `commission --json` said against what the seed hides.
     pub fn of(seed: u64, commissioned: &Value) -> Self {
         let truth = draw(seed).truth;
-        let Some(said) = Said::from_json(commissioned) else {
+        let Some(said) = Reported::from_json(commissioned) else {
             return Self::failed(seed, "the answer has no verdict".to_owned());
         };
         let outcome = outcome(&truth, &said);
-        let revelation = reveal(truth, Some(said.clone()), None);
-        let sizes = revelation.sizes.iter();
-        let sizes = sizes.filter(|size| !size.effect.is_empty());
+        let named = truth.effects.iter();
+        let named = named.filter(|effect| said.effects.contains(&effect.id));
+        let sizes = sizes(named, |id, key| said.value(id, key));
         let diagnosis = &commissioned["diagnosis"];
         Self {
+            outcome,
+            reason: said.reason(truth.effect()),
             verdict: said.verdict,
             effects: said.effects,
-            outcome,
-            reason: revelation.reason.unwrap_or_default(),
             holdout_before: diagnosis["holdout_before"].as_f64(),
             holdout_after: diagnosis["holdout_after"].as_f64(),
-            size_error_percent: sizes
-                .map(|size| size.error_percent.abs())
+            size_error_percent: (sizes.iter())
+                .filter_map(|size| Some(size.error_percent?.abs()))
                 .max_by(f64::total_cmp),
-            parameters: parameters(&revelation.truth, commissioned),
+            parameters: parameters(&truth, commissioned),
             ..Self::failed(seed, String::new())
         }
     }
@@ -123,7 +124,7 @@ fn hidden(truth: &Truth) -> String {
         .map_or_else(|| NOTHING.to_owned(), |effect| effect.id.clone())
 }
 
-fn outcome(truth: &Truth, said: &Said) -> Outcome {
+fn outcome(truth: &Truth, said: &Reported) -> Outcome {
     let (group, right) = match truth.effect() {
         None => (Group::Null, vec![]),
         Some(own) if own.is_foreign => (Group::Unknown, vec![]),
