@@ -2,15 +2,13 @@
 //!
 //! ```text
 //! text -> head (byte order mark, sep= line, header row) -> Dialect, Wanted columns
-//!      -> Cells of one line -> rules of a row -> Row -> Run
+//!      -> csv::Reader: cells of one line -> rules of a row -> Row -> Run
 //! ```
 //!
-//! The memory does not grow with the file. A quoted cell holds no line break, so that a torn line never swallows others;
-//! so each line can be parted by itself, and one without a quote only has to be searched for its separators: twice as
-//! fast as by a reader that knows quoted line breaks.
+//! The memory does not grow with the file. A quoted cell holds no line break, so that a torn line never swallows others:
+//! the reader takes quotes as they are, and only a line that has some is parted once more.
 
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
-use std::ops::Range;
 
 use super::error::RowProblem;
 use super::{ColumnMap, Factor, RecordingError, Row};
@@ -114,6 +112,8 @@ const QUALITY: &str = "quality";
 const SEPARATORS: [u8; 3] = [b',', b';', b'\t'];
 /// A line that is longer is no row, bytes: the memory stays small whatever a file holds.
 const LONGEST_LINE: u64 = 1 << 20;
+/// Of the reader, bytes.
+const BUFFER: usize = 1 << 16;
 /// Share of the rows of a foreign file that may go back in time; beyond it the column is no time.
 const MOST_BACKWARDS_SHARE: f64 = 0.1;
 
@@ -133,15 +133,38 @@ struct Cell {
 
 /// The lines behind the header, one at a time, each parted into its cells.
 struct Cells<R> {
-    inner: R,
+    reader: csv::Reader<Bounded<R>>,
     separator: u8,
-    /// The line, or what is left of it without its quotes, and where its cells stand in it.
-    text: String,
-    spans: Vec<Range<usize>>,
-    /// Number of the line in the file.
-    line: u64,
-    /// The line does not end with a line feed: the file ends with it.
-    is_open: bool,
+    record: csv::StringRecord,
+    /// Lines up to the header.
+    lines_before: u64,
+}
+
+/// Ends with an error where a file goes on without a line feed.
+struct Bounded<R> {
+    inner: R,
+    /// Bytes since the last line feed.
+    length: u64,
+    is_over: bool,
+}
+
+impl<R: Read> Read for Bounded<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = loop {
+            match self.inner.read(buffer) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                read => break read?,
+            }
+        };
+        let feed = buffer[..count].iter().rposition(|byte| *byte == b'\n');
+        let open = count - feed.map_or(0, |at| at + 1);
+        self.length = open as u64 + if feed.is_some() { 0 } else { self.length };
+        self.is_over = count == 0;
+        if self.length > LONGEST_LINE {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        Ok(count)
+    }
 }
 
 /// Why a line has no cells.
@@ -152,60 +175,74 @@ enum Unparted {
     Quote,
 }
 
+impl From<csv::Error> for Unparted {
+    fn from(error: csv::Error) -> Self {
+        match error.into_kind() {
+            csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => {
+                Self::TooLong
+            }
+            csv::ErrorKind::Io(error) => Self::Io(error),
+            csv::ErrorKind::Utf8 { .. } => Self::NotUtf8,
+            // A reader of rows of any length has no other.
+            _ => Self::Quote,
+        }
+    }
+}
+
 impl<R: BufRead> Cells<R> {
-    /// Goes to the next line; `false` at the end of the file.
+    fn behind_header(inner: R, separator: u8, lines_before: u64) -> Self {
+        let bounded = Bounded {
+            inner,
+            length: 0,
+            is_over: false,
+        };
+        let mut builder = csv::ReaderBuilder::new();
+        builder.has_headers(false).flexible(true).quoting(false);
+        builder.delimiter(separator);
+        builder.terminator(csv::Terminator::Any(b'\n'));
+        builder.buffer_capacity(BUFFER);
+        Self {
+            reader: builder.from_reader(bounded),
+            separator,
+            record: csv::StringRecord::new(),
+            lines_before,
+        }
+    }
+
+    /// Goes to the next line that is not blank; `false` at the end of the file.
     fn next_line(&mut self) -> Result<bool, Unparted> {
-        let mut bytes = std::mem::take(&mut self.text).into_bytes();
-        bytes.clear();
-        self.spans.clear();
-        let count = read_line(&mut self.inner, &mut bytes)?;
-        if count == 0 {
+        if !self.reader.read_record(&mut self.record)? {
             return Ok(false);
         }
-        self.line += 1;
-        self.is_open = bytes.last() != Some(&b'\n');
-        if !self.is_open {
-            bytes.pop();
-        }
-        self.text = String::from_utf8(bytes).map_err(|_| Unparted::NotUtf8)?;
-        if !self.part_plain() {
-            let (cells, is_joined) = quoted_cells(&self.text, self.separator)?;
+        if self.record.as_slice().contains('"') {
+            let separator = char::from(self.separator).to_string();
+            let line = self.record.iter().collect::<Vec<_>>().join(&separator);
+            let (cells, is_joined) = quoted_cells(&line, self.separator)?;
             if is_joined {
                 return Err(Unparted::Quote);
             }
-            self.text.clear();
-            self.spans.clear();
-            for cell in cells {
-                let from = self.text.len();
-                self.text.push_str(&cell);
-                self.spans.push(from..self.text.len());
-            }
+            self.record = cells.into();
         }
         Ok(true)
     }
 
-    /// `false`: there are quotes in it.
-    fn part_plain(&mut self) -> bool {
-        let mut from = 0;
-        for (at, byte) in self.text.bytes().enumerate() {
-            if byte == self.separator {
-                self.spans.push(from..at);
-                from = at + 1;
-            } else if byte == b'"' {
-                return false;
-            }
-        }
-        self.spans.push(from..self.text.len());
-        true
+    /// The line does not end with a line feed: the file ends with it.
+    fn is_open(&self) -> bool {
+        self.reader.get_ref().is_over
+    }
+
+    /// Number of the line in the file; at its end of the one that would follow.
+    fn line(&self) -> u64 {
+        self.lines_before + self.reader.position().line() - u64::from(!self.is_open())
     }
 
     fn len(&self) -> usize {
-        self.spans.len()
+        self.record.len()
     }
 
     /// A cell without the blanks around it.
     fn get(&self, field: usize) -> &str {
-        let cell = &self.text[self.spans[field].clone()];
+        let cell = &self.record[field];
         let bytes = cell.as_bytes();
         match (bytes.first(), bytes.last()) {
             (Some(first), Some(last)) if first.is_ascii_graphic() && last.is_ascii_graphic() => {
@@ -350,14 +387,7 @@ impl<R: BufRead> CsvRows<R> {
         };
         let quality_field = headers.iter().position(|header| header == QUALITY);
         Ok(Self {
-            cells: Cells {
-                inner: reader,
-                separator: dialect.separator,
-                text: String::new(),
-                spans: Vec::new(),
-                line: lines_before,
-                is_open: false,
-            },
+            cells: Cells::behind_header(reader, dialect.separator, lines_before),
             file: file.to_owned(),
             quality_field: quality_field.filter(|_| options.map.is_none()),
             headers,
@@ -396,7 +426,7 @@ impl<R: BufRead> CsvRows<R> {
                     return Ok(row);
                 }
                 Err(error) => {
-                    if !self.cells.is_open {
+                    if !self.cells.is_open() {
                         return Err(error);
                     }
                     self.leave_out_torn(self.line());
@@ -404,7 +434,7 @@ impl<R: BufRead> CsvRows<R> {
             }
         }
         if std::mem::take(&mut self.ends_torn) {
-            self.leave_out_torn(self.line() + 1);
+            self.leave_out_torn(self.line());
         }
         let comments = std::mem::take(&mut self.comments);
         if comments > 0 {
@@ -473,9 +503,9 @@ impl<R: BufRead> CsvRows<R> {
         self.warnings.push(text);
     }
 
-    /// Number of the line that was read last.
+    /// Number of the line that was read last; at the end of the file of the one that would follow.
     fn line(&self) -> usize {
-        usize::try_from(self.cells.line).unwrap_or(usize::MAX)
+        usize::try_from(self.cells.line()).unwrap_or(usize::MAX)
     }
 
     /// The present line as a row; `None` for a blank line, a remark, a row of separators only, as spreadsheets leave them
@@ -483,6 +513,7 @@ impl<R: BufRead> CsvRows<R> {
     fn take(&mut self) -> Result<Option<Row>, RecordingError> {
         let line = self.line();
         let first = self.cells.get(0);
+        // With its carriage return a blank line is one cell.
         if self.cells.len() == 1 && first.is_empty() {
             return Ok(None);
         }

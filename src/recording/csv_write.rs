@@ -1,4 +1,4 @@
-//! Rows as CSV lines, with only the columns that the drive gives.
+//! Rows as CSV lines, with only the columns that the drive gives; numbers as the shortest digits by `ryu`.
 
 use std::fmt::Write as _;
 
@@ -121,8 +121,7 @@ impl Layout {
         self.channels.contains(&channel)
     }
 
-    /// The header row with its line feed.
-    pub fn header(&self) -> String {
+    fn names(&self) -> Vec<&'static str> {
         let mut names = vec!["time_s"];
         if self.host_time {
             names.push("host_time_s");
@@ -134,33 +133,35 @@ impl Layout {
         if self.exchange {
             names.extend(["status", "quality"]);
         }
-        names.join(",") + "\n"
+        names
+    }
+
+    /// The header row with its line feed.
+    pub fn header(&self) -> String {
+        text_of(|writer| writer.write_record(self.names()))
     }
 
     /// Puts the row with its line feed behind what is there.
     pub fn push_line(&self, row: &Row, text: &mut String) {
-        push_number(text, row.time_s);
-        if self.host_time {
-            text.push(',');
-            push_number(text, row.host_time_s.unwrap_or(f64::NAN));
-        }
-        if self.exchange {
-            text.push(',');
-            if let Some(seq) = row.seq {
-                let _ = write!(text, "{seq}");
+        let line = text_of(|writer| {
+            write_number(writer, row.time_s)?;
+            if self.host_time {
+                write_number(writer, row.host_time_s.unwrap_or(f64::NAN))?;
             }
-        }
-        for channel in &self.channels {
-            text.push(',');
-            push_number(text, row.get(*channel).unwrap_or(f64::NAN));
-        }
-        if self.exchange {
-            text.push(',');
-            push_cell(text, &row.status);
-            text.push(',');
-            push_cell(text, &row.quality);
-        }
-        text.push('\n');
+            if self.exchange {
+                let seq = row.seq.map(|seq| seq.to_string());
+                writer.write_field(seq.unwrap_or_default())?;
+            }
+            for channel in &self.channels {
+                write_number(writer, row.get(*channel).unwrap_or(f64::NAN))?;
+            }
+            if self.exchange {
+                writer.write_field(&row.status)?;
+                writer.write_field(&row.quality)?;
+            }
+            writer.write_record(END)
+        });
+        text.push_str(&line);
     }
 
     /// The row with its line feed.
@@ -171,31 +172,38 @@ impl Layout {
     }
 }
 
-/// Words as a cell: quoted where it has to be.
-fn push_cell(text: &mut String, words: &str) {
-    if words.contains([',', '"', '\n', '\r']) {
-        let _ = write!(text, "\"{}\"", words.replace('"', "\"\""));
-    } else {
-        text.push_str(words);
-    }
+/// Ends a record whose cells were written one by one.
+const END: Option<&[u8]> = None;
+/// Of a line, bytes: most of ours are shorter.
+const LINE: usize = 256;
+
+/// The records that are written, as text.
+fn text_of(write: impl FnOnce(&mut csv::Writer<Vec<u8>>) -> csv::Result<()>) -> String {
+    let mut builder = csv::WriterBuilder::new();
+    let mut writer = builder.buffer_capacity(LINE).from_writer(Vec::new());
+    let written = write(&mut writer).map(|()| writer.into_inner());
+    let bytes = written.ok().and_then(Result::ok);
+    let text = bytes.map(String::from_utf8).and_then(Result::ok);
+    text.expect("text is written to memory")
 }
 
 /// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
 pub fn number_text(value: f64) -> String {
-    let mut text = String::new();
-    push_number(&mut text, value);
-    text
+    digits(value, &mut ryu::Buffer::new()).to_owned()
+}
+
+fn write_number(writer: &mut csv::Writer<Vec<u8>>, value: f64) -> csv::Result<()> {
+    writer.write_field(digits(value, &mut ryu::Buffer::new()))
 }
 
 /// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
-fn push_number(text: &mut String, value: f64) {
+fn digits(value: f64, buffer: &mut ryu::Buffer) -> &str {
     if !value.is_finite() {
-        return;
+        return "";
     }
-    let mut buffer = ryu::Buffer::new();
     // + 0.0 turns -0 into 0
     let digits = buffer.format_finite(value + 0.0);
-    text.push_str(digits.strip_suffix(".0").unwrap_or(digits));
+    digits.strip_suffix(".0").unwrap_or(digits)
 }
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
@@ -203,16 +211,17 @@ pub fn write_run(run: &Run) -> String {
     let all = Channel::ALL.into_iter();
     let there = all.filter_map(|channel| Some((channel, run.column(channel)?)));
     let (channels, columns): (Vec<Channel>, Vec<&[f64]>) = there.unzip();
-    let mut text = Layout::plain(&channels).header();
-    for (row, time_s) in run.time_s().iter().enumerate() {
-        push_number(&mut text, *time_s);
-        for column in &columns {
-            text.push(',');
-            push_number(&mut text, column[row]);
+    text_of(|writer| {
+        writer.write_record(Layout::plain(&channels).names())?;
+        for (row, time_s) in run.time_s().iter().enumerate() {
+            write_number(writer, *time_s)?;
+            for column in &columns {
+                write_number(writer, column[row])?;
+            }
+            writer.write_record(END)?;
         }
-        text.push('\n');
-    }
-    text
+        Ok(())
+    })
 }
 
 #[cfg(test)]

@@ -373,7 +373,7 @@ fn at_most(share: Bounded) -> String {
     )
 }
 
-const HOW: &str = "Each seed draws what a software drive hides: one effect of the catalogue with a random size, sometimes nothing, sometimes an effect that no catalogue has. For each seed the program itself is started: `drivebench commission --headless --port sim: --mystery SEED --json` (checks, four runs at 100 Hz in virtual time, identification, diagnosis), and its answer is marked as `drivebench reveal` does.";
+const HOW: &str = "Each seed draws what a software drive hides: one effect of the catalogue with a random size, sometimes nothing, sometimes an effect that no catalogue has. For each seed the program itself is started: `drivebench commission --headless --port sim: --mystery SEED --json` (checks, four runs at 100 Hz in virtual time, identification, diagnosis), and its answer is compared with the truth.";
 
 impl Outcome {
     const fn word(self) -> &'static str {
