@@ -80,7 +80,7 @@ fn probe(
     };
     let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
     for asked in 0..PROBES {
-        if asked >= SILENT_PROBES && !client.is_heard() {
+        if asked >= SILENT_PROBES && !client.has_answered() {
             break;
         }
         let reply = client.read(request);

@@ -376,7 +376,7 @@ fn try_line(
             Some(Ok(report)) => fit(&report),
             Some(Err(error @ LinkError::Gone { .. })) => return Err(error.into()),
             silent => {
-                is_dead |= silent.is_some() && !client.is_heard();
+                is_dead |= silent.is_some() && !client.has_answered();
                 (Fit::NoAnswer, format!("at {line}"))
             }
         };

@@ -169,7 +169,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
     let mut runner = Runner {
         publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
         session: session
-            .telling_stop(bench.link.confirms_stop())
+            .reporting_stop(bench.link.confirms_stop())
             .with_command_times(times.asked_every(1.0 / options.rate_hz)),
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
@@ -276,7 +276,7 @@ impl Runner<'_> {
         let told_s = clock.now_s();
         let stopped = self.link.0.stop();
         self.note_last_stop(told_s, clock.now_s(), &stopped);
-        if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
+        if let Some(notice) = self.session.stop_notice(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());

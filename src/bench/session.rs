@@ -10,11 +10,11 @@
 //! and no set-point survives a reconnect. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
-mod word;
+mod state;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
-use self::word::{DriveWord, StopRequest};
+use self::state::{BrakeMotion, BrakeOrder, Drive, Shaping, State, Watchdog};
 use serde_json::{Value, json};
 
 use super::check::WATCHDOG;
@@ -28,70 +28,39 @@ use crate::drive::{CommandTimes, LinkError};
 use crate::recording::Event;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// A drive that is to stop and says nothing at all is given up after this, s.
+/// A drive that is to stop and gives no reply at all is given up after this, s.
 const STOP_SILENCE_S: f64 = 1.0;
 /// After the output has reached zero the shaft is given this long to come to rest under braking, s.
 const COME_TO_REST_S: f64 = 2.0;
 /// Longest wait for the first valid reply, s.
 const FIRST_REPLY_S: f64 = 3.0;
 
-const TOLD_NOTHING: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
-
-/// The order of a brake that holds a load: torque, then release; rest, then the brake, then the output off.
-///
-/// The drive works the brake (or a relay on its "running" output): no register of ours does. What the session can keep is
-/// the order and the times: it holds the load by torque while the brake opens, and again until it has closed. After a trip
-/// the drive's own stop acts, and with it its brake.
-#[derive(Clone, Copy, Debug)]
-struct BrakeOrder {
-    brake: Brake,
-    /// Since when the drive runs with the holding torque, s.
-    held_since_s: Option<f64>,
-    /// Since when the shaft rests under it at the end, s.
-    resting_since_s: Option<f64>,
-}
-
-impl BrakeOrder {
-    const fn new(brake: Brake) -> Self {
-        Self {
-            brake,
-            held_since_s: None,
-            resting_since_s: None,
-        }
-    }
-}
+const UNREPORTED: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
 
 /// One bench session over one program, or one closed loop.
 pub struct Session {
     pilot: Box<dyn Pilot>,
     guard: Guard,
-    phase: Phase,
-    seq: u64,
-    inputs: u64,
-    begun_s: Option<f64>,
-    reset_wanted: bool,
-    /// Host time at which the program began.
-    started_s: Option<f64>,
-    ramp_since_s: f64,
-    stopping_since_s: f64,
-    /// What the session will end with, once it has stopped.
-    ending: Option<Outcome>,
-    word: DriveWord,
-    drive: Option<Sample>,
+    state: State,
+    drive: Drive,
+    /// For how long the program ran, once it is over, s.
+    ran_s: f64,
     segment: Option<usize>,
-    shaping: Causes,
-    shaped_cycles: u64,
+    shaping: Shaping,
     /// Magnitudes at which the program has reached what it was for.
     goals: Vec<(Channel, f64)>,
     /// Segment with whose first command a burst capture is to start, once.
     burst_at: Option<usize>,
     /// Order and times of a load's brake, where there is one.
     brake: Option<BrakeOrder>,
-    /// What the user waived, to be said once.
+    reset_wanted: bool,
+    /// Checks that the user waived and that no notice names yet.
     waived: Vec<String>,
-    /// It has been said what is not watched.
-    told_unwatched: bool,
-    /// Of the step that is taken, and what it has come to so far.
+    /// What is not watched has been reported.
+    unwatched_reported: bool,
+    seq: u64,
+    inputs: u64,
+    /// Time of the step that is taken, s, and its actions so far.
     now_s: f64,
     actions: Vec<Action>,
 }
@@ -111,25 +80,19 @@ impl Session {
         Self {
             pilot,
             guard,
-            phase: Phase::Connecting,
-            seq: 0,
-            inputs: 0,
-            begun_s: None,
-            reset_wanted: false,
-            started_s: None,
-            ramp_since_s: 0.0,
-            stopping_since_s: 0.0,
-            ending: None,
-            word: DriveWord::default(),
-            drive: None,
+            state: State::Connecting(None),
+            drive: Drive::default(),
+            ran_s: 0.0,
             segment: None,
-            shaping: Causes::default(),
-            shaped_cycles: 0,
+            shaping: None,
             goals: Vec::new(),
             burst_at: None,
             brake: None,
+            reset_wanted: false,
             waived: Vec::new(),
-            told_unwatched: false,
+            unwatched_reported: false,
+            seq: 0,
+            inputs: 0,
             now_s: 0.0,
             actions: Vec::new(),
         }
@@ -138,17 +101,22 @@ impl Session {
     /// Keeps the order of a load's brake: torque, then release; rest, then the brake, then the output off.
     #[must_use]
     pub fn with_brake(mut self, brake: Option<Brake>) -> Self {
-        self.brake = brake.map(BrakeOrder::new);
+        self.brake = brake.map(|brake| BrakeOrder {
+            brake,
+            motion: None,
+        });
         self
     }
 
-    /// Says in log and notices which checks the user waived, and goes on without them.
+    /// Names in log and notices the checks that the user waived, and goes on without them.
     #[must_use]
     pub fn with_waivers(mut self, waived: Vec<String>) -> Self {
         if waived.iter().any(|check| check == PLAUSIBILITY) {
             self.guard.waive_plausibility();
         }
-        self.word.is_unwatched = waived.iter().any(|check| check == WATCHDOG);
+        if waived.iter().any(|check| check == WATCHDOG) {
+            self.drive.watchdog = Watchdog::Waived;
+        }
         self.waived = waived;
         self
     }
@@ -160,41 +128,49 @@ impl Session {
         self
     }
 
-    /// For a drive that does not tell whether its output is off: a stop that it took is not said to be confirmed.
+    /// Whether the drive reports that its output is off: else a stop that it took does not count as confirmed.
     #[must_use]
-    pub const fn telling_stop(mut self, tells: bool) -> Self {
-        self.word.tells_stop = tells;
+    pub const fn reporting_stop(mut self, reports: bool) -> Self {
+        self.drive.reports_stop = reports;
         self
     }
 
     /// For a drive that stops by itself after so long without a command, s.
     #[must_use]
-    pub const fn with_watchdog(mut self, watchdog_s: Option<f64>) -> Self {
-        self.word.watchdog_s = watchdog_s;
+    pub fn with_watchdog(mut self, watchdog_s: Option<f64>) -> Self {
+        if self.drive.watchdog != Watchdog::Waived {
+            self.drive.watchdog = watchdog_s.map_or(Watchdog::Unknown, Watchdog::After);
+        }
         self
     }
 
-    /// `None` where nothing is known of a watchdog, or the user waived it.
+    /// `None` where no watchdog is known, or the user waived it.
     pub fn watchdog_s(&self) -> Option<f64> {
-        let is_on = |time_s: &f64| *time_s > 0.0 && !self.word.is_unwatched;
-        self.word.watchdog_s.filter(is_on)
+        self.drive.watchdog_s()
     }
 
     /// What it ends with, or has ended with: of a stop that the drive did not confirm, what it was stopped for.
     pub const fn ending(&self) -> Option<&Outcome> {
-        self.ending.as_ref()
+        self.state.ending()
     }
 
-    /// Whether it is over, by the drive's own word.
-    pub fn has_stopped(&self) -> bool {
-        self.phase.is_final() && self.word.tells_stop && self.word.stop == StopRequest::Sent
+    /// Whether it is over and the drive reported that its output is off.
+    pub const fn has_stopped(&self) -> bool {
+        let is_confirmed = matches!(
+            self.state,
+            State::Over {
+                is_confirmed: true,
+                ..
+            }
+        );
+        is_confirmed && self.drive.reports_stop
     }
 
     /// For a drive that may take so long to run and to stop.
     #[must_use]
     pub fn with_command_times(mut self, times: CommandTimes) -> Self {
         self.guard = self.guard.with_enable_time(times.enable_s);
-        self.word.stop_time_s = times.stop_s;
+        self.drive.stop_time_s = times.stop_s;
         self
     }
 
@@ -221,7 +197,7 @@ impl Session {
     }
 
     pub const fn phase(&self) -> Phase {
-        self.phase
+        self.state.phase()
     }
 
     pub const fn guard(&self) -> &Guard {
@@ -234,17 +210,13 @@ impl Session {
     }
 
     pub const fn last_sample(&self) -> Option<&Sample> {
-        self.drive.as_ref()
+        self.drive.sample.as_ref()
     }
 
     /// Time within the program and its whole length, s.
     pub fn progress_s(&self, now_s: f64) -> (f64, f64) {
         let total_s = self.pilot.duration_s();
-        let elapsed_s = match (self.phase, self.started_s) {
-            (_, None) => 0.0,
-            (Phase::Running, Some(start_s)) => now_s - start_s,
-            (_, Some(start_s)) => self.ramp_since_s.max(start_s) - start_s,
-        };
+        let elapsed_s = self.elapsed_s(now_s);
         (elapsed_s.clamp(0.0, total_s), total_s)
     }
 
@@ -255,9 +227,9 @@ impl Session {
     /// The speed reference that holds now, rad/s: none without a loop, zero once the loop is open.
     pub fn reference_rad_s(&self) -> Option<f64> {
         let reference = self.pilot.reference_rad_s();
-        match self.phase {
-            Phase::Running => reference,
-            Phase::RampDown => reference.map(|_| 0.0),
+        match self.state {
+            State::Running(_) => reference,
+            State::RampDown { .. } => reference.map(|_| 0.0),
             _ => None,
         }
     }
@@ -268,7 +240,7 @@ impl Session {
     }
 
     /// Takes one input and appends what is to be done. Each `Cycle` sends one command, unless it only waits for a drive that
-    /// was told to stop and gives no sample.
+    /// has to stop and gives no sample.
     pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
         self.now_s = now_s;
         self.inputs += 1;
@@ -276,11 +248,11 @@ impl Session {
             self.event("waived", json!({ "check": check }));
             self.notice(Level::Warning, format!("waived: {check}"));
         }
-        let was = self.phase;
-        if let Input::Lost(Lost::Busy(said)) = &input {
-            self.guard.refused(said);
+        let was = self.phase();
+        if let Input::Lost(Lost::Busy(message)) = &input {
+            self.guard.refused(message);
         }
-        // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
+        // Before the guard's clock goes on: the time of a sleep is no silence of link or program.
         let trip = match input {
             Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
             Input::OtherMaster(frames) => self.guard.other_master(now_s, frames),
@@ -303,7 +275,7 @@ impl Session {
             }
             Input::Intent(intent) => self.intent(&intent),
             // At once, and nothing else before it.
-            Input::Suspended(_) if !self.phase.is_final() => {
+            Input::Suspended(_) if !self.phase().is_final() => {
                 self.send(Demand::Stop);
             }
             Input::Suspended(_) | Input::OtherMaster(_) => {}
@@ -313,34 +285,43 @@ impl Session {
 
     /// Where the output was on until now: a stop goes out with what has brought it about, not in the next cycle.
     fn stop_at_once(&mut self, was: Phase) {
-        if was.is_energised() && self.phase == Phase::Stopping {
+        if was.is_energised() && self.phase() == Phase::Stopping {
             self.send(Demand::Stop);
         }
     }
 
     fn cycle(&mut self) {
-        if self.phase == Phase::Armed && self.may_run() && self.is_brake_open() {
-            self.started_s = Some(self.now_s);
-            self.pilot.begin(self.now_s, self.drive.as_ref());
+        if self.phase() == Phase::Armed && self.may_run() && self.is_brake_open() {
+            self.pilot.begin(self.now_s, self.drive.sample.as_ref());
             self.guard.set_slew(self.pilot.slew_v_per_s());
-            self.enter(Phase::Running);
+            self.enter(State::Running(self.now_s));
         }
-        if self.phase == Phase::Running && self.elapsed_s() >= self.pilot.duration_s() {
-            self.end(Outcome::Done);
+        match &mut self.state {
+            State::Running(since_s) if self.now_s - *since_s >= self.pilot.duration_s() => {
+                self.end(Outcome::Done);
+            }
+            State::Connecting(since_s) => {
+                let waited_s = self.now_s - *since_s.get_or_insert(self.now_s);
+                if self.drive.sample.is_none() && waited_s > FIRST_REPLY_S {
+                    self.lose(&format!("no valid reply within {FIRST_REPLY_S} s"));
+                }
+            }
+            State::Stopping { since_s, .. } => {
+                let waited_s = self.now_s - *since_s;
+                let silent_s = waited_s.min(self.now_s - self.drive.replied_s);
+                if waited_s > self.drive.stop_time_s || silent_s > STOP_SILENCE_S {
+                    self.finish(false);
+                }
+            }
+            _ => {}
         }
-        let waited_s = self.now_s - *self.begun_s.get_or_insert(self.now_s);
-        if self.phase == Phase::Connecting && self.drive.is_none() && waited_s > FIRST_REPLY_S {
-            self.lose(&format!("no valid reply within {FIRST_REPLY_S} s"));
-            self.finish(false);
-        }
-        if self.phase == Phase::Stopping {
-            self.finish_if_late();
-        }
-        let asks = || {
-            let (watchdog_s, since_s) = (self.watchdog_s(), self.stopping_since_s);
-            self.word.asks_to_stop(self.now_s, since_s, watchdog_s)
-        };
-        if self.phase == Phase::Stopping && !asks() {
+        if let State::Stopping {
+            since_s,
+            requested_s,
+            ..
+        } = self.state
+            && !self.drive.repeats_stop(self.now_s, since_s, requested_s)
+        {
             return;
         }
         let wanted = self.wanted().unwrap_or_else(|trip| {
@@ -351,7 +332,7 @@ impl Session {
         });
         self.note_segment();
         let command = self.send(wanted);
-        if self.phase == Phase::Running {
+        if self.phase() == Phase::Running {
             self.pilot.sent(&command);
             while let Some(news) = self.pilot.news() {
                 let (name, level, reason) = match news {
@@ -362,18 +343,17 @@ impl Session {
                 self.event(name, json!({ "reason": reason }));
             }
         }
-        if self.phase != Phase::RampDown {
+        let State::RampDown { since_s, .. } = self.state else {
             return;
-        }
-        if !self.is_ramped_down() {
-            // What rested and moves again has to rest anew before its brake counts as shut.
+        };
+        if !self.is_ramped_down(since_s) {
+            // A shaft that rested and moves again has to rest anew before its brake counts as shut.
             if let Some(order) = self.brake.as_mut() {
-                order.resting_since_s = None;
+                order.motion = None;
             }
-        } else if self.is_brake_shut() {
+        } else if self.brake_has_moved(BrakeMotion::Apply) {
             if !self.is_at_rest() {
-                let speed = self.drive.as_ref().and_then(|s| s.get(Channel::Speed));
-                let shaft = speed.map_or_else(
+                let shaft = self.speed_rad_s().map_or_else(
                     || "is not known to stand still".to_owned(),
                     |speed| format!("still turns at {speed:.1} rad/s"),
                 );
@@ -382,21 +362,16 @@ impl Session {
                 );
                 self.notice(Level::Warning, text);
             }
-            self.stop_now();
+            self.stop_now(None);
         }
     }
 
-    /// What the drive should do now, before the guard has had its say.
+    /// What the drive should do now, before the guard shapes it.
     fn wanted(&mut self) -> Result<Demand, Trip> {
-        Ok(match self.phase {
-            Phase::Connecting
-            | Phase::Safe
-            | Phase::Done
-            | Phase::Stopped
-            | Phase::Tripped
-            | Phase::LinkLost => {
-                let found_running = self.phase == Phase::Connecting
-                    && self.drive_state() == Some(DriveState::Running);
+        Ok(match self.state {
+            State::Connecting(_) | State::Safe | State::Over { .. } => {
+                let found_running = matches!(self.state, State::Connecting(_))
+                    && self.drive.state() == Some(DriveState::Running);
                 if std::mem::take(&mut self.reset_wanted) {
                     Demand::ResetFault
                 } else if found_running {
@@ -405,16 +380,18 @@ impl Session {
                     Demand::Disable
                 }
             }
-            Phase::Armed | Phase::RampDown => self.pilot.zero(),
-            Phase::Running => return self.pilot.demand(self.now_s, self.elapsed_s()),
-            Phase::Stopping => Demand::Stop,
+            State::Armed | State::RampDown { .. } => self.pilot.zero(),
+            State::Running(since_s) => {
+                return self.pilot.demand(self.now_s, self.now_s - since_s);
+            }
+            State::Stopping { .. } => Demand::Stop,
         })
     }
 
     fn send(&mut self, wanted: Demand) -> Command {
         let shaped = self.guard.shape(self.now_s, wanted);
         // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
-        let demand = if self.phase.is_final() && !wanted.energises() {
+        let demand = if self.phase().is_final() && !wanted.energises() {
             wanted
         } else {
             shaped.demand
@@ -425,11 +402,8 @@ impl Session {
             seq: self.seq,
             demand,
         };
-        if demand == Demand::Stop {
-            self.word.told_s = self.now_s;
-        }
-        if demand == Demand::Stop && self.word.stop == StopRequest::NotSent {
-            self.word.stop = StopRequest::Sent;
+        if let (State::Stopping { requested_s, .. }, Demand::Stop) = (&mut self.state, demand) {
+            *requested_s = Some(self.now_s);
         }
         self.guard.sent(&command);
         self.actions.push(Action::Send(command));
@@ -437,27 +411,27 @@ impl Session {
     }
 
     fn sample(&mut self, sample: Sample) {
-        let armed = self.phase.is_energised();
+        let armed = self.phase().is_energised();
         self.guard.follow(self.reference_rad_s());
         let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
-        if trip.is_none() && self.phase == Phase::Running {
+        if let (None, State::Running(since_s)) = (&trip, &self.state) {
             let proven = self.guard.plausibility().has_seen_direction();
-            let elapsed_s = self.elapsed_s();
+            let elapsed_s = self.now_s - since_s;
             self.pilot.sample(self.now_s, elapsed_s, &sample, proven);
-            self.tell_unwatched();
+            self.report_unwatched();
         }
-        if self.phase.is_recorded() {
+        if self.phase().is_recorded() {
             self.actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
-        self.word.heard_s = self.now_s;
-        self.word.sampled_s = self.now_s;
-        self.word.has_run |= state.map_or(armed, |state| state == DriveState::Running);
+        self.drive.replied_s = self.now_s;
+        self.drive.sampled_s = self.now_s;
+        self.drive.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
             let value = sample.get(channel)?;
             (value.abs() >= level).then_some((channel, value, level))
         });
-        self.drive = Some(sample);
+        self.drive.sample = Some(sample);
         if let Some(trip) = trip {
             self.trip(&trip);
             // At once, not in the next cycle.
@@ -465,31 +439,30 @@ impl Session {
             return;
         }
         if let Some((channel, value, level)) = reached
-            && self.phase == Phase::Running
+            && self.phase() == Phase::Running
         {
             let detail = json!({ "channel": channel.name(), "value": value, "level": level });
             self.event("reached", detail);
             self.end(Outcome::Done);
         }
-        match (self.phase, state) {
-            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault))
-            | (Phase::Stopping, Some(DriveState::Running)) => {}
-            (Phase::Connecting, _) => self.enter(Phase::Safe),
-            (Phase::Safe, Some(DriveState::Fault)) => {
+        match (&self.state, state) {
+            (State::Connecting(_), Some(DriveState::Running | DriveState::Fault))
+            | (State::Stopping { .. }, Some(DriveState::Running)) => {}
+            (State::Connecting(_), _) => self.enter(State::Safe),
+            (State::Safe, Some(DriveState::Fault)) => {
                 self.notice(Level::Warning, "the drive is in fault");
-                self.enter(Phase::Connecting);
+                self.enter(State::Connecting(None));
             }
-            (Phase::Stopping, _) if self.word.stop == StopRequest::Sent => self.finish(true),
+            (State::Stopping { requested_s, .. }, _) if requested_s.is_some() => self.finish(true),
             _ => {}
         }
     }
 
-    /// Says once what the drive does not give enough of to be watched.
-    fn tell_unwatched(&mut self) {
-        if self.told_unwatched {
+    /// Reports once which signals are not watched on this drive.
+    fn report_unwatched(&mut self) {
+        if std::mem::replace(&mut self.unwatched_reported, true) {
             return;
         }
-        self.told_unwatched = true;
         if let Some(text) = self.guard.plausibility().unwatched() {
             self.notice(Level::Info, format!("not watched: {text}"));
         }
@@ -503,42 +476,45 @@ impl Session {
             Lost::Gone(message) => ("link_gone", message),
         };
         if matches!(lost, Lost::Busy(_) | Lost::Refused(_)) {
-            self.word.heard_s = self.now_s;
+            self.drive.replied_s = self.now_s;
         }
         self.event(kind, json!({ "message": message }));
-        if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
-            self.notice(Level::Error, message.clone());
-            self.lose(message);
-            self.stop_now();
-        }
-        if matches!(lost, Lost::Gone(_)) && !self.phase.is_final() {
-            self.lose(message);
-            self.finish(false);
+        match lost {
+            Lost::Refused(_) if self.phase().is_energised() => {
+                self.notice(Level::Error, message.clone());
+                self.stop_now(Some(self.ending_by_loss(message)));
+            }
+            Lost::Gone(_) if !self.phase().is_final() => self.lose(message),
+            _ => {}
         }
     }
 
     fn may_run(&self) -> bool {
-        let runs = matches!(self.drive_state(), None | Some(DriveState::Running));
+        let runs = matches!(self.drive.state(), None | Some(DriveState::Running));
         runs && self.is_at_rest()
     }
 
+    fn speed_rad_s(&self) -> Option<f64> {
+        self.drive.sample.as_ref()?.get(Channel::Speed)
+    }
+
     fn is_at_rest(&self) -> bool {
-        let speed = self.drive.as_ref().and_then(|s| s.get(Channel::Speed));
-        speed.is_some_and(|speed| speed.abs() <= self.guard.rest_rad_s())
+        let rest_rad_s = self.guard.rest_rad_s();
+        self.speed_rad_s()
+            .is_some_and(|speed| speed.abs() <= rest_rad_s)
     }
 
-    fn is_ramped_down(&self) -> bool {
-        let waited_s = self.now_s - self.ramp_since_s;
+    fn is_ramped_down(&self, since_s: f64) -> bool {
         let longest_s = self.guard.ramp_down_s() + COME_TO_REST_S;
-        waited_s > longest_s || (self.shaping == Causes::default() && self.is_at_rest())
+        self.now_s - since_s > longest_s || (self.shaping.is_none() && self.is_at_rest())
     }
 
-    fn drive_state(&self) -> Option<DriveState> {
-        self.drive.as_ref().and_then(|sample| sample.state)
-    }
-
-    fn elapsed_s(&self) -> f64 {
-        self.started_s.map_or(0.0, |start_s| self.now_s - start_s)
+    /// Time within the program, s.
+    fn elapsed_s(&self, now_s: f64) -> f64 {
+        match self.state {
+            State::Running(since_s) => now_s - since_s,
+            _ => self.ran_s,
+        }
     }
 
     fn intent(&mut self, intent: &Intent) {
@@ -557,7 +533,7 @@ impl Session {
                 self.stop(Outcome::Interrupted);
                 Ok(())
             }
-            Intent::ResetFault if self.phase.is_energised() => {
+            Intent::ResetFault if self.phase().is_energised() => {
                 Err("a fault is reset only with the output off".to_owned())
             }
             Intent::ResetFault => {
@@ -575,13 +551,11 @@ impl Session {
 
     /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
     fn arm(&mut self) -> Result<(), String> {
-        if self.phase != Phase::Safe {
-            return Err(format!(
-                "cannot start: the session is {}",
-                self.phase.name()
-            ));
+        let phase = self.phase();
+        if phase != Phase::Safe {
+            return Err(format!("cannot start: the session is {}", phase.name()));
         }
-        let sample = self.drive.as_ref();
+        let sample = self.drive.sample.as_ref();
         let sample = sample.ok_or("cannot start: no valid sample yet")?;
         if let Some(hindrance) = sample.hindrance {
             return Err(format!("cannot start: {}", hindrance.sentence()));
@@ -602,210 +576,210 @@ impl Session {
             }
         }
         self.guard.begin(self.now_s, sample);
-        self.enter(Phase::Armed);
+        self.enter(State::Armed);
         Ok(())
     }
 
     /// First request: ramp down. Second request: zero output at once.
     fn stop(&mut self, outcome: Outcome) {
-        match self.phase {
-            Phase::Connecting | Phase::Safe | Phase::RampDown => {
-                self.ending = Some(outcome);
-                self.stop_now();
+        match &mut self.state {
+            State::Connecting(_) | State::Safe | State::RampDown { .. } => {
+                self.stop_now(Some(outcome));
             }
-            Phase::Armed | Phase::Running => self.end(outcome),
-            // The program is over and the output going to zero: whoever asks to stop now must not see a next run begin.
-            Phase::Stopping if matches!(self.ending, Some(Outcome::Done)) => {
-                self.ending = Some(outcome);
-            }
-            _ => {}
+            State::Armed | State::Running(_) => self.end(outcome),
+            // The program is over and the output going to zero: this request must keep a next run from its begin.
+            State::Stopping { ending, .. } if *ending == Outcome::Done => *ending = outcome,
+            State::Stopping { .. } | State::Over { .. } => {}
         }
     }
 
     /// Whether the load may move: the drive has held it for as long as the brake takes to open.
     fn is_brake_open(&mut self) -> bool {
-        let runs = self.drive_state() != Some(DriveState::Disabled) && !self.shaping.any();
+        if self.drive.state() == Some(DriveState::Disabled) || self.shaping.is_some() {
+            // It opens anew once the drive holds the load.
+            if let Some(order) = self.brake.as_mut() {
+                order.motion = None;
+            }
+            return self.brake.is_none();
+        }
+        self.brake_has_moved(BrakeMotion::Release)
+    }
+
+    /// Whether the brake has had its time for this motion, which begins with the first call.
+    fn brake_has_moved(&mut self, motion: BrakeMotion) -> bool {
         let Some(order) = self.brake.as_mut() else {
             return true;
         };
-        order.resting_since_s = None;
-        if !runs {
-            order.held_since_s = None;
-            return false;
-        }
-        let begins = order.held_since_s.is_none();
-        let since_s = *order.held_since_s.get_or_insert(self.now_s);
-        let release_s = order.brake.release_s;
-        if begins {
-            let detail = json!({ "brake": "releases", "seconds": release_s });
-            self.event("brake", detail);
-        }
-        self.now_s - since_s >= release_s
-    }
-
-    /// Whether the output may go off: the shaft has rested for as long as the brake takes to close.
-    fn is_brake_shut(&mut self) -> bool {
-        let Some(order) = self.brake.as_mut() else {
-            return true;
+        let (name, seconds) = match motion {
+            BrakeMotion::Release => ("releases", order.brake.release_s),
+            BrakeMotion::Apply => ("applies", order.brake.apply_s),
         };
-        order.held_since_s = None;
-        let begins = order.resting_since_s.is_none();
-        let since_s = *order.resting_since_s.get_or_insert(self.now_s);
-        let apply_s = order.brake.apply_s;
-        if begins {
-            let detail = json!({ "brake": "applies", "seconds": apply_s });
-            self.event("brake", detail);
+        let begun = order.motion.filter(|(begun, _)| *begun == motion);
+        let (_, since_s) = *order.motion.insert(begun.unwrap_or((motion, self.now_s)));
+        if begun.is_none() {
+            self.event("brake", json!({ "brake": name, "seconds": seconds }));
         }
-        self.now_s - since_s >= apply_s
+        self.now_s - since_s >= seconds
     }
 
-    fn end(&mut self, outcome: Outcome) {
-        self.ending = Some(outcome);
+    fn end(&mut self, ending: Outcome) {
         // A motor that coasts has no output to ramp down: zero volts switched on would short its winding at full back-EMF.
         if self.guard.is_output_off() && !self.is_at_rest() {
-            self.stop_now();
+            self.stop_now(Some(ending));
             return;
         }
-        self.ramp_since_s = self.now_s;
         self.guard.begin_stop(self.now_s);
-        self.enter(Phase::RampDown);
+        self.enter(State::RampDown {
+            since_s: self.now_s,
+            ending,
+        });
     }
 
     fn trip(&mut self, trip: &Trip) {
         let detail = json!({ "trip": trip });
         self.event("trip", detail);
-        if self.phase.is_final() {
+        if self.phase().is_final() {
             return;
         }
         self.notice(Level::Error, trip.reason.clone());
-        // What made it stop is the reason, not what else is found while it stops.
-        let has_reason = matches!(self.ending, Some(Outcome::LinkLost { .. }));
-        if trip.kind.is_link() {
-            self.lose(&trip.reason);
-        } else if self.phase != Phase::Stopping || !has_reason {
-            self.ending = Some(Outcome::Tripped(trip.clone()));
-        }
-        // A drive that gives no sample while it is told to stop is given no more time for it.
-        let is_unheard = matches!(trip.kind, TripKind::LinkSilence | TripKind::Refused);
-        if !(is_unheard && self.phase == Phase::Stopping) {
-            self.stop_now();
+        let new = match &self.state {
+            _ if trip.kind.is_link() => self.ending_by_loss(&trip.reason),
+            // The first cause of the stop stays its reason, whatever is found while it stops.
+            State::Stopping {
+                ending: ending @ Outcome::LinkLost { .. },
+                ..
+            } => ending.clone(),
+            _ => Outcome::Tripped(trip.clone()),
+        };
+        // A drive that gives no sample while it has to stop gets no more time for it.
+        let is_silent = matches!(trip.kind, TripKind::LinkSilence | TripKind::Refused);
+        match &mut self.state {
+            State::Stopping { ending, .. } if is_silent => *ending = new,
+            _ => self.stop_now(Some(new)),
         }
     }
 
     /// A lost link is how the session ends, unless a trip or a person had ended it before.
-    fn lose(&mut self, reason: &str) {
-        if matches!(self.ending, None | Some(Outcome::Done)) {
-            self.ending = Some(Outcome::LinkLost {
+    fn ending_by_loss(&self, reason: &str) -> Outcome {
+        match self.ending() {
+            None | Some(Outcome::Done) => Outcome::LinkLost {
                 reason: reason.to_owned(),
-            });
+            },
+            Some(ending) => ending.clone(),
         }
     }
 
-    fn stop_now(&mut self) {
-        self.stopping_since_s = self.now_s;
-        self.word.stop = StopRequest::NotSent;
-        if self.ramp_since_s <= self.started_s.unwrap_or(self.now_s) {
-            self.ramp_since_s = self.now_s;
-        }
-        self.enter(Phase::Stopping);
+    /// The link does not come back: over at once, without the drive's report.
+    fn lose(&mut self, reason: &str) {
+        let ending = self.ending_by_loss(reason);
+        self.finish_with(ending, false);
     }
 
-    fn finish_if_late(&mut self) {
-        let waited_s = self.now_s - self.stopping_since_s;
-        let unheard_s = waited_s.min(self.now_s - self.word.heard_s);
-        if waited_s > self.word.stop_time_s || unheard_s > STOP_SILENCE_S {
-            self.finish(false);
-        }
+    /// Output off. `None`: for the reason of the ramp down.
+    fn stop_now(&mut self, ending: Option<Outcome>) {
+        let ending = ending.or_else(|| self.ending().cloned());
+        self.enter(State::Stopping {
+            since_s: self.now_s,
+            requested_s: None,
+            ending: ending.unwrap_or(Outcome::Stopped),
+        });
     }
 
-    fn finish(&mut self, confirmed: bool) {
-        let mut outcome = self.ending.clone().unwrap_or(Outcome::Stopped);
-        if !confirmed && outcome == Outcome::Done {
-            outcome = Outcome::LinkLost {
+    fn finish(&mut self, is_confirmed: bool) {
+        let ending = self.ending().cloned().unwrap_or(Outcome::Stopped);
+        self.finish_with(ending, is_confirmed);
+    }
+
+    fn finish_with(&mut self, ending: Outcome, is_confirmed: bool) {
+        let outcome = if ending == Outcome::Done && !is_confirmed {
+            Outcome::LinkLost {
                 reason: "the drive did not confirm that its output is off".to_owned(),
-            };
-        }
-        let phase = match &outcome {
-            Outcome::Done => Phase::Done,
-            Outcome::Stopped | Outcome::Interrupted | Outcome::NotStarted { .. } => Phase::Stopped,
-            Outcome::Tripped(_) => Phase::Tripped,
-            Outcome::LinkLost { .. } => Phase::LinkLost,
+            }
+        } else {
+            ending.clone()
         };
-        if !confirmed {
-            self.word.stop = StopRequest::Unconfirmed;
+        let reports_stop = self.drive.reports_stop;
+        if is_confirmed && !reports_stop {
+            self.notice(Level::Warning, UNREPORTED);
         }
-        if confirmed && !self.word.tells_stop {
-            self.notice(Level::Warning, TOLD_NOTHING);
-        }
-        self.enter(phase);
-        self.event("finished",
-            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed && self.word.tells_stop }));
+        self.enter(State::Over {
+            phase: outcome.phase(),
+            is_confirmed,
+            ending,
+        });
+        self.event(
+            "finished",
+            json!({ "outcome": outcome.name(), "stop_confirmed": is_confirmed && reports_stop }),
+        );
         self.actions.push(Action::Finished(outcome));
     }
 
-    /// What is to be said after the link's own last stop, where that failed or the session ended without the drive's word.
-    pub fn last_word(&self, failed: Option<&LinkError>) -> Option<Notice> {
-        // A drive that had stopped by its own word may have been switched on by what was under way.
-        if self.word.stop != StopRequest::Unconfirmed && failed.is_none() {
-            return None;
-        }
-        let answers = match failed {
-            Some(error @ LinkError::Exception { .. }) => format!(" (it answers: {error})"),
+    /// The notice after the link's own last stop, where that failed or the session ended without the drive's report.
+    pub fn stop_notice(&self, failed: Option<&LinkError>) -> Option<Notice> {
+        const REST: &str = "see that the shaft stands still";
+        let Some(error) = failed else {
+            let is_unconfirmed = matches!(
+                self.state,
+                State::Over {
+                    is_confirmed: false,
+                    ..
+                }
+            );
+            let text = if self.drive.reports_stop {
+                "the drive confirmed its stop only when it was told once more, after the run"
+            } else {
+                UNREPORTED
+            };
+            return is_unconfirmed.then(|| Notice {
+                level: Level::Warning,
+                text: text.to_owned(),
+            });
+        };
+        // A drive that had reported its stop may have been switched on by what was under way.
+        let answer = match error {
+            LinkError::Exception { .. } => format!(" (it answers: {error})"),
             _ => String::new(),
         };
-        let not = |why: &str| format!("stop NOT confirmed by the drive{answers}{why}");
-        let (level, text) = match failed {
-            None if self.word.tells_stop => (
-                Level::Warning,
-                "the drive confirmed its stop only when it was told once more, after the run"
-                    .to_owned(),
-            ),
-            None => (Level::Warning, TOLD_NOTHING.to_owned()),
+        let why = match (error, self.drive.watchdog) {
             // It answers, or was not seen to run: no watchdog has acted.
-            Some(
-                error @ (LinkError::Refused { .. }
+            (
+                LinkError::Refused { .. }
                 | LinkError::Sequence { .. }
-                | LinkError::Unstopped { .. }),
-            ) => {
-                let why = format!(": {error}; see that the shaft stands still");
-                (Level::Error, not(&why))
+                | LinkError::Unstopped { .. },
+                _,
+            ) => format!(": {error}; {REST}"),
+            _ if !self.drive.has_run => format!(", which was not seen to run; {REST}"),
+            (_, Watchdog::Waived) => {
+                ", whose watchdog was waived: the motor may still turn".to_owned()
             }
-            Some(_) if !self.word.has_run => {
-                let why = ", which was not seen to run; see that the shaft stands still";
-                (Level::Error, not(why))
+            (_, Watchdog::After(time_s)) if time_s > 0.0 => {
+                format!("; its watchdog stops the motor {time_s} s after the last word from here")
             }
-            Some(_) if self.word.is_unwatched => (
-                Level::Error,
-                not(", whose watchdog was waived: the motor may still turn"),
-            ),
-            Some(_) => {
-                let acts = |time_s| {
-                    format!(
-                        "; its watchdog stops the motor {time_s} s after the last word from here"
-                    )
-                };
-                let unknown =
-                    || "; no watchdog is known to stop it: see that the shaft stands still";
-                let why = self.watchdog_s().map_or_else(|| unknown().to_owned(), acts);
-                (Level::Error, not(&why))
-            }
+            _ => format!("; no watchdog is known to stop it: {REST}"),
         };
-        Some(Notice { level, text })
+        Some(Notice {
+            level: Level::Error,
+            text: format!("stop NOT confirmed by the drive{answer}{why}"),
+        })
     }
 
-    fn enter(&mut self, phase: Phase) {
-        if phase != self.phase {
-            let detail = json!({ "from": self.phase, "to": phase });
-            self.phase = phase;
-            self.event("phase", detail);
+    fn enter(&mut self, state: State) {
+        if let State::Running(since_s) = self.state {
+            self.ran_s = self.now_s - since_s;
+        }
+        let from = self.phase();
+        self.state = state;
+        let to = self.phase();
+        if to != from {
+            self.event("phase", json!({ "from": from, "to": to }));
         }
     }
 
     fn note_segment(&mut self) {
-        if self.phase != Phase::Running {
+        let State::Running(since_s) = self.state else {
             return;
-        }
-        let index = self.pilot.segment_at(self.elapsed_s());
+        };
+        let index = self.pilot.segment_at(self.now_s - since_s);
         if self.segment != Some(index) {
             self.segment = Some(index);
             let detail = json!({ "index": index, "name": self.pilot.segment_name(index) });
@@ -820,8 +794,10 @@ impl Session {
 
     /// One event when shaping begins or changes its cause, one when it ends: nothing silent, and no flood.
     fn note_shaping(&mut self, wanted: Demand, sent: Demand, causes: Causes) {
-        if causes == self.shaping {
-            self.shaped_cycles += u64::from(causes.any());
+        let before = self.shaping;
+        let cycles = before.map_or(0, |(_, cycles)| cycles);
+        self.shaping = causes.any().then_some((causes, cycles + 1));
+        if before.map_or_else(Causes::default, |(causes, _)| causes) == causes {
             return;
         }
         if causes.any() {
@@ -829,15 +805,8 @@ impl Session {
             let detail = json!({ "causes": causes, "wanted": wanted, "sent": sent });
             self.event("shaped", detail);
         } else {
-            let cycles = self.shaped_cycles;
             self.event("shaped_end", json!({ "cycles": cycles }));
         }
-        self.shaped_cycles = if causes.any() {
-            self.shaped_cycles + 1
-        } else {
-            0
-        };
-        self.shaping = causes;
     }
 
     /// In host time: who knows the samples' time axis moves it there.

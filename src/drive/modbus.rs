@@ -40,7 +40,7 @@ use super::reply::{Echo, FrameKind};
 use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
-use super::transaction::{CutIn, LineCounts, out_of_step, restless};
+use super::transaction::{CutIn, LineCounts, never_silent, out_of_step};
 use super::waiting::Waiting;
 use super::waiting::now;
 use crate::sample::{Command, Sample};
@@ -317,8 +317,8 @@ impl ModbusLink {
     fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize, LinkError> {
         let count = strays.map_err(|error| self.lost(&error))?;
         if count > 0 {
-            let heard = self.filter.inner().reception.take_heard();
-            self.proof.disturbed(&heard, now());
+            let old = self.filter.inner().reception.take_old_replies();
+            self.proof.disturbed(&old, now());
         }
         Ok(count)
     }
@@ -363,7 +363,7 @@ impl ModbusLink {
                 Step::Silence(until) => drop(self.keep_silent(until)?),
                 Step::Probe(_) if is_late(&self.core.bound) => return Err(self.unproven()),
                 Step::Probe(pdu) => {
-                    let is_new = self.proof.dirty && !std::mem::replace(&mut begun, true);
+                    let is_new = self.proof.is_disturbed() && !std::mem::replace(&mut begun, true);
                     self.resynchronisations += u64::from(is_new);
                     self.probes += 1;
                     probes += 1;
@@ -377,7 +377,7 @@ impl ModbusLink {
                         }
                     }
                 }
-                Step::Restless => return Err(restless(&self.core.name)),
+                Step::NeverSilent => return Err(never_silent(&self.core.name)),
                 Step::GiveUp => return Err(unprobed(&self.core.name, failed)),
             }
         }
@@ -416,7 +416,7 @@ impl ModbusLink {
         }
         // What came before the request has been judged.
         self.filter.inner().reception.take_anomaly();
-        self.proof.asked(&question.pdu, question.is_probe, sent);
+        self.proof.sent(&question.pdu, question.is_probe, sent);
         let Question {
             request,
             what,
@@ -578,7 +578,7 @@ impl DriveLink for ModbusLink {
             let patience = now() + PATIENCE * quiet;
             while !self.keep_silent(now() + quiet)? {
                 if now() >= patience {
-                    return Err(restless(&self.core.name));
+                    return Err(never_silent(&self.core.name));
                 }
             }
         }

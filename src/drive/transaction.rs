@@ -166,7 +166,7 @@ impl Leftover {
 
 /// An old reply that came beside the one that was waited for, or instead of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct OldReply {
     pub(super) code: Code,
     /// It came behind the accepted reply.
     pub(super) behind: bool,
@@ -190,7 +190,7 @@ pub(super) struct Reception {
     /// What was wrong since the last look.
     anomaly: bool,
     /// Old replies since the last look, in order.
-    heard: Vec<Heard>,
+    old_replies: Vec<OldReply>,
 }
 
 impl Reception {
@@ -206,7 +206,7 @@ impl Reception {
             last_activity: now,
             line: LineCounts::default(),
             anomaly: false,
-            heard: Vec::new(),
+            old_replies: Vec::new(),
         }
     }
 
@@ -270,7 +270,7 @@ impl Reception {
             };
             self.line.stale_frames += 1;
             if let Some(code) = Code::of(self.kind, &rest[begin..end]) {
-                self.heard.push(Heard { code, behind });
+                self.old_replies.push(OldReply { code, behind });
             }
             rest = &rest[end..];
         }
@@ -282,7 +282,8 @@ impl Reception {
         self.line.foreign_frames += search.foreign as u64;
         self.line.foreign_writes += search.foreign_writes as u64;
         let old = search.old.into_iter();
-        self.heard.extend(old.map(|code| Heard { code, behind }));
+        self.old_replies
+            .extend(old.map(|code| OldReply { code, behind }));
     }
 
     fn drop_bytes(&mut self, count: usize) {
@@ -296,8 +297,8 @@ impl Reception {
     }
 
     /// Old replies since the last call.
-    pub(super) fn take_heard(&mut self) -> Vec<Heard> {
-        std::mem::take(&mut self.heard)
+    pub(super) fn take_old_replies(&mut self) -> Vec<OldReply> {
+        std::mem::take(&mut self.old_replies)
     }
 
     /// Moves the reply out of what was received, if it is there.
@@ -359,7 +360,7 @@ impl Reception {
     }
 }
 
-pub(super) fn restless(link: &str) -> LinkError {
+pub(super) fn never_silent(link: &str) -> LinkError {
     LinkError::Corrupt(
         link.to_owned(),
         "the line is never silent: something talks all the time".to_owned(),

@@ -126,6 +126,16 @@ impl Outcome {
         }
     }
 
+    /// Where a session stands after it.
+    pub(super) const fn phase(&self) -> Phase {
+        match self {
+            Self::Done => Phase::Done,
+            Self::Stopped | Self::Interrupted | Self::NotStarted { .. } => Phase::Stopped,
+            Self::Tripped(_) => Phase::Tripped,
+            Self::LinkLost { .. } => Phase::LinkLost,
+        }
+    }
+
     pub const fn exit_status(&self) -> u8 {
         match self {
             Self::Done => 0,

@@ -250,7 +250,7 @@ fn a_link_that_is_lost_after_a_stop_by_hand_ends_as_asked_and_unconfirmed() {
         bench.ask(Intent::Quit);
         bench.cycles(400);
         assert_eq!(bench.outcome(), Some(&Outcome::Interrupted), "{fault:?}");
-        let said = bench.session.last_word(None).unwrap();
+        let said = bench.session.stop_notice(None).unwrap();
         assert_eq!(said.level, Level::Warning, "{fault:?}: {}", said.text);
     }
 }
@@ -269,7 +269,7 @@ fn a_watchdog_that_was_waived_is_not_said_to_have_stopped_the_motor() {
         has(
             bench
                 .session
-                .last_word(Some(&gone("x".to_owned())))
+                .stop_notice(Some(&gone("x".to_owned())))
                 .unwrap()
                 .text,
             words,
@@ -315,7 +315,7 @@ fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
     let bench = run_for(400, 60, EVER, Fault::IgnoresStop);
     assert!(stops(&bench) >= 99, "{}", stops(&bench));
     let silent: LinkError = gone("script:".to_owned());
-    let said = bench.session.last_word(Some(&silent)).unwrap();
+    let said = bench.session.stop_notice(Some(&silent)).unwrap();
     assert_eq!(said.level, Level::Error);
     has(said.text, "NOT confirmed");
     // The program was over, but nobody knows that the output is off: no success.
@@ -336,7 +336,7 @@ fn patient(from: u64, to: u64, fault: Fault) -> Bench {
 fn a_drive_that_comes_down_by_a_slow_ramp_of_its_own_is_waited_for() {
     let bench = patient(60, 500, Fault::IgnoresStop);
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
-    assert_eq!(bench.session.last_word(None), None);
+    assert_eq!(bench.session.stop_notice(None), None);
 }
 
 #[test]
@@ -364,7 +364,7 @@ fn a_busy_drive_is_named_and_told_to_stop_as_long_as_its_watchdog_takes_and_then
     // 0.2 s of cycles, and then in 1.8 s once in 0.3 s.
     within(stops(&busy) as f64, 20.0..28.0);
     let failed = refusal("script:".to_owned(), 6);
-    let said = busy.session.last_word(Some(&failed)).unwrap();
+    let said = busy.session.stop_notice(Some(&failed)).unwrap();
     has(&said.text, "it answers: script: the drive refused");
     has(&said.text, "its watchdog stops the motor 0.2 s after");
     // Refused for good it is told no more often, although the silence is over meanwhile.

@@ -105,10 +105,10 @@ impl ModbusBus {
         if took < usual {
             wait_until(sent + usual);
         }
-        if !self.link.proof.suspect {
+        if !self.link.proof.is_doubtful() {
             self.link.listen()?;
         }
-        if self.link.proof.suspect {
+        if self.link.proof.is_doubtful() {
             let reason = format!("something else came with the reply to {what}");
             return Err(LinkError::Stale(self.link.core.name.clone(), reason));
         }
@@ -212,7 +212,7 @@ impl RegisterBus for ModbusBus {
         let bytes = WRITE_BYTES + 2 * values.len();
         let timing = &self.link.core.timing;
         let mut allowed = timing.allowed(bytes, WRITTEN_BYTES);
-        if self.link.proof.suspect {
+        if self.link.proof.is_doubtful() {
             // On a line in doubt nothing that is slower is waited for.
             allowed = allowed.min(timing.brief(bytes, WRITTEN_BYTES));
         }

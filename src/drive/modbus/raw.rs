@@ -1,7 +1,7 @@
 //! The Modbus link as a client for raw registers of any unit: the everyday tool beside the drive links.
 //!
 //! ```text
-//! read_batch: reads, again and again -> values that are vouched for
+//! read_batch: reads, again and again -> values that are proven to be current
 //! RawClient:  what the unit answers -> a proof by trial (proof.rs), since nothing is known of it
 //! ```
 
@@ -152,17 +152,17 @@ impl RawClient {
     }
 
     /// The unit has ever answered.
-    pub const fn is_heard(&self) -> bool {
-        self.link.proof.heard
+    pub const fn has_answered(&self) -> bool {
+        self.link.proof.has_answered
     }
 
     /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
-    /// [`RawClient::vouch`] can say.
+    /// [`RawClient::verify`] can say.
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
         let (what, count) = (request.text(), request.count.into());
         let question = Question::read(request, &what, self.allowed());
         let values = self.link.ask(question, words(count))?.value;
-        self.link.proof.known(request);
+        self.link.proof.readable(request);
         Ok(values)
     }
 
@@ -192,8 +192,8 @@ impl RawClient {
 
     /// Whether everything since the last proof was answered in step: true when a probe came back and nothing beside it.
     /// After false the line is in step again.
-    pub fn vouch(&mut self) -> Result<bool, LinkError> {
-        if !self.is_heard() {
+    pub fn verify(&mut self) -> Result<bool, LinkError> {
+        if !self.has_answered() {
             return Ok(true);
         }
         let before = self.link.proof.anomalies;
@@ -205,7 +205,7 @@ impl RawClient {
     /// Proves the line so far that the reply to this request is unmistakable.
     fn prove_for(&mut self, request: ReadRequest) -> Result<(), LinkError> {
         let proof = &mut self.link.proof;
-        if proof.could_confuse(&request.pdu()) || !proof.proven {
+        if proof.could_confuse(&request.pdu()) || !proof.is_proven {
             proof.doubt();
         }
         self.link.in_step(&request.pdu())
@@ -220,9 +220,9 @@ impl RawClient {
     pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
         let mut block = self.read(read);
-        if block.is_ok() && !self.vouch()? {
+        if block.is_ok() && !self.verify()? {
             self.withdraw();
-            block = careful(self, read);
+            block = read_proven(self, read);
         }
         let block = match block {
             Err(LinkError::Exception { .. }) => return Ok(None),
@@ -273,7 +273,7 @@ impl RawClient {
     /// # Errors
     /// [`LinkError::Gone`] only.
     pub fn sends_back(&mut self) -> Result<Option<bool>, LinkError> {
-        if !self.is_heard() {
+        if !self.has_answered() {
             return Ok(None);
         }
         let data = [0, 0, 0x5A, 0xC3];
@@ -290,7 +290,7 @@ impl RawClient {
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Option<T>, LinkError> {
-        if !self.is_heard() {
+        if !self.has_answered() {
             return Ok(None);
         }
         match self.link.ask(question, check) {
@@ -305,8 +305,8 @@ impl RawClient {
     }
 }
 
-/// Times that doubtful values are asked for again, each between two proofs.
-const CAREFUL_ATTEMPTS: usize = 3;
+/// Times that doubtful values are read again, each between two proofs.
+const PROVEN_ATTEMPTS: usize = 3;
 
 /// One read of the last round.
 #[derive(Debug)]
@@ -357,7 +357,7 @@ impl Batch {
 /// Reads each request once a round. A round ends early when `stop` is raised or the port is gone.
 ///
 /// RTU cannot tell a late or second reply to an equal request from the right one. So the last round has a proof between
-/// reads that could be confused and one at its end. What is not vouched for is asked for again, read by read, each behind
+/// reads that could be confused and one at its end. What is not proven is read again, read by read, each behind
 /// a proof of its own that makes its reply unmistakable, whatever lies around it; or it ends as an error.
 pub fn read_batch(
     client: &mut RawClient,
@@ -369,7 +369,7 @@ pub fn read_batch(
     let mut round_trips = Vec::new();
     let begun = now();
     let mut proving = Duration::ZERO;
-    let mut vouched = vec![false; requests.len()];
+    let mut unambiguous = vec![false; requests.len()];
     for round in 0..rounds {
         let anomalies = client.link.proof.anomalies;
         let is_last = round + 1 == rounds;
@@ -377,14 +377,14 @@ pub fn read_batch(
             if is_last && client.link.proof.could_confuse(&request.pdu()) {
                 let before = now();
                 // A line that cannot be proven shows in the read itself and in the proof at the end.
-                let _ = client.vouch();
+                let _ = client.verify();
                 proving += now().duration_since(before);
             }
             let values = client.read(*request);
-            vouched[index] = client.link.proof.vouched;
+            unambiguous[index] = client.link.proof.is_unambiguous;
             batch.asked += 1;
             if let Err(gone @ LinkError::Gone { .. }) = &values {
-                // Nothing of this round can be vouched for, and what was not asked any more is missing as well.
+                // Nothing of this round is proven, and what was not asked any more is missing as well.
                 let none = |request: &ReadRequest| Read {
                     request: *request,
                     values: Err(gone.clone()),
@@ -411,7 +411,7 @@ pub fn read_batch(
         batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
         if is_last || batch.is_interrupted {
             batch.elapsed_s = elapsed_s(begun + proving);
-            vouch_for(client, &mut batch, &vouched, anomalies);
+            verify_round(client, &mut batch, &unambiguous, anomalies);
             break;
         }
     }
@@ -430,21 +430,21 @@ fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {
 }
 
 /// Proves that the round was in step, or asks again for what it gave and for what only old replies came.
-fn vouch_for(client: &mut RawClient, batch: &mut Batch, vouched: &[bool], anomalies: u64) {
+fn verify_round(client: &mut RawClient, batch: &mut Batch, unambiguous: &[bool], anomalies: u64) {
     let is_answer = |read: &Read| matches!(read.values, Ok(_) | Err(LinkError::Exception { .. }));
     let is_late = |read: &Read| matches!(read.values, Err(LinkError::Stale { .. }));
-    let reads = || batch.reads.iter().zip(vouched);
+    let reads = || batch.reads.iter().zip(unambiguous);
     let has_late = reads().any(|(read, _)| is_late(read));
-    let doubtful = reads().any(|(read, vouched)| is_answer(read) && !vouched);
+    let doubtful = reads().any(|(read, unambiguous)| is_answer(read) && !unambiguous);
     if doubtful && !has_late {
-        let proof = client.vouch();
+        let proof = client.verify();
         if matches!(proof, Ok(true)) && client.link.proof.anomalies == anomalies {
             return;
         }
     }
-    for (read, vouched) in batch.reads.iter_mut().zip(vouched) {
+    for (read, unambiguous) in batch.reads.iter_mut().zip(unambiguous) {
         let asks = if is_answer(read) {
-            !vouched
+            !unambiguous
         } else {
             // A unit that answers one request late has answered this one as well.
             has_late && matches!(&read.values, Err(error) if error.is_transient())
@@ -456,19 +456,21 @@ fn vouch_for(client: &mut RawClient, batch: &mut Batch, vouched: &[bool], anomal
         if was_answered {
             client.withdraw();
         }
-        read.values = careful(client, read.request);
+        read.values = read_proven(client, read.request);
         batch.answered += u64::from(!was_answered && read.values.is_ok());
     }
 }
 
-fn careful(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
     let mut last = None;
-    for _ in 0..CAREFUL_ATTEMPTS {
+    for _ in 0..PROVEN_ATTEMPTS {
         let values = client
             .prove_for(request)
             .and_then(|()| client.read(request));
         match &values {
-            Ok(_) | Err(LinkError::Exception { .. }) if client.link.proof.vouched => return values,
+            Ok(_) | Err(LinkError::Exception { .. }) if client.link.proof.is_unambiguous => {
+                return values;
+            }
             Ok(_) => client.withdraw(),
             Err(LinkError::Exception { .. }) => {}
             Err(error) if error.is_transient() => last = values.err(),

@@ -297,7 +297,7 @@ impl Reader<'_> {
         self.map.signals[index].location.request()
     }
 
-    /// Values that are vouched for, or why there are none; only a port that is gone ends everything.
+    /// Values that are proven to be current, or why there are none; only a port that is gone ends everything.
     fn ask(
         &mut self,
         requests: &[ReadRequest],
