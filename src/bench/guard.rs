@@ -345,7 +345,7 @@ impl Guard {
         if armed && self.counts.angle_origin_rad.is_none() {
             self.counts.angle_origin_rad = sample.get(Channel::Angle);
         }
-        let doubt = self.plausibility.look(now_s, sample, armed);
+        let doubt = self.plausibility.check(now_s, sample, armed);
         let found = if armed && self.trip.is_none() {
             // The field first: a drive that sees its loss too reports no more than a fault.
             self.field(now_s, sample)

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
-//! cycles late, or reads a sensor more seldom than it is asked, is not taken for a broken one. Where the drive stamps its
-//! samples and tells which command it had applied, the ranges are narrow.
+//! cycles late, or reads a sensor only every few cycles, is not taken for a broken one. Where the drive stamps its
+//! samples and reports which command it had applied, the ranges are narrow.
 //!
 //! A fault is found within 200 ms or five cycles, whichever is later, counted from when it can be seen: from when the
 //! signals that are broken differ from any that would be believed. At rest without a voltage, or on a plateau on which
@@ -24,12 +24,14 @@ mod balance;
 mod history;
 mod readings;
 mod repeats;
+mod settings;
 #[cfg(test)]
 mod tests;
 
 use self::balance::{Factor, Plate, Window, negative};
 use self::history::{History, Range, Row, Scale};
 use self::repeats::Repeats;
+use self::settings::SETTINGS;
 use super::limits::{Limits, Nameplate};
 use super::timing::whole;
 use super::trip::{Trip, TripKind};
@@ -37,44 +39,6 @@ use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Its name among the checks that may be waived.
 pub(super) const PLAUSIBILITY: &str = "plausibility";
-
-/// Latency that is allowed: the later of the two.
-const LATENCY_S: f64 = 0.2;
-const LATENCY_CYCLES: usize = 5;
-/// Rows of a window where the drive stamps its samples.
-const WINDOW: usize = 3;
-/// Most rows of any window.
-const LONGEST_WINDOW: usize = 20;
-/// Windows in a row that have to disagree.
-const CONFIRM: usize = 2;
-/// Factors by which any reading, or any value of the nameplate, may be off.
-const ANY: Range = Range::new(0.5, 2.0);
-/// The same for a warm winding and for the flux of another specimen.
-const WINDING: Range = Range::new(0.6, 1.5);
-const FLUX: Range = Range::new(0.7, 1.4);
-/// Drops that depend on nothing, in rated voltages: brushes, bridge, offset.
-const DROP: f64 = 0.04;
-/// Shares of the rated values: a current, a speed that counts as none; a voltage, a speed that counts as a change.
-const IDLE_A: f64 = 0.02;
-const REST_SPEED: f64 = 0.01;
-const REST_VOLTAGE: f64 = 0.01;
-const MOVED_V: f64 = 0.015;
-const MOVED_SPEED: f64 = 0.05;
-/// A back-EMF that proves the encoder's direction, in rated voltages.
-const PROVEN_V: f64 = 0.045;
-/// Without current nothing drives the shaft, and a drive may only be slow to switch its output on: what disagrees then has
-/// to go on for so long, s.
-const IDLE_S: f64 = 0.3;
-/// Readings that are the same to the bit and count as frozen, where the back-EMF has changed meanwhile.
-const SAME: usize = 4;
-/// A current of which nothing is read while the shaft is driven by so much of its rated speed within so long, s.
-const DRIVEN_SPEED: f64 = 0.08;
-const DRIVEN_S: f64 = 0.4;
-/// From this share of the rated current, or of its own limit, on a drive may limit without saying so.
-const LIMITS_BY_ITSELF: f64 = 0.85;
-/// A shaft that stands although the current is that of the rated load, and beyond what friction holds, for so long, s.
-const HELD_S: f64 = 0.5;
-const HELD_FRICTION: f64 = 1.7;
 
 const CHECK_ENCODER: &str =
     "check the encoder's cable, its counts per turn and its sign in the drive's profile";
@@ -91,55 +55,100 @@ struct Held {
     currents: Range,
 }
 
+/// A balance of voltages that does not hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum BalanceDoubt {
+    #[default]
+    None,
+    /// Without a current, since then, s.
+    Idle { since_s: f64 },
+    /// With a current, in so many windows in a row.
+    Misfit { windows: usize },
+}
+
+/// A set-point that is not followed.
+#[derive(Clone, Copy, Debug)]
+struct Departure {
+    since_s: f64,
+    distance: f64,
+}
+
+/// Set-point and measured voltage where they agreed last, V.
+#[derive(Clone, Copy, Debug)]
+struct Agreement {
+    set_point_v: f64,
+    measured_v: f64,
+    /// Since when the set-point has moved away from there and the voltage has not, s.
+    stuck_since_s: Option<f64>,
+}
+
+/// A speed that grows beyond its reference against the torque.
+#[derive(Clone, Copy, Debug)]
+struct Runaway {
+    from_rad_s: f64,
+    cycles: usize,
+}
+
+/// What speaks against the readings, as long as one sample follows another.
+#[derive(Clone, Debug, Default)]
+struct Doubts {
+    balance: BalanceDoubt,
+    /// Windows in a row with an angle that is not that of the speed.
+    angle_windows: usize,
+    /// Of the speed, since it repeats itself; and windows in a row in which it should have changed.
+    held: Option<Held>,
+    frozen_windows: usize,
+    /// Speed of the shaft, and whether it was at rest, when the current began to repeat itself.
+    current_onset: Option<(f64, bool)>,
+    /// Balance of the last window that fits: voltage, and the one by current and speed, V.
+    last_fit: Option<(f64, f64)>,
+    departure: Option<Departure>,
+    agreement: Option<Agreement>,
+    /// Since when the shaft stands under a current, s.
+    stands_since_s: Option<f64>,
+    runaway: Option<Runaway>,
+}
+
+/// What the readings have proven since the start.
+#[derive(Clone, Debug, Default)]
+struct Proven {
+    /// The current has a sign: a clearly negative one was read.
+    current_sign: bool,
+    /// The measured voltage has the scale of its set-point.
+    voltage_scale: bool,
+    /// The encoder turns in the direction of the voltage.
+    direction: bool,
+    /// Both balances so far, of a motor with a nameplate.
+    factor: Option<Factor>,
+}
+
+/// Limits of the machine.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bounds {
+    speed_rad_s: f64,
+    current_a: f64,
+    /// Current from which the drive may limit by itself, A.
+    limiting_a: f64,
+    /// Something pulls at the shaft: it may stand still under a current.
+    vertical: bool,
+}
+
 /// The watch of one session.
 #[derive(Clone, Debug, Default)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "what is known of a machine, each for itself"
-)]
 pub struct Plausibility {
-    /// Host time of the sample that is looked at, s.
+    /// Host time of the latest sample, s.
     now_s: f64,
     scale: Scale,
     plate: Option<Plate>,
-    speed_limit_rad_s: f64,
-    current_limit_a: f64,
-    /// Current from which the drive may limit by itself, A.
-    limits_from_a: f64,
-    /// Something pulls at the shaft: it may stand still under a current.
-    vertical: bool,
-    /// What needs a nameplate that fits is given up.
+    bounds: Bounds,
+    /// The checks that need a nameplate which fits are waived.
     waived: bool,
     reference_rad_s: Option<f64>,
     history: History,
     speed: Repeats,
     current: Repeats,
-    /// Of the speed, since it repeats itself.
-    held: Option<Held>,
-    /// Windows in a row in which it should have changed.
-    frozen: usize,
-    /// Where the shaft was, and whether it was at rest, when the current began to repeat itself.
-    current_held: Option<(f64, bool)>,
-    /// A clearly negative current was read: it has a sign.
-    is_signed: bool,
-    factor: Option<Factor>,
-    disagree: usize,
-    /// Balance of the last window that was believed: voltage, and what the readings made of it, V.
-    believed: Option<(f64, f64)>,
-    /// Since when a set-point is not followed, and how far it was then.
-    astray: Option<(f64, f64)>,
-    /// Set-point and measured voltage where they agreed last, V.
-    agreed: Option<(f64, f64)>,
-    /// A voltage high enough to tell its scale was read where it was asked for.
-    scale_seen: bool,
-    /// Since when the set-point has moved away from there and the voltage has not.
-    stays_since_s: Option<f64>,
-    idle_since_s: Option<f64>,
-    stands_since_s: Option<f64>,
-    angle_disagrees: usize,
-    /// Speeds of a shaft that runs away, so far.
-    away: Vec<f64>,
-    direction_seen: bool,
+    proven: Proven,
+    doubts: Doubts,
 }
 
 impl Plausibility {
@@ -162,12 +171,11 @@ impl Plausibility {
             rad_s: motor.rated_speed_rad_s,
         };
         let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
-        Self {
-            plate: Some(plate),
-            limits_from_a: LIMITS_BY_ITSELF * from_a.max(motor.rated_current_a),
-            factor: Some(Factor::new(&scale)),
-            ..Self::new(limits, scale)
-        }
+        let mut watch = Self::new(limits, scale);
+        watch.plate = Some(plate);
+        watch.bounds.limiting_a = SETTINGS.limiting_current * from_a.max(motor.rated_current_a);
+        watch.proven.factor = Some(Factor::new(&scale));
+        watch
     }
 
     /// The watch of a motor that is not known.
@@ -183,10 +191,12 @@ impl Plausibility {
     fn new(limits: &Limits, scale: Scale) -> Self {
         Self {
             scale,
-            speed_limit_rad_s: limits.speed_rad_s,
-            current_limit_a: limits.current_a,
-            limits_from_a: LIMITS_BY_ITSELF * scale.amps,
-            vertical: limits.load.vertical,
+            bounds: Bounds {
+                speed_rad_s: limits.speed_rad_s,
+                current_a: limits.current_a,
+                limiting_a: SETTINGS.limiting_current * scale.amps,
+                vertical: limits.load.vertical,
+            },
             ..Self::default()
         }
     }
@@ -226,33 +236,27 @@ impl Plausibility {
 
     /// A start: what was proven before may have been plugged in anew.
     pub(super) fn begin(&mut self) {
-        self.reset();
+        self.doubts = Doubts::default();
         self.speed.begin();
         self.current.begin();
         self.history.clear();
-        self.factor = self.plate.map(|_| Factor::new(&self.scale));
-        self.is_signed = false;
-        self.scale_seen = false;
-        self.direction_seen = false;
+        self.proven = Proven {
+            factor: self.plate.map(|_| Factor::new(&self.scale)),
+            ..Proven::default()
+        };
         self.reference_rad_s = None;
     }
 
-    fn reset(&mut self) {
-        (self.held, self.current_held, self.believed) = (None, None, None);
-        (self.disagree, self.angle_disagrees, self.frozen) = (0, 0, 0);
-        (self.astray, self.idle_since_s, self.stands_since_s) = (None, None, None);
-        (self.agreed, self.stays_since_s) = (None, None);
-        self.away.clear();
-    }
-
-    /// Whether the encoder has been seen to turn in the right direction since the start.
-    pub const fn has_seen_direction(&self) -> bool {
-        self.direction_seen
+    /// Whether the encoder turned in the right direction since the start.
+    pub const fn has_proven_direction(&self) -> bool {
+        self.proven.direction
     }
 
     /// Nothing speaks against the measured speed.
     pub(super) const fn believes_speed(&self) -> bool {
-        self.disagree == 0 && self.angle_disagrees == 0 && self.speed.run() < SAME
+        !matches!(self.doubts.balance, BalanceDoubt::Misfit { .. })
+            && self.doubts.angle_windows == 0
+            && self.speed.run() < SETTINGS.frozen_readings
     }
 
     /// What cannot be watched on this drive with this motor; `None`: everything is.
@@ -275,23 +279,23 @@ impl Plausibility {
         }
     }
 
-    /// Looks at one sample. With `armed` false it only learns how noisy the sensors are.
-    pub(super) fn look(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
+    /// Checks one sample. With `armed` false it only learns how noisy the sensors are.
+    pub(super) fn check(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
         self.now_s = now_s;
         let runs = matches!(sample.state, None | Some(DriveState::Running));
         let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
-        let still = speed.is_some_and(|speed| speed.abs() < REST_SPEED * self.scale.rad_s);
+        let still = speed.is_some_and(|speed| speed.abs() < self.rest_rad_s());
         if !(armed && runs && self.history.has_sent()) {
             self.read(sample.time_s, speed, current, still && !runs);
             self.history.clear();
-            self.reset();
+            self.doubts = Doubts::default();
             return None;
         }
         let continues = self.history.push(sample, &self.scale);
-        let at_rest = still && self.asks_nothing();
+        let at_rest = still && self.commands_rest();
         self.read(sample.time_s, speed, current, at_rest);
         if !continues {
-            self.reset();
+            self.doubts = Doubts::default();
             return None;
         }
         self.remember(speed, at_rest);
@@ -314,45 +318,46 @@ impl Plausibility {
     }
 
     /// Whether the set-points of the last cycles are zero.
-    fn asks_nothing(&self) -> bool {
+    fn commands_rest(&self) -> bool {
         self.history.demands().is_some_and(|mut demands| {
             demands.all(|demand| match demand {
-                Demand::Voltage(volts) => volts.abs() < REST_VOLTAGE * self.scale.volts,
-                Demand::Current(amps) => amps.abs() < REST_VOLTAGE * self.scale.amps,
-                Demand::Speed(rad_s) => rad_s.abs() < REST_VOLTAGE * self.scale.rad_s,
+                Demand::Voltage(volts) => volts.abs() < SETTINGS.rest_voltage * self.scale.volts,
+                Demand::Current(amps) => amps.abs() < SETTINGS.rest_voltage * self.scale.amps,
+                Demand::Speed(rad_s) => rad_s.abs() < SETTINGS.rest_voltage * self.scale.rad_s,
                 Demand::Disable | Demand::Stop | Demand::ResetFault => true,
             })
         })
     }
 
     fn remember(&mut self, speed: Option<f64>, at_rest: bool) {
-        let idle_a = IDLE_A * self.scale.amps;
+        let idle_a = self.idle_a();
         let signed = |row: &Row| row.current_a < -3.0 * idle_a;
-        self.is_signed |= self.history.rows().back().is_some_and(signed);
+        self.proven.current_sign |= self.history.rows().back().is_some_and(signed);
         if self.current.run() == 0 || at_rest {
-            self.current_held = speed.map(|speed| (speed, at_rest));
+            self.doubts.current_onset = speed.map(|speed| (speed, at_rest));
         }
         if self.speed.run() == 0 {
-            self.held = None;
+            self.doubts.held = None;
         }
     }
 
     /// Cycles within which a fault has to be found.
     fn cycles(&self) -> usize {
-        let period_s = self.history.period_s().unwrap_or(LATENCY_S);
-        whole((LATENCY_S / period_s).ceil()).clamp(LATENCY_CYCLES, LONGEST_WINDOW + 2)
+        let period_s = self.history.period_s().unwrap_or(SETTINGS.latency_s);
+        whole((SETTINGS.latency_s / period_s).ceil())
+            .clamp(SETTINGS.latency_cycles, SETTINGS.most_rows + 2)
     }
 
     fn is_exact(&self) -> bool {
         self.history.last().is_some_and(|last| last.exact)
     }
 
-    /// Repeats of a speed that count: more where a drive may read its sensors more seldom than it is asked.
-    fn same_needed(&self) -> usize {
+    /// Repeats of a speed that count: more where a drive may read its sensors more seldom than once a cycle.
+    fn frozen_readings(&self) -> usize {
         if self.is_exact() {
-            SAME
+            SETTINGS.frozen_readings
         } else {
-            SAME.max(self.cycles() - 1)
+            SETTINGS.frozen_readings.max(self.cycles() - 1)
         }
     }
 
@@ -365,14 +370,14 @@ impl Plausibility {
         let last = || all.iter().skip(all.len() - rows);
         // Without a measured voltage a limit of the drive would not be seen.
         let knows = self.history.last()?.voltage_v.is_some();
-        let unknown = |row: &Row| !knows && row.current_a.abs() > self.limits_from_a;
+        let unknown = |row: &Row| !knows && row.current_a.abs() > self.bounds.limiting_a;
         if last().any(unknown) {
             return None;
         }
         let n = rows as f64;
         let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, n)).collect();
         let mut window = terms?.into_iter().reduce(Window::and)?;
-        if !self.is_signed {
+        if !self.proven.current_sign {
             // A drive may tell no more than the magnitude: it goes either way.
             let most = window.current.low.abs().max(window.current.high.abs());
             window.current = Range::new(-most, most);
@@ -383,22 +388,30 @@ impl Plausibility {
 
     fn window_rows(&self) -> usize {
         if self.is_exact() {
-            WINDOW
+            SETTINGS.stamped_rows
         } else {
             self.cycles() - 2
         }
     }
 
     fn drop_v(&self) -> f64 {
-        DROP * self.scale.volts
+        SETTINGS.drop * self.scale.volts
+    }
+
+    fn idle_a(&self) -> f64 {
+        SETTINGS.idle_current * self.scale.amps
+    }
+
+    fn rest_rad_s(&self) -> f64 {
+        SETTINGS.rest_speed * self.scale.rad_s
     }
 
     /// The same to the bit, by the noise that a sensor had at rest, or through a motion from rest.
     fn stuck(&self) -> Option<Trip> {
         let last = self.history.last()?;
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
-        let excited = !self.asks_nothing();
-        let turns = speed.abs() > REST_SPEED * self.scale.rad_s;
+        let excited = !self.commands_rest();
+        let turns = speed.abs() > self.rest_rad_s();
         let other_lives = self.current.run() < self.speed.run();
         if excited && (self.speed.is_silent() || self.speed.is_stuck() && turns && other_lives) {
             let what = format!(
@@ -409,10 +422,10 @@ impl Plausibility {
             );
             return Some(self.doubt(TripKind::EncoderFrozen, (speed, speed), &what));
         }
-        let (from, from_rest) = self.current_held.unwrap_or((speed, false));
+        let (from, from_rest) = self.doubts.current_onset.unwrap_or((speed, false));
         let moved = (speed - from).abs();
-        let needs_current = moved > MOVED_SPEED * self.scale.rad_s;
-        let stays = from_rest && needs_current && self.current.run() >= SAME;
+        let needs_current = moved > SETTINGS.moved_speed * self.scale.rad_s;
+        let stays = from_rest && needs_current && self.current.run() >= SETTINGS.frozen_readings;
         if excited
             && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
         {
@@ -428,19 +441,20 @@ impl Plausibility {
 
     /// A shaft that does not turn although it should.
     fn stands(&mut self) -> Option<Trip> {
-        let plate = self.plate.filter(|_| !self.vertical)?;
+        let plate = self.plate.filter(|_| !self.bounds.vertical)?;
         let row = *self.history.rows().back()?;
-        let friction_a = HELD_FRICTION * plate.friction / plate.back_emf;
+        let friction_a = SETTINGS.standing_friction * plate.friction / plate.back_emf;
         let least_a = self.scale.amps.max(friction_a);
-        let stands =
-            row.current_a.abs() >= least_a && row.speed_rad_s.abs() < REST_SPEED * self.scale.rad_s;
+        let stands = row.current_a.abs() >= least_a && row.speed_rad_s.abs() < self.rest_rad_s();
         let last_s = self.history.last()?.time_s;
         if !stands {
-            self.stands_since_s = None;
+            self.doubts.stands_since_s = None;
             return None;
         }
-        let since_s = *self.stands_since_s.get_or_insert(last_s);
-        let longest_s = HELD_S.max(LATENCY_CYCLES as f64 * row.seconds);
+        let since_s = *self.doubts.stands_since_s.get_or_insert(last_s);
+        let longest_s = SETTINGS
+            .standing_s
+            .max(SETTINGS.latency_cycles as f64 * row.seconds);
         let torque = plate.back_emf * row.current_a.abs();
         let what = format!(
             "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",
@@ -466,13 +480,13 @@ impl Plausibility {
         let row = *self.history.rows().back()?;
         if !(self.waived || row.limited)
             && row.exact
-            && let Some(balances) = self.factor.as_mut()
-            && let Some(factor) = balances.push(&row, self.is_signed, &plate, &self.scale)
+            && let Some(balances) = self.proven.factor.as_mut()
+            && let Some(factor) = balances.push(&row, self.proven.current_sign, &plate, &self.scale)
         {
             // Both balances see no difference between the two signs, but for which of them goes against the voltage.
             let is_against = |window: &Window| window.mean_speed * window.mean_volts < 0.0;
             let window = self
-                .window(&plate, WINDOW)
+                .window(&plate, SETTINGS.stamped_rows)
                 .filter(is_against)
                 .filter(|_| factor < 0.0);
             return Some(match window {
@@ -481,56 +495,74 @@ impl Plausibility {
             });
         }
         if self.is_idle() {
-            self.disagree = 0;
+            self.end_misfit();
             return self.idle(&plate);
         }
-        self.idle_since_s = None;
+        if let BalanceDoubt::Idle { .. } = self.doubts.balance {
+            self.doubts.balance = BalanceDoubt::None;
+        }
         let Some(window) = self.window(&plate, self.window_rows()) else {
-            self.disagree = 0;
+            self.end_misfit();
             return None;
         };
         if let Some(trip) = self.frozen(&plate, &window) {
             return Some(trip);
         }
         let drop_v = self.drop_v();
-        let misfits = !self.waived && window.gap(ANY, ANY, drop_v) > 0.0;
+        let misfits =
+            !self.waived && window.gap(SETTINGS.any_factor, SETTINGS.any_factor, drop_v) > 0.0;
         let against = self.goes_against(&window);
         let doubted = misfits || against;
         if !doubted {
-            self.disagree = 0;
-            let fits = window.gap(WINDING, FLUX, drop_v) <= 0.0;
-            let turns = window.mean_speed.abs() > PROVEN_V * self.scale.volts;
-            self.direction_seen |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
+            self.end_misfit();
+            let fits = window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, drop_v) <= 0.0;
+            let turns = window.mean_speed.abs() > SETTINGS.proven_voltage * self.scale.volts;
+            self.proven.direction |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
             if fits {
                 let answer = window.mean_current + window.mean_speed;
-                self.believed = Some((window.mean_volts, answer));
+                self.doubts.last_fit = Some((window.mean_volts, answer));
             }
             return None;
         }
-        self.disagree += 1;
-        if self.disagree < CONFIRM {
+        let before = match self.doubts.balance {
+            BalanceDoubt::Misfit { windows } => windows,
+            _ => 0,
+        };
+        let windows = before + 1;
+        self.doubts.balance = BalanceDoubt::Misfit { windows };
+        if windows < SETTINGS.confirming_windows {
             return None;
         }
         self.name(&plate, &window)
     }
 
+    const fn end_misfit(&mut self) {
+        if let BalanceDoubt::Misfit { .. } = self.doubts.balance {
+            self.doubts.balance = BalanceDoubt::None;
+        }
+    }
+
     /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
     /// sign.
     fn goes_against(&self, window: &Window) -> bool {
-        let rows = self.history.rows().iter().rev().take(WINDOW);
+        let rows = self.history.rows().iter().rev().take(SETTINGS.stamped_rows);
         let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
-        if gain.abs() < REST_SPEED * self.scale.rad_s {
+        if gain.abs() < self.rest_rad_s() {
             return false;
         }
         let (volts, speed, current) = (window.mean_volts, window.mean_speed, window.mean_current);
-        let drives = !self.is_signed || current * volts > 0.0;
+        let drives = !self.proven.current_sign || current * volts > 0.0;
         let encoder = drives
             && speed * volts < 0.0
             && gain * volts < 0.0
-            && self.is_mirrored(window, speed, current, MOVED_V);
+            && self.is_mirrored(window, speed, current, SETTINGS.moved_voltage);
         // A braked shaft may lose speed under a current that drives it, where a load takes more.
-        let least_share = if current * volts < 0.0 { MOVED_V } else { DROP };
-        let sensor = self.is_signed
+        let least_share = if current * volts < 0.0 {
+            SETTINGS.moved_voltage
+        } else {
+            SETTINGS.drop
+        };
+        let sensor = self.proven.current_sign
             && speed * volts > 0.0
             && gain * current < 0.0
             && self.is_mirrored(window, current, speed, least_share);
@@ -540,7 +572,7 @@ impl Plausibility {
     /// Whether a reading of at least this share of the rated voltage fits with the opposite sign, and not with its own.
     fn is_mirrored(&self, window: &Window, reading: f64, other: f64, least_share: f64) -> bool {
         let (rest, size) = (window.mean_volts - other, reading.abs());
-        let slack = REST_VOLTAGE * self.scale.volts;
+        let slack = SETTINGS.rest_voltage * self.scale.volts;
         let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
         let mirrored = (rest + reading).abs();
         size > least_share * self.scale.volts
@@ -550,10 +582,11 @@ impl Plausibility {
 
     /// Whether no current flows that would drive anything.
     fn is_idle(&self) -> bool {
-        let idle_a = IDLE_A * self.scale.amps;
+        let idle_a = self.idle_a();
         let rows = self.history.rows();
-        let last = rows.iter().rev().take(WINDOW);
-        rows.len() >= WINDOW && last.into_iter().all(|row| row.current_a.abs() < idle_a)
+        let last = rows.iter().rev().take(SETTINGS.stamped_rows);
+        rows.len() >= SETTINGS.stamped_rows
+            && last.into_iter().all(|row| row.current_a.abs() < idle_a)
     }
 
     /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
@@ -567,28 +600,32 @@ impl Plausibility {
         let none = window.with(Range::new(0.0, 0.0), window.speed);
         let (volts, emf) = (window.mean_volts, window.mean_speed);
         // What only coasts is not driven, and a converter may not be able to brake it.
-        let coasts = volts.abs() < emf.abs() && self.speed.run() < self.same_needed();
-        if none.gap(ANY, FLUX, self.drop_v()) <= 0.0 || coasts {
-            self.idle_since_s = None;
+        let coasts = volts.abs() < emf.abs() && self.speed.run() < self.frozen_readings();
+        if none.gap(SETTINGS.any_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0 || coasts {
+            self.doubts.balance = BalanceDoubt::None;
             return None;
         }
-        let since_s = *self.idle_since_s.get_or_insert(last.time_s);
-        if last.time_s - since_s < IDLE_S {
+        let since_s = match self.doubts.balance {
+            BalanceDoubt::Idle { since_s } => since_s,
+            _ => last.time_s,
+        };
+        self.doubts.balance = BalanceDoubt::Idle { since_s };
+        if last.time_s - since_s < SETTINGS.idle_s {
             return None;
         }
         let by_voltage = volts / plate.back_emf;
         let figures = format!(
-            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {IDLE_S} s are allowed",
+            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {SETTINGS.idle_s} s are allowed",
             last.time_s - since_s
         );
-        if speed.abs() >= REST_SPEED * self.scale.rad_s {
+        if speed.abs() >= self.rest_rad_s() {
             if self.waived {
                 return None;
             }
             let what = format!(
                 "no current drives the shaft, so it should turn at about {by_voltage:.1} rad/s: {figures}; {CHECK_ENCODER}"
             );
-            let kind = if self.speed.run() >= self.same_needed() {
+            let kind = if self.speed.run() >= self.frozen_readings() {
                 TripKind::EncoderFrozen
             } else {
                 TripKind::SpeedImplausible
@@ -611,22 +648,23 @@ impl Plausibility {
 
     /// A shaft that speeds up with the voltage, by nothing.
     fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
-        let idle_a = IDLE_A * self.scale.amps;
+        let idle_a = self.idle_a();
         let (mut seconds, mut gain) = (0.0, 0.0);
         for row in self.history.rows().iter().rev() {
             let volts = row.volts?.middle();
-            let drives = volts * speed > 0.0 && volts.abs() > REST_VOLTAGE * self.scale.volts;
+            let drives =
+                volts * speed > 0.0 && volts.abs() > SETTINGS.rest_voltage * self.scale.volts;
             seconds += row.seconds;
-            if row.current_a.abs() > idle_a || !drives || seconds > DRIVEN_S {
+            if row.current_a.abs() > idle_a || !drives || seconds > SETTINGS.driven_s {
                 break;
             }
             gain += row.speed_change_rad_s * speed.signum();
         }
         let what = format!(
             "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {:.1} rad/s are allowed; {CHECK_CURRENT}",
-            DRIVEN_SPEED * self.scale.rad_s
+            SETTINGS.driven_speed * self.scale.rad_s
         );
-        (gain > DRIVEN_SPEED * self.scale.rad_s)
+        (gain > SETTINGS.driven_speed * self.scale.rad_s)
             .then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
     }
 
@@ -634,23 +672,23 @@ impl Plausibility {
     fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         // What the window says must all be of the time since the speed has been the same.
         if self.speed.run() < self.window_rows() {
-            self.frozen = 0;
+            self.doubts.frozen_windows = 0;
             return None;
         }
         let by_voltage = window.mean_volts - window.mean_current;
         let rows = self.history.rows().iter().rev().take(self.window_rows());
         let readings = rows.map(|row| plate.resistance * row.ends().0);
         let currents = Range::of(readings).unwrap_or(window.current);
-        let held = *self.held.get_or_insert(Held {
+        let held = *self.doubts.held.get_or_insert(Held {
             by_voltage,
             current: window.mean_current,
             currents,
         });
-        if self.speed.run() < self.same_needed() {
+        if self.speed.run() < self.frozen_readings() {
             return None;
         }
         let by_current = (window.mean_current - held.current).abs();
-        let idle_v = IDLE_A * self.scale.amps * plate.resistance;
+        let idle_v = self.idle_a() * plate.resistance;
         // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
         // A window in which it does both has done either.
         let most = |range: Range, sign: f64| (sign * range.low).max(sign * range.high);
@@ -660,31 +698,36 @@ impl Plausibility {
         let drops_v = if turns {
             2.0 * self.drop_v()
         } else {
-            REST_VOLTAGE * self.scale.volts
+            SETTINGS.rest_voltage * self.scale.volts
         };
-        let doubt = drops_v + (1.0 - WINDING.low) * by_current + 0.5 * window.volts.width();
+        let doubt =
+            drops_v + (1.0 - SETTINGS.winding_factor.low) * by_current + 0.5 * window.volts.width();
         // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
-        let beyond = |other_v: f64| FLUX.low * (by_voltage - other_v).abs() > doubt;
+        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (by_voltage - other_v).abs() > doubt;
         let moved = beyond(held.by_voltage) && beyond(window.mean_speed);
-        let cannot_be = window.gap(WINDING, FLUX, self.drop_v()) > 0.0;
+        let cannot_be =
+            window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, self.drop_v()) > 0.0;
         if !(moved || cannot_be) {
-            self.frozen = 0;
+            self.doubts.frozen_windows = 0;
             return None;
         }
-        self.frozen += 1;
+        self.doubts.frozen_windows += 1;
         // A drive that does not stamp its samples may have read the speed some cycles ago.
         let needed = if self.is_exact() { 1 } else { self.cycles() };
-        (self.frozen >= needed).then(|| self.misread(TripKind::EncoderFrozen, plate, window))
+        (self.doubts.frozen_windows >= needed)
+            .then(|| self.misread(TripKind::EncoderFrozen, plate, window))
     }
 
     /// Which reading it is that does not fit.
     fn name(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
-        let fits = |window: Window| window.gap(WINDING, FLUX, drop_v) <= 0.0;
-        let unheeded = self.believed.is_some_and(|(volts, answer)| {
-            let asked = (window.mean_volts - volts).abs();
-            let answered = (window.mean_current + window.mean_speed - answer).abs();
-            asked > 2.0 * drop_v && answered < 0.25 * asked
+        let fits = |window: Window| {
+            window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, drop_v) <= 0.0
+        };
+        let unheeded = self.doubts.last_fit.is_some_and(|(volts, answer)| {
+            let step = (window.mean_volts - volts).abs();
+            let response = (window.mean_current + window.mean_speed - answer).abs();
+            step > 2.0 * drop_v && response < 0.25 * step
         });
         let last = *self.history.last()?;
         let misread = |plausibility: &Self, kind| Some(plausibility.misread(kind, plate, window));
@@ -694,13 +737,18 @@ impl Plausibility {
         // A loop that saw its shaft turn about has reversed the voltage too.
         let opposite = window.mean_speed.abs() > 2.0 * drop_v
             && window.misfit(-1.0) < 0.3 * window.misfit(1.0);
-        let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
-        if self.speed.run() >= self.same_needed() {
+        let turns = last.speed_rad_s?.abs() >= self.rest_rad_s();
+        if self.speed.run() >= self.frozen_readings() {
             misread(self, TripKind::EncoderFrozen)
         } else if drives_back && fits(mirrored) || opposite {
             misread(self, TripKind::EncoderReversed)
-        } else if self.is_signed
-            && self.is_mirrored(window, window.mean_current, window.mean_speed, MOVED_V)
+        } else if self.proven.current_sign
+            && self.is_mirrored(
+                window,
+                window.mean_current,
+                window.mean_speed,
+                SETTINGS.moved_voltage,
+            )
         {
             misread(self, TripKind::CurrentReversed)
         } else if let Some(trip) = self.swapped() {
@@ -716,7 +764,7 @@ impl Plausibility {
         } else if !turns {
             misread(self, TripKind::EncoderFrozen)
         } else if self.waived {
-            self.disagree = 0;
+            self.end_misfit();
             None
         } else if window.mean_speed.abs() >= window.mean_current.abs() {
             misread(self, TripKind::SpeedImplausible)
@@ -741,8 +789,10 @@ impl Plausibility {
             (current, speed, window.speed)
         };
         let (measured, by_voltage) = (reading / per_unit, (window.mean_volts - other) / per_unit);
-        let believed = window.volts.plus(negative(range.times(ANY)));
-        let believed = believed.wider(self.drop_v()).times(ANY);
+        let believed = window
+            .volts
+            .plus(negative(range.times(SETTINGS.any_factor)));
+        let believed = believed.wider(self.drop_v()).times(SETTINGS.any_factor);
         let (low, high) = (believed.low / per_unit, believed.high / per_unit);
         let how = match kind {
             EncoderFrozen => "stays at",

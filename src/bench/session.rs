@@ -415,7 +415,7 @@ impl Session {
         self.guard.follow(self.reference_rad_s());
         let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
         if let (None, State::Running(since_s)) = (&trip, &self.state) {
-            let proven = self.guard.plausibility().has_seen_direction();
+            let proven = self.guard.plausibility().has_proven_direction();
             let elapsed_s = self.now_s - since_s;
             self.pilot.sample(self.now_s, elapsed_s, &sample, proven);
             self.report_unwatched();

@@ -13,6 +13,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::history::{Range, Row, Scale};
+use super::settings::SETTINGS;
 
 /// The nameplate, as the balances need it.
 #[derive(Clone, Copy, Debug)]
@@ -113,25 +114,6 @@ pub(super) const fn negative(range: Range) -> Range {
     Range::new(-range.high, -range.low)
 }
 
-/// Rows are forgotten with this time constant, s, and not within fewer than so many rows.
-const MEMORY_S: f64 = 0.25;
-const MEMORY_ROWS: f64 = 10.0;
-/// Standard deviations of an estimate that are not believed to be chance.
-const SIGMAS: f64 = 3.0;
-/// What a row's voltage and torque are worth, in rated ones.
-const FLOOR_V: f64 = 0.005;
-const FLOOR_TORQUE: f64 = 0.05;
-/// What is believed of the factors before: the one of the flux, the drop in rated voltages, the one of the friction.
-const FLUX: f64 = 0.5;
-const DROP: f64 = 0.02;
-const FRICTION: f64 = 1.0;
-const UNKNOWN: f64 = 10.0;
-/// Share of the rated speed below which friction may have either sign.
-const TURNS: f64 = 0.01;
-/// Factors within these are no fault.
-const LEAST: f64 = 0.5;
-const MOST: f64 = 2.0;
-
 /// Weighted normal equations of `N` factors with a prior.
 #[derive(Clone, Debug)]
 struct Normal<const N: usize> {
@@ -190,8 +172,12 @@ pub(super) struct Factor {
 impl Factor {
     pub(super) fn new(scale: &Scale) -> Self {
         Self {
-            voltage: Normal::new([(1.0, UNKNOWN), (1.0, FLUX), (0.0, DROP * scale.volts)]),
-            torque: Normal::new([(1.0, UNKNOWN), (1.0, FRICTION)]),
+            voltage: Normal::new([
+                (1.0, SETTINGS.unknown_std),
+                (1.0, SETTINGS.flux_std),
+                (0.0, SETTINGS.drop_std * scale.volts),
+            ]),
+            torque: Normal::new([(1.0, SETTINGS.unknown_std), (1.0, SETTINGS.friction_std)]),
         }
     }
 
@@ -212,19 +198,19 @@ impl Factor {
         if !(is_signed || is_driven) {
             return None;
         }
-        let memory_s = MEMORY_S.max(MEMORY_ROWS * row.seconds);
+        let memory_s = SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds);
         let keep = (-row.seconds / memory_s).exp();
         let current_v = sign * plate.current_v(row);
         let speed_v = plate.back_emf * row.speed_rad_s;
         let dynamic_v = plate.doubt_v(row);
-        let floor_v = (FLOOR_V * scale.volts).hypot(0.5 * volts.width());
+        let floor_v = (SETTINGS.voltage_noise * scale.volts).hypot(0.5 * volts.width());
         let noise = floor_v.hypot(dynamic_v);
         let factors = [current_v, speed_v, sign * row.current_a.signum()];
         self.voltage.add(keep, factors, volts.middle(), noise);
-        if row.speed_rad_s.abs() > TURNS * scale.rad_s {
+        if row.speed_rad_s.abs() > SETTINGS.rest_speed * scale.rad_s {
             let acceleration = plate.inertia * row.speed_change_rad_s / row.seconds;
             let friction = plate.friction * row.speed_rad_s.signum();
-            let floor = FLOOR_TORQUE * plate.back_emf * scale.amps;
+            let floor = SETTINGS.torque_noise * plate.back_emf * scale.amps;
             let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
             let torque = sign * plate.back_emf * row.current_a;
             let factors = [acceleration, friction];
@@ -232,9 +218,9 @@ impl Factor {
         }
         let (r, r_std) = self.voltage.first()?;
         let (j, j_std) = self.torque.first()?;
-        let (r_by, j_by) = (SIGMAS * r_std, SIGMAS * j_std);
-        let large = r + r_by < LEAST && j - j_by > MOST;
-        let small = r - r_by > MOST && j + j_by < LEAST;
+        let (r_by, j_by) = (SETTINGS.sigmas * r_std, SETTINGS.sigmas * j_std);
+        let large = r + r_by < SETTINGS.any_factor.low && j - j_by > SETTINGS.any_factor.high;
+        let small = r - r_by > SETTINGS.any_factor.high && j + j_by < SETTINGS.any_factor.low;
         let reversed = r + r_by < 0.0 && j + j_by < 0.0;
         (large || small || reversed).then(|| (j / r).abs().sqrt().copysign(j))
     }

@@ -4,20 +4,11 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
+use super::settings::SETTINGS;
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Commands that may still be answered.
 const COMMANDS: usize = 128;
-/// Samples further apart do not belong together, s.
-const LONGEST_ROW_S: f64 = 0.5;
-/// Between two samples voltage and current may move by these shares of the rated ones, and the measured voltage still
-/// stands for what was in force meanwhile behind a drive's own current loop: it gives a step of its command in a part of
-/// a cycle, and answers it with several volts for each ampere.
-const STEADY_V: f64 = 0.05;
-const STEADY_A: f64 = 0.1;
-const STEADY_COMMAND: f64 = 0.03;
-/// Commands that a drive which does not stamp its samples may be late.
-const LATE_COMMANDS: u64 = 5;
 /// Samples kept, at most.
 const KEPT: usize = 64;
 
@@ -198,12 +189,20 @@ impl History {
     pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
         let last = self.samples.back()?;
         last.key?;
-        Some(self.in_force(last, last, if last.exact { 2 } else { LATE_COMMANDS }))
+        Some(self.in_force(
+            last,
+            last,
+            if last.exact {
+                2
+            } else {
+                SETTINGS.late_commands
+            },
+        ))
     }
 
     /// The demands that the newest sample may answer to, as one range in their quantity; `None` where they are mixed.
     /// `cycles`: how late a drive may be.
-    pub(super) fn asked(&self, cycles: usize) -> Option<(Demand, Range)> {
+    pub(super) fn set_points(&self, cycles: usize) -> Option<(Demand, Range)> {
         let last = self.samples.back()?;
         let lag = if last.exact { 2 } else { cycles as u64 };
         let wanted = last.demand?;
@@ -220,7 +219,7 @@ impl History {
 
     fn volts(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Range> {
         let measured = last.voltage_v.zip(now.voltage_v);
-        let steady = |a: f64, b: f64| (b - a).abs() <= STEADY_V * scale.volts;
+        let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.steady_voltage * scale.volts;
         let demand = last.demand?;
         if let Demand::Speed(_) = demand {
             // The drive's own loop does with the voltage what it likes, and what it tells may be that of another machine.
@@ -236,11 +235,11 @@ impl History {
                 Demand::Current(amps) => amps,
                 _ => 0.0,
             });
-            let asked = Range::of(amps)?;
+            let set_point = Range::of(amps)?;
             let (from_a, to_a) = last.current_a.zip(now.current_a)?;
             let is_steady = steady(a, b)
-                && (to_a - from_a).abs() <= STEADY_A * scale.amps
-                && asked.width() <= STEADY_COMMAND * scale.amps;
+                && (to_a - from_a).abs() <= SETTINGS.steady_current * scale.amps
+                && set_point.width() <= SETTINGS.steady_command * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
         // Cycles that an answer may be late: none that matters where the drive stamps itself.
@@ -300,7 +299,7 @@ impl History {
         let (from_a, to_a) = last.current_a.zip(now.current_a)?;
         let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
         let angles = last.angle_rad.zip(now.angle_rad);
-        (seconds > 0.0 && seconds < LONGEST_ROW_S).then(|| Row {
+        (seconds > 0.0 && seconds < SETTINGS.longest_row_s).then(|| Row {
             seconds,
             current_a: 0.5 * (from_a + to_a),
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),

@@ -1,40 +1,17 @@
-//! Plausibility without a balance: whether the drive does what it is asked, readings that stand in each other's place, the angle
+//! Plausibility without a balance: whether the drive follows its set-point, readings that stand in each other's place, the angle
 //! against the speed, and a speed that grows beyond its reference.
 
 use super::balance::negative;
 use super::history::{Range, Row};
-use super::{
-    ANY, CHECK_ENCODER, CHECK_SET_POINT, CONFIRM, IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S,
-    LONGEST_WINDOW, Plausibility, REST_SPEED, SAME, WINDOW,
-};
+use super::settings::SETTINGS;
+use super::{Agreement, CHECK_ENCODER, CHECK_SET_POINT, Departure, Plausibility, Runaway};
 use crate::bench::trip::{Trip, TripKind};
 use crate::sample::Demand;
 
-/// A set-point that is not followed for so long, s: of a voltage, of a current, and of a speed, of which the drive's own
-/// ramp is not known.
-const FOLLOWS_CURRENT_S: f64 = 0.4;
-const FOLLOWS_SPEED_S: f64 = 2.0;
-/// A voltage that stays behind a set-point which has moved by so much, in rated voltages: it has moved by less than this
-/// share of it.
-const STAYS_V: f64 = 0.06;
-const STAYS_SHARE: f64 = 0.25;
-/// One that changes by more than this, in rated voltages, moves.
-const MOVES_V: f64 = 0.01;
-/// Factors by which a voltage may be off whose scale was seen to be right.
-const KNOWN_SCALE: Range = Range::new(0.85, 1.15);
-/// What of it is no doubt, in rated values.
-const FOLLOWS_CURRENT: f64 = 0.1;
-const FOLLOWS_SPEED: f64 = 0.1;
-/// A runaway: so many cycles in a row the speed grows beyond its reference although the torque is against it, by this
-/// share of the speed limit and from this share beyond the reference.
-const RUNAWAY_CYCLES: usize = 4;
-const RUNAWAY_GROWTH: f64 = 0.01;
-const RUNAWAY_BEYOND: f64 = 0.05;
-
-/// A set-point that is not followed.
-struct Astray {
+/// A set-point that is not followed, and what is read instead.
+struct Deviation {
     demand: Demand,
-    asked: Range,
+    set_point: Range,
     /// What would be believed.
     region: Range,
     value: f64,
@@ -50,27 +27,31 @@ impl Plausibility {
         let plate = self.plate.filter(|_| !self.waived)?;
         let last = self.history.last()?;
         let (current, speed) = (last.current_a?, last.speed_rad_s?);
-        if let (Some((Demand::Voltage(_), asked)), Some(volts)) =
-            (self.history.asked(self.cycles()), last.voltage_v)
+        if let (Some((Demand::Voltage(_), set_point)), Some(volts)) =
+            (self.history.set_points(self.cycles()), last.voltage_v)
             && !last.limited
         {
-            let about = asked.times(Range::new(0.9, 1.1));
+            let about = set_point.times(Range::new(0.9, 1.1));
             let about = about.wider(0.02 * self.scale.volts);
             let near = |value: f64| about.gap(Range::at(value)) <= 0.0;
-            let far = asked.middle().abs() > 0.05 * self.scale.volts;
+            let far = set_point.middle().abs() > 0.05 * self.scale.volts;
             if near(current) && !near(volts) && far {
                 let what = format!(
                     "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
-                    asked.middle()
+                    set_point.middle()
                 );
-                return Some(self.doubt(TripKind::SignalsSwapped, (volts, asked.middle()), &what));
+                return Some(self.doubt(
+                    TripKind::SignalsSwapped,
+                    (volts, set_point.middle()),
+                    &what,
+                ));
             }
         }
-        if speed.abs() > self.current_limit_a || current.abs() > self.speed_limit_rad_s {
+        if speed.abs() > self.bounds.current_a || current.abs() > self.bounds.speed_rad_s {
             return None;
         }
         let floor = 0.03 * self.scale.volts;
-        let last_rows = self.history.rows().iter().rev().take(LONGEST_WINDOW);
+        let last_rows = self.history.rows().iter().rev().take(SETTINGS.most_rows);
         let both_ways = |row: &Row| {
             let volts = row.volts?;
             let misfit = |current_a: f64, speed_rad_s: f64| {
@@ -101,7 +82,7 @@ impl Plausibility {
         }
         let doubt = self.plate.and_then(|plate| {
             let window = self.window(&plate, 1)?;
-            let doubted = window.gap(ANY, ANY, self.drop_v()) > 0.0;
+            let doubted = window.gap(SETTINGS.any_factor, SETTINGS.any_factor, self.drop_v()) > 0.0;
             doubted.then(|| self.name(&plate, &window)).flatten()
         });
         if let Some(doubt) = doubt {
@@ -110,26 +91,27 @@ impl Plausibility {
         beyond
     }
 
-    /// Whether the drive does what it is asked.
+    /// Whether the drive follows its set-point.
     pub(super) fn follows(&mut self) -> Option<Trip> {
         let cycles = self.cycles();
         let last = *self.history.last()?;
-        let asked = self.history.asked(cycles - 2);
-        let Some((demand, asked)) = asked else {
-            self.astray = None;
+        let set_point = self.history.set_points(cycles - 2);
+        let Some((demand, set_point)) = set_point else {
+            self.doubts.departure = None;
             return None;
         };
         let period_s = self.history.period_s()?;
-        let latency_s = LATENCY_S.max(LATENCY_CYCLES as f64 * period_s);
+        let latency_s = SETTINGS
+            .latency_s
+            .max(SETTINGS.latency_cycles as f64 * period_s);
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
-        let idle =
-            current.abs() < IDLE_A * self.scale.amps && speed.abs() < REST_SPEED * self.scale.rad_s;
+        let idle = current.abs() < self.idle_a() && speed.abs() < self.rest_rad_s();
         let factors = match demand {
-            Demand::Voltage(_) if self.scale_seen => KNOWN_SCALE,
+            Demand::Voltage(_) if self.proven.voltage_scale => SETTINGS.known_scale,
             _ if self.waived => Range::new(0.1, 10.0),
-            _ => ANY,
+            _ => SETTINGS.any_factor,
         };
-        let mut region = asked.times(factors);
+        let mut region = set_point.times(factors);
         let (measured, full, confirm_s, unit) = match demand {
             Demand::Voltage(_) => {
                 region = region.wider(self.drop_v());
@@ -138,36 +120,41 @@ impl Plausibility {
                 } else {
                     1.5 * period_s
                 };
-                let confirm_s = if idle { IDLE_S } else { soon_s };
-                if last.limited || current.abs() > self.limits_from_a {
+                let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
+                if last.limited || current.abs() > self.bounds.limiting_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
                     let emf_v = self.plate.map(|plate| plate.back_emf * speed);
-                    let emf = emf_v.map(|emf_v| Range::at(emf_v).times(ANY));
+                    let emf = emf_v.map(|emf_v| Range::at(emf_v).times(SETTINGS.any_factor));
                     region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
                 }
                 (last.voltage_v, self.scale.volts, confirm_s, "V")
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
-                region = region.wider(FOLLOWS_CURRENT * amps);
+                region = region.wider(SETTINGS.current_follows * amps);
                 let emf_v = self.plate.map_or(0.0, |plate| plate.back_emf * speed);
                 let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
-                if !self.is_signed {
+                if !self.proven.current_sign {
                     region = region.hull(negative(region));
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
-                (measured, amps, FOLLOWS_CURRENT_S.max(latency_s), "A")
+                (
+                    measured,
+                    amps,
+                    SETTINGS.current_follows_s.max(latency_s),
+                    "A",
+                )
             }
             _ => {
-                region = region.wider(FOLLOWS_SPEED * self.scale.rad_s);
-                let confirm_s = FOLLOWS_SPEED_S.max(latency_s);
+                region = region.wider(SETTINGS.speed_follows * self.scale.rad_s);
+                let confirm_s = SETTINGS.speed_follows_s.max(latency_s);
                 let measured = Some(speed).filter(|_| !last.limited);
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
         };
-        let astray = |region, value, for_s| Astray {
+        let deviation = |region, value, for_s| Deviation {
             demand,
-            asked,
+            set_point,
             region,
             value,
             unit,
@@ -175,75 +162,88 @@ impl Plausibility {
             for_s,
         };
         if let (Demand::Voltage(_), Some(value)) = (demand, measured)
-            && let Some(for_s) = self.stays(asked, value).filter(|for_s| *for_s >= confirm_s)
+            && let Some(for_s) = self
+                .stays(set_point, value)
+                .filter(|for_s| *for_s >= confirm_s)
         {
-            let region = asked.wider(self.drop_v());
-            return Some(self.not_followed(&astray(region, value, for_s)));
+            let region = set_point.wider(self.drop_v());
+            return Some(self.not_followed(&deviation(region, value, for_s)));
         }
         let distance = measured.map_or(0.0, |value| region.gap(Range::at(value)));
         let Some(value) = measured.filter(|_| distance > 0.0) else {
-            self.astray = None;
+            self.doubts.departure = None;
             return None;
         };
-        let (since_s, farthest) = *self.astray.get_or_insert((last.time_s, distance));
-        if distance < farthest - 0.01 * full {
+        let departure = Departure {
+            since_s: last.time_s,
+            distance,
+        };
+        let first = self.doubts.departure.get_or_insert(departure);
+        if distance < first.distance - 0.01 * full {
             // It is on its way.
-            self.astray = Some((last.time_s, distance));
+            *first = departure;
             return None;
         }
+        let since_s = first.since_s;
         let for_s = last.time_s - since_s;
         if for_s < confirm_s {
             return None;
         }
         self.swapped()
-            .or_else(|| Some(self.not_followed(&astray(region, value, for_s))))
+            .or_else(|| Some(self.not_followed(&deviation(region, value, for_s))))
     }
 
     /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
     /// is wrong moves with it, so this needs none of the room that such a reading is given; a guard that holds the
     /// set-point around the back-EMF leaves no more than this to see.
-    fn stays(&mut self, asked: Range, value: f64) -> Option<f64> {
+    fn stays(&mut self, set_point: Range, value: f64) -> Option<f64> {
         let last = *self.history.last()?;
         let read = Range::at(value);
-        if asked.wider(self.drop_v()).gap(read) <= 0.0 {
+        if set_point.wider(self.drop_v()).gap(read) <= 0.0 {
             // Of the set-points that it may answer to, the nearest; while it stays where it was also of those before.
-            let nearest = value.clamp(asked.low, asked.high);
-            let agrees = self.agreed.is_none_or(|(asked_v, value_v)| {
-                let moves = (value - value_v).abs() > MOVES_V * self.scale.volts;
-                moves || (nearest - value).abs() <= (asked_v - value_v).abs()
+            let nearest = value.clamp(set_point.low, set_point.high);
+            let agrees = self.doubts.agreement.is_none_or(|last| {
+                let moves =
+                    (value - last.measured_v).abs() > SETTINGS.moving_voltage * self.scale.volts;
+                moves || (nearest - value).abs() <= (last.set_point_v - last.measured_v).abs()
             });
             if agrees {
-                self.agreed = Some((nearest, value));
+                self.doubts.agreement = Some(Agreement {
+                    set_point_v: nearest,
+                    measured_v: value,
+                    stuck_since_s: None,
+                });
             }
-            let is_steady = asked.high - asked.low < self.drop_v();
-            let tells = KNOWN_SCALE.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
-            self.scale_seen |= is_steady && tells;
+            let is_steady = set_point.high - set_point.low < self.drop_v();
+            let tells =
+                SETTINGS.known_scale.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
+            self.proven.voltage_scale |= is_steady && tells;
         }
-        let beyond = |current: f64| current.abs() > self.limits_from_a;
+        let beyond = |current: f64| current.abs() > self.bounds.limiting_a;
         let is_limited = last.limited || last.current_a.is_some_and(beyond);
-        let stays = self.agreed.is_some_and(|(asked_v, value_v)| {
-            let moved = asked.gap(Range::at(asked_v));
-            moved > STAYS_V * self.scale.volts && (value - value_v).abs() < STAYS_SHARE * moved
-        });
+        let agreement = self.doubts.agreement.as_mut()?;
+        let moved = set_point.gap(Range::at(agreement.set_point_v));
+        let stays = moved > SETTINGS.stuck_voltage * self.scale.volts
+            && (value - agreement.measured_v).abs() < SETTINGS.stuck_part * moved;
         if is_limited || !stays {
-            self.stays_since_s = None;
+            agreement.stuck_since_s = None;
             return None;
         }
-        let since_s = *self.stays_since_s.get_or_insert(last.time_s);
+        let since_s = *agreement.stuck_since_s.get_or_insert(last.time_s);
         Some(last.time_s - since_s)
     }
 
-    fn not_followed(&self, astray: &Astray) -> Trip {
-        let &Astray {
+    fn not_followed(&self, deviation: &Deviation) -> Trip {
+        let &Deviation {
             demand,
-            asked,
+            set_point,
             region,
             value,
             unit,
             idle,
             for_s,
-        } = astray;
-        let wanted = asked.middle();
+        } = deviation;
+        let wanted = set_point.middle();
         let figures = format!(
             "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {:.2} s, {:.2} to {:.2} {unit} would be believed",
             for_s, region.low, region.high
@@ -268,9 +268,9 @@ impl Plausibility {
 
     /// The angle turned over the last cycles against the speed.
     pub(super) fn by_angle(&mut self) -> Option<Trip> {
-        // An angle that is read more seldom than it is asked stays for some cycles; the confirmations come on top.
+        // An angle that is read more seldom than once a cycle stays for some cycles; the confirmations come on top.
         let times = if self.is_exact() { 1 } else { 2 };
-        let rows = times * self.cycles() - CONFIRM;
+        let rows = times * self.cycles() - SETTINGS.confirming_windows;
         let all = self.history.rows();
         if all.len() < rows {
             return None;
@@ -300,13 +300,15 @@ impl Plausibility {
         } else {
             speeds?
         };
-        let believed = speeds.times(ANY).wider(2.0 * REST_SPEED * self.scale.rad_s);
+        let believed = speeds
+            .times(SETTINGS.any_factor)
+            .wider(2.0 * self.rest_rad_s());
         if believed.gap(Range::at(rate)) <= 0.0 {
-            self.angle_disagrees = 0;
+            self.doubts.angle_windows = 0;
             return None;
         }
-        self.angle_disagrees += 1;
-        if self.angle_disagrees < CONFIRM {
+        self.doubts.angle_windows += 1;
+        if self.doubts.angle_windows < SETTINGS.confirming_windows {
             return None;
         }
         let speed = speeds.middle();
@@ -314,7 +316,7 @@ impl Plausibility {
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
             believed.low, believed.high
         );
-        let kind = if self.speed.run() >= SAME {
+        let kind = if self.speed.run() >= SETTINGS.frozen_readings {
             TripKind::EncoderFrozen
         } else {
             TripKind::AngleImplausible
@@ -331,22 +333,23 @@ impl Plausibility {
         let beyond = direction * (speed - reference);
         let grows = direction * row.speed_change_rad_s > 0.0;
         let braked = direction * row.current_a < 0.0;
-        if !(grows && braked && beyond > RUNAWAY_BEYOND * self.speed_limit_rad_s) {
-            self.away.clear();
+        if !(grows && braked && beyond > SETTINGS.runaway_beyond * self.bounds.speed_rad_s) {
+            self.doubts.runaway = None;
             return None;
         }
-        if self.away.is_empty() {
-            self.away.push(speed - row.speed_change_rad_s);
-        }
-        self.away.push(speed);
-        let growth = direction * (speed - self.away[0]);
-        let long = self.away.len() > RUNAWAY_CYCLES;
-        if !(long && growth > RUNAWAY_GROWTH * self.speed_limit_rad_s) {
+        let runaway = self.doubts.runaway.get_or_insert(Runaway {
+            from_rad_s: speed - row.speed_change_rad_s,
+            cycles: 0,
+        });
+        runaway.cycles += 1;
+        let growth = direction * (speed - runaway.from_rad_s);
+        let long = runaway.cycles >= SETTINGS.runaway_cycles;
+        if !(long && growth > SETTINGS.runaway_growth * self.bounds.speed_rad_s) {
             return None;
         }
         // Seen by a reversed encoder the shaft runs away as soon as it moves.
         if let Some(plate) = self.plate
-            && let Some(window) = self.window(&plate, WINDOW)
+            && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
             && window.misfit(-1.0) < window.misfit(1.0)
         {
             return Some(self.misread(TripKind::EncoderReversed, &plate, &window));

@@ -1,16 +1,9 @@
 //! Readings that are the same to the bit again and again, and how many of them a working sensor would give by chance.
 //!
 //! At rest a sensor shows how often it repeats itself: by its noise and its resolution, and where a drive reads it more
-//! seldom than it is asked. With the share `p` of repeats, `n` in a row come by chance once in `p^-n`.
+//! seldom than once a cycle. With the share `p` of repeats, `n` in a row come by chance once in `p^-n`.
 
-/// Chance that is not believed.
-const CHANCE: f64 = 1e-9;
-/// Readings in a row that are needed whatever the noise.
-const FEWEST: usize = 8;
-/// Readings at rest that tell the share.
-const LEARNED: usize = 3;
-/// A sensor that repeats itself seldom has noise of its own, and not only that of a shaft which trembles.
-const SELDOM: f64 = 0.35;
+use super::settings::SETTINGS;
 
 /// The readings of one sensor.
 #[derive(Clone, Debug, Default)]
@@ -68,26 +61,29 @@ impl Repeats {
 
     /// Share of repeats at rest, none seen counting as one more of each; `None`: not known.
     fn share(&self) -> Option<f64> {
-        let known = self.rest >= LEARNED && self.rest_same < self.rest;
+        let known = self.rest >= SETTINGS.rest_readings && self.rest_same < self.rest;
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
     }
 
     /// Repeats in a row that chance does not give; `None`: it was not noisy at rest.
     pub(super) fn needed(&self) -> Option<f64> {
-        let by_chance = CHANCE.ln() / self.share()?.ln();
-        let fewest = FEWEST.max(3 * self.rest_longest);
+        let by_chance = SETTINGS.repeat_chance.ln() / self.share()?.ln();
+        let fewest = SETTINGS.fewest_repeats.max(3 * self.rest_longest);
         Some(by_chance.max(fewest as f64))
     }
 
     /// More of the same than chance gives a sensor that was noisy at rest.
     pub(super) fn is_stuck(&self) -> bool {
         let enough = self.needed().is_some_and(|n| self.run as f64 >= n);
-        enough && self.moving_run >= FEWEST
+        enough && self.moving_run >= SETTINGS.fewest_repeats
     }
 
     /// As `is_stuck`, of a sensor with noise of its own.
     pub(super) fn is_silent(&self) -> bool {
-        self.is_stuck() && self.share().is_some_and(|share| share <= SELDOM)
+        self.is_stuck()
+            && self
+                .share()
+                .is_some_and(|share| share <= SETTINGS.seldom_repeats)
     }
 }
 

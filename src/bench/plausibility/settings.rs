@@ -1,0 +1,146 @@
+//! Thresholds of the plausibility watch. Shares are of the rated values, or of the limits where nothing is rated.
+
+use super::history::Range;
+
+pub(super) struct Settings {
+    /// Latency that is allowed: the later of the two; with it the drive's own filters and a late reply are no fault.
+    pub(super) latency_s: f64,
+    pub(super) latency_cycles: usize,
+    /// Rows of a window where the drive stamps its samples, and at the most: a fault has to be found in time.
+    pub(super) stamped_rows: usize,
+    pub(super) most_rows: usize,
+    /// Windows in a row that have to disagree: one may hold a disturbance.
+    pub(super) confirming_windows: usize,
+    /// Factors by which any reading, or any value of the nameplate, may be off.
+    pub(super) any_factor: Range,
+    /// The same for a warm winding and for the flux of another specimen.
+    pub(super) winding_factor: Range,
+    pub(super) flux_factor: Range,
+    /// Voltage that depends on nothing, share: brushes, bridge, offset.
+    pub(super) drop: f64,
+    /// A current and a speed that count as none, shares; a voltage that counts as a change.
+    pub(super) idle_current: f64,
+    pub(super) rest_speed: f64,
+    pub(super) rest_voltage: f64,
+    /// A voltage and a speed that count as clearly moved, shares.
+    pub(super) moved_voltage: f64,
+    pub(super) moved_speed: f64,
+    /// A back-EMF that proves the encoder's direction, share.
+    pub(super) proven_voltage: f64,
+    /// Without current nothing drives the shaft, and a drive may only be slow to switch its output on: a contradiction has
+    /// to last so long then, s.
+    pub(super) idle_s: f64,
+    /// Readings equal to the bit that count as frozen, where the back-EMF has changed meanwhile.
+    pub(super) frozen_readings: usize,
+    /// A current of zero while the shaft speeds up by this share within this time, s.
+    pub(super) driven_speed: f64,
+    pub(super) driven_s: f64,
+    /// From this share of the rated current, or of its own limit, on a drive may limit without reporting it.
+    pub(super) limiting_current: f64,
+    /// A shaft stands for so long, s, although the current exceeds that of the nameplate's friction by this factor.
+    pub(super) standing_s: f64,
+    pub(super) standing_friction: f64,
+    /// A set-point is not followed for so long, s: of a current, and of a speed, of which the drive's ramp is not known.
+    pub(super) current_follows_s: f64,
+    pub(super) speed_follows_s: f64,
+    /// Deviation that is no doubt, shares.
+    pub(super) current_follows: f64,
+    pub(super) speed_follows: f64,
+    /// A voltage is stuck where its set-point has moved by this share and it has moved by less than this part of that.
+    pub(super) stuck_voltage: f64,
+    pub(super) stuck_part: f64,
+    /// A voltage that changes by more than this moves, share.
+    pub(super) moving_voltage: f64,
+    /// Factors by which a voltage may be off whose scale was right before.
+    pub(super) known_scale: Range,
+    /// A runaway: the speed grows against the torque for so many cycles, by this share of the speed limit and from this
+    /// share beyond the reference.
+    pub(super) runaway_cycles: usize,
+    pub(super) runaway_growth: f64,
+    pub(super) runaway_beyond: f64,
+    /// Memory of the regression over both balances: a time constant, s, and at least so many rows.
+    pub(super) memory_s: f64,
+    pub(super) memory_rows: f64,
+    /// Standard deviations of an estimate that do not count as chance.
+    pub(super) sigmas: f64,
+    /// Noise of a row's voltage and torque, shares.
+    pub(super) voltage_noise: f64,
+    pub(super) torque_noise: f64,
+    /// Prior standard deviations: of the factor of the flux, of the drop (share), of the factor of friction, and of what
+    /// is not known.
+    pub(super) flux_std: f64,
+    pub(super) drop_std: f64,
+    pub(super) friction_std: f64,
+    pub(super) unknown_std: f64,
+    /// Samples further apart do not belong together, s.
+    pub(super) longest_row_s: f64,
+    /// Between two samples voltage, current and command may move by these shares, and the measured voltage still stands for
+    /// the one in force meanwhile behind a drive's own current loop: it gives a step of its command in a part of a cycle,
+    /// and answers it with several volts for each ampere.
+    pub(super) steady_voltage: f64,
+    pub(super) steady_current: f64,
+    pub(super) steady_command: f64,
+    /// Commands that a drive which does not stamp its samples may be late.
+    pub(super) late_commands: u64,
+    /// Chance of a row of equal readings that is not believed, and readings in a row that are needed whatever the noise.
+    pub(super) repeat_chance: f64,
+    pub(super) fewest_repeats: usize,
+    /// Readings at rest that show how often a sensor repeats itself.
+    pub(super) rest_readings: usize,
+    /// A sensor with fewer repeats than this share has noise of its own, and not only that of a shaft which trembles.
+    pub(super) seldom_repeats: f64,
+}
+
+pub(super) const SETTINGS: Settings = Settings {
+    latency_s: 0.2,
+    latency_cycles: 5,
+    stamped_rows: 3,
+    most_rows: 20,
+    confirming_windows: 2,
+    any_factor: Range::new(0.5, 2.0),
+    winding_factor: Range::new(0.6, 1.5),
+    flux_factor: Range::new(0.7, 1.4),
+    drop: 0.04,
+    idle_current: 0.02,
+    rest_speed: 0.01,
+    rest_voltage: 0.01,
+    moved_voltage: 0.015,
+    moved_speed: 0.05,
+    proven_voltage: 0.045,
+    idle_s: 0.3,
+    frozen_readings: 4,
+    driven_speed: 0.08,
+    driven_s: 0.4,
+    limiting_current: 0.85,
+    standing_s: 0.5,
+    standing_friction: 1.7,
+    current_follows_s: 0.4,
+    speed_follows_s: 2.0,
+    current_follows: 0.1,
+    speed_follows: 0.1,
+    stuck_voltage: 0.06,
+    stuck_part: 0.25,
+    moving_voltage: 0.01,
+    known_scale: Range::new(0.85, 1.15),
+    runaway_cycles: 4,
+    runaway_growth: 0.01,
+    runaway_beyond: 0.05,
+    memory_s: 0.25,
+    memory_rows: 10.0,
+    sigmas: 3.0,
+    voltage_noise: 0.005,
+    torque_noise: 0.05,
+    flux_std: 0.5,
+    drop_std: 0.02,
+    friction_std: 1.0,
+    unknown_std: 10.0,
+    longest_row_s: 0.5,
+    steady_voltage: 0.05,
+    steady_current: 0.1,
+    steady_command: 0.03,
+    late_commands: 5,
+    repeat_chance: 1e-9,
+    fewest_repeats: 8,
+    rest_readings: 3,
+    seldom_repeats: 0.35,
+};
