@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matter_is_told_when_it_begins_gets_ten_times_worse_and_ends() {
+    fn a_line_problem_is_reported_at_begin_growth_and_end() {
         let mut watch = LineWatch::new(50.0);
         let mut told = Vec::new();
         for k in 0..3000_u32 {
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_rate_is_told_once_with_where_the_time_went_and_again_when_it_is_back() {
+    fn a_lost_rate_is_reported_once_and_its_return() {
         let mut watch = LineWatch::new(50.0);
         let mut told = Vec::new();
         let (mut now_s, mut resync_ms) = (0.0, 0);

@@ -590,7 +590,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_voltage_step_draws_thirteen_times_the_rated_current_and_is_refused() {
+    fn a_full_voltage_step_is_refused() {
         // Voltage over resistance, but for what the inductance takes: 75 A, 13 times rated; 30 V still 21 A.
         let plan = step(110.0, 1e6);
         within(plan.peak_current_a, 70.0..80.0);
@@ -624,7 +624,7 @@ mod tests {
     }
 
     #[test]
-    fn the_embedded_bench_stays_under_every_limit_with_room_for_a_ten_percent_specimen() {
+    fn the_embedded_bench_keeps_every_limit_with_margin() {
         let bench = BenchFile::embedded_default();
         for seed in [1, 2, 3] {
             let program = bench.program(seed).unwrap();
@@ -689,7 +689,7 @@ mod tests {
     }
 
     #[test]
-    fn the_inductance_depends_on_the_rate_and_the_rest_on_the_excitation() {
+    fn inductance_depends_on_rate_the_rest_on_excitation() {
         use Prospect::{Good, NotObservable, Weak};
         assert_eq!(prospects(1000.0), [Good, Good, Good, Good, Good]);
         assert_eq!(prospects(100.0), [Good, Weak, Good, Good, Good]);

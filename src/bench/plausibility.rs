@@ -13,12 +13,15 @@
 //! cycles late, or reads a sensor only every few cycles, is not taken for a broken one. Where the drive stamps its
 //! samples and reports which command it had applied, the ranges are narrow.
 //!
-//! A fault is found within 200 ms or five cycles, whichever is later, counted from when it can be seen: from when the
-//! signals that are broken differ from any that would be believed. At rest without a voltage, or on a plateau on which
-//! nothing changes, there is nothing to be seen, but for a sensor that loses its noise.
+//! A fault is found within 200 ms or five cycles, whichever is later, after it becomes observable: after the broken
+//! signals leave the range of what is plausible. At rest without a voltage, or on a plateau, nothing is observable but a
+//! sensor that loses its noise. Causes that cannot be distinguished are named together, and end the run all the same.
 //!
-//! What cannot be told apart is said as such, and ends the run all the same. An unknown motor has no balance: what is left
-//! is what needs no nameplate.
+//! ```text
+//! start -> Proven: nothing        gap in the samples -> Doubts: none
+//! plausible   -> Proven grows (sign, scale, direction), Doubts end
+//! implausible -> Doubts: windows in a row, or since when -> confirmed -> Trip
+//! ```
 
 mod balance;
 mod history;
@@ -89,7 +92,7 @@ struct Runaway {
     cycles: usize,
 }
 
-/// What speaks against the readings, as long as one sample follows another.
+/// Contradictions between readings, as long as one sample follows another.
 #[derive(Clone, Debug, Default)]
 struct Doubts {
     balance: BalanceDoubt,
@@ -152,7 +155,7 @@ pub struct Plausibility {
 }
 
 impl Plausibility {
-    /// The watch of a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it tells one.
+    /// The watch of a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it reports one.
     pub(super) fn of(
         limits: &Limits,
         motor: &Nameplate,
@@ -207,7 +210,7 @@ impl Plausibility {
     }
 
     /// How noisy the sensors are: readings at rest, before the output was on. A drive may read nothing at all while it is
-    /// off, so what is always the same tells nothing.
+    /// off, so equal readings are no evidence.
     pub(super) fn learn(&mut self, rest: &[Sample]) {
         for (channel, sensor) in [
             (Channel::Speed, &mut self.speed),
@@ -252,7 +255,7 @@ impl Plausibility {
         self.proven.direction
     }
 
-    /// Nothing speaks against the measured speed.
+    /// No doubt of the measured speed.
     pub(super) const fn believes_speed(&self) -> bool {
         !matches!(self.doubts.balance, BalanceDoubt::Misfit { .. })
             && self.doubts.angle_windows == 0
@@ -368,9 +371,9 @@ impl Plausibility {
             return None;
         }
         let last = || all.iter().skip(all.len() - rows);
-        // Without a measured voltage a limit of the drive would not be seen.
-        let knows = self.history.last()?.voltage_v.is_some();
-        let unknown = |row: &Row| !knows && row.current_a.abs() > self.bounds.limiting_a;
+        // Without a measured voltage a limit of the drive is not observable.
+        let is_measured = self.history.last()?.voltage_v.is_some();
+        let unknown = |row: &Row| !is_measured && row.current_a.abs() > self.bounds.limiting_a;
         if last().any(unknown) {
             return None;
         }
@@ -378,7 +381,7 @@ impl Plausibility {
         let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, n)).collect();
         let mut window = terms?.into_iter().reduce(Window::and)?;
         if !self.proven.current_sign {
-            // A drive may tell no more than the magnitude: it goes either way.
+            // A drive may report no more than the magnitude: it goes either way.
             let most = window.current.low.abs().max(window.current.high.abs());
             window.current = Range::new(-most, most);
             window.mean_current = window.mean_current.abs().copysign(window.mean_volts);
@@ -392,6 +395,16 @@ impl Plausibility {
         } else {
             self.cycles() - 2
         }
+    }
+
+    /// Whether the window is that of a motor with a warm winding and another specimen's flux.
+    fn fits(&self, window: &Window) -> bool {
+        window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0
+    }
+
+    /// Whether no reading within its tolerance makes the window fit.
+    fn misfits(&self, window: &Window) -> bool {
+        window.gap(SETTINGS.any_factor, SETTINGS.any_factor, self.drop_v()) > 0.0
     }
 
     fn drop_v(&self) -> f64 {
@@ -474,7 +487,7 @@ impl Plausibility {
         Trip::new(kind, self.now_s, figures, what)
     }
 
-    /// Everything that the voltage balance says.
+    /// Everything that follows from the voltage balance.
     fn by_balance(&mut self) -> Option<Trip> {
         let plate = self.plate?;
         let row = *self.history.rows().back()?;
@@ -508,14 +521,10 @@ impl Plausibility {
         if let Some(trip) = self.frozen(&plate, &window) {
             return Some(trip);
         }
-        let drop_v = self.drop_v();
-        let misfits =
-            !self.waived && window.gap(SETTINGS.any_factor, SETTINGS.any_factor, drop_v) > 0.0;
-        let against = self.goes_against(&window);
-        let doubted = misfits || against;
-        if !doubted {
+        let misfits = !self.waived && self.misfits(&window);
+        if !(misfits || self.goes_against(&window)) {
             self.end_misfit();
-            let fits = window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, drop_v) <= 0.0;
+            let fits = self.fits(&window);
             let turns = window.mean_speed.abs() > SETTINGS.proven_voltage * self.scale.volts;
             self.proven.direction |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
             if fits {
@@ -542,7 +551,7 @@ impl Plausibility {
         }
     }
 
-    /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
+    /// Whether the shaft gains or loses speed against its current and speed, and they would fit with the opposite
     /// sign.
     fn goes_against(&self, window: &Window) -> bool {
         let rows = self.history.rows().iter().rev().take(SETTINGS.stamped_rows);
@@ -615,8 +624,9 @@ impl Plausibility {
         }
         let by_voltage = volts / plate.back_emf;
         let figures = format!(
-            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {SETTINGS.idle_s} s are allowed",
-            last.time_s - since_s
+            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {} s are allowed",
+            last.time_s - since_s,
+            SETTINGS.idle_s
         );
         if speed.abs() >= self.rest_rad_s() {
             if self.waived {
@@ -670,7 +680,7 @@ impl Plausibility {
 
     /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
     fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
-        // What the window says must all be of the time since the speed has been the same.
+        // All of the window must lie in the time since the speed has been the same.
         if self.speed.run() < self.window_rows() {
             self.doubts.frozen_windows = 0;
             return None;
@@ -705,8 +715,7 @@ impl Plausibility {
         // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
         let beyond = |other_v: f64| SETTINGS.flux_factor.low * (by_voltage - other_v).abs() > doubt;
         let moved = beyond(held.by_voltage) && beyond(window.mean_speed);
-        let cannot_be =
-            window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, self.drop_v()) > 0.0;
+        let cannot_be = !self.fits(window);
         if !(moved || cannot_be) {
             self.doubts.frozen_windows = 0;
             return None;
@@ -721,9 +730,6 @@ impl Plausibility {
     /// Which reading it is that does not fit.
     fn name(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
-        let fits = |window: Window| {
-            window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, drop_v) <= 0.0
-        };
         let unheeded = self.doubts.last_fit.is_some_and(|(volts, answer)| {
             let step = (window.mean_volts - volts).abs();
             let response = (window.mean_current + window.mean_speed - answer).abs();
@@ -740,7 +746,7 @@ impl Plausibility {
         let turns = last.speed_rad_s?.abs() >= self.rest_rad_s();
         if self.speed.run() >= self.frozen_readings() {
             misread(self, TripKind::EncoderFrozen)
-        } else if drives_back && fits(mirrored) || opposite {
+        } else if drives_back && self.fits(&mirrored) || opposite {
             misread(self, TripKind::EncoderReversed)
         } else if self.proven.current_sign
             && self.is_mirrored(
@@ -789,11 +795,11 @@ impl Plausibility {
             (current, speed, window.speed)
         };
         let (measured, by_voltage) = (reading / per_unit, (window.mean_volts - other) / per_unit);
-        let believed = window
+        let plausible = window
             .volts
             .plus(negative(range.times(SETTINGS.any_factor)));
-        let believed = believed.wider(self.drop_v()).times(SETTINGS.any_factor);
-        let (low, high) = (believed.low / per_unit, believed.high / per_unit);
+        let plausible = plausible.wider(self.drop_v()).times(SETTINGS.any_factor);
+        let (low, high) = (plausible.low / per_unit, plausible.high / per_unit);
         let how = match kind {
             EncoderFrozen => "stays at",
             EncoderReversed | CurrentReversed => "has the wrong sign:",

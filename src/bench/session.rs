@@ -156,14 +156,7 @@ impl Session {
 
     /// Whether it is over and the drive reported that its output is off.
     pub const fn has_stopped(&self) -> bool {
-        let is_confirmed = matches!(
-            self.state,
-            State::Over {
-                is_confirmed: true,
-                ..
-            }
-        );
-        is_confirmed && self.drive.reports_stop
+        matches!(self.state.confirmed(), Some(true)) && self.drive.reports_stop
     }
 
     /// For a drive that may take so long to run and to stop.
@@ -718,19 +711,12 @@ impl Session {
     pub fn stop_notice(&self, failed: Option<&LinkError>) -> Option<Notice> {
         const REST: &str = "see that the shaft stands still";
         let Some(error) = failed else {
-            let is_unconfirmed = matches!(
-                self.state,
-                State::Over {
-                    is_confirmed: false,
-                    ..
-                }
-            );
             let text = if self.drive.reports_stop {
                 "the drive confirmed its stop only when it was told once more, after the run"
             } else {
                 UNREPORTED
             };
-            return is_unconfirmed.then(|| Notice {
+            return (self.state.confirmed() == Some(false)).then(|| Notice {
                 level: Level::Warning,
                 text: text.to_owned(),
             });
@@ -741,7 +727,7 @@ impl Session {
             _ => String::new(),
         };
         let why = match (error, self.drive.watchdog) {
-            // It answers, or was not seen to run: no watchdog has acted.
+            // It answers, or never reported that it runs: no watchdog has acted.
             (
                 LinkError::Refused { .. }
                 | LinkError::Sequence { .. }
@@ -809,7 +795,7 @@ impl Session {
         }
     }
 
-    /// In host time: who knows the samples' time axis moves it there.
+    /// In host time: the runner moves it to the time axis of the samples.
     fn event(&mut self, kind: &str, detail: Value) {
         let event = Event::new(self.now_s, Some(self.seq), kind).with("host_time_s", self.now_s);
         let mut event = event.with("input", self.inputs);

@@ -217,7 +217,7 @@ mod tests {
     use crate::bench::testing::has;
 
     #[test]
-    fn a_stop_is_timed_from_its_decision_and_the_rows_before_it_are_kept() {
+    fn a_stop_is_timed_from_its_decision() {
         let mut watch = StopWatch::default();
         assert_eq!(watch.stop(None), None);
         watch.phase(0.0, Phase::Running, 5.0, || "nothing");

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_is_read_up_to_its_count_and_only_where_its_index_is_the_one_asked_for() {
+    fn a_window_is_read_only_with_the_right_index() {
         let mut words = vec![80, 2];
         for k in 0..40 {
             words.extend(sample(f64::from(k)).to_registers());

@@ -60,7 +60,7 @@ pub(super) enum Method {
 pub(super) enum Policy {
     /// Every reply carries the number of its request (TCP): there is nothing to prove.
     Numbered,
-    /// As the drive's profile says. Every disturbance has to be followed by a proof.
+    /// As the drive's profile states. Every disturbance has to be followed by a proof.
     Fixed(Method),
     /// By trial, with a silence of this length as the last means. Only what could be confused has to be proven.
     Trial(Duration),
@@ -106,8 +106,8 @@ enum Sync {
     InStep,
     /// A late reply or a timeout since then: reads that no older reply fits may go out.
     Disturbed,
-    /// The next reply may be an old one: nothing goes out before a proof.
-    Doubtful { is_disturbed: bool },
+    /// The next reply may be an old one: nothing goes out before a proof. True: something was wrong since the last.
+    Doubtful(bool),
 }
 
 /// A silence that is waited for.
@@ -134,7 +134,7 @@ struct Probing {
 }
 
 /// Silence between reads that look alike, on lines where old replies come.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Spacing {
     /// On every line: the reads are rare.
     always: bool,
@@ -199,11 +199,9 @@ impl Proof {
         Self {
             policy,
             quiet,
-            // A reply to the last user of the line may be under way; by trial the first replies are proven later.
+            // By trial the first replies are proven later; else one to the last user of the line may be under way.
             sync: if is_fixed {
-                Sync::Doubtful {
-                    is_disturbed: false,
-                }
+                Sync::Doubtful(false)
             } else {
                 Sync::InStep
             },
@@ -215,12 +213,7 @@ impl Proof {
                 nonce: u16::from_be_bytes([high, low]),
                 place: None,
             },
-            spacing: Spacing {
-                always: false,
-                ended: Vec::new(),
-                clean_reads: 0,
-                delayed: None,
-            },
+            spacing: Spacing::default(),
             requests: VecDeque::with_capacity(REMEMBERED),
             missing: None,
             is_proven: false,
@@ -262,23 +255,18 @@ impl Proof {
     /// The line has to be proven before the next request.
     pub(super) fn doubt(&mut self) {
         if self.policy != Policy::Numbered {
-            self.sync = Sync::Doubtful {
-                is_disturbed: self.is_disturbed(),
-            };
+            self.sync = Sync::Doubtful(self.is_disturbed());
         }
     }
 
     /// Nothing goes out before a proof.
     pub(super) const fn is_doubtful(&self) -> bool {
-        matches!(self.sync, Sync::Doubtful { .. })
+        matches!(self.sync, Sync::Doubtful(_))
     }
 
     /// Something was wrong since the last proof.
     pub(super) const fn is_disturbed(&self) -> bool {
-        matches!(
-            self.sync,
-            Sync::Disturbed | Sync::Doubtful { is_disturbed: true }
-        )
+        matches!(self.sync, Sync::Disturbed | Sync::Doubtful(true))
     }
 
     /// A read that was answered: a probe may read the same place.
@@ -303,7 +291,7 @@ impl Proof {
         let needs_proof = match self.sync {
             Sync::InStep => false,
             Sync::Disturbed => !is_read || self.could_confuse(pdu),
-            Sync::Doubtful { .. } => true,
+            Sync::Doubtful(_) => true,
         };
         if self.sync != Sync::InStep && now < quiet_at {
             return self.silence(quiet_at, now);
@@ -400,7 +388,7 @@ impl Proof {
         self.anomalies += 1;
         self.sync = match self.sync {
             Sync::InStep | Sync::Disturbed => Sync::Disturbed,
-            Sync::Doubtful { .. } => Sync::Doubtful { is_disturbed: true },
+            Sync::Doubtful(_) => Sync::Doubtful(true),
         };
         self.disturbed_at = now;
         self.end_silent_proof();

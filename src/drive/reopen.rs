@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn another_serial_number_is_another_drive_and_a_reset_limit_is_not() {
+    fn another_serial_number_is_another_drive() {
         let before = Identity {
             product: "drive".to_owned(),
             serial_number: "1".to_owned(),

@@ -268,7 +268,7 @@ mod tests {
     use crate::drive::scripted::frame;
 
     #[test]
-    fn a_write_to_the_asked_unit_that_is_not_ours_is_another_masters() {
+    fn a_foreign_write_to_our_unit_is_another_master() {
         let own = frame(1, &[6, 0, 201, 2, 38]);
         let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
         expected.earlier.push_back(own.clone());
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_a_check_sum_by_chance_is_damage_and_a_misfit_no_other_masters() {
+    fn a_chance_check_sum_is_damage() {
         let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
         let found = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
         assert_eq!((found.reply, found.foreign), (None, 0));
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_command_must_come_back_and_old_answers_are_called_old() {
+    fn the_number_of_a_command_must_come_back() {
         let request = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
         let reply = |number: u8| frame(1, &[23, 4, 9, 9, 0, number]);
         let mut expected = expecting(&request, false);
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_replies_and_probes_and_writes_must_come_back_as_they_went_out() {
+    fn refusals_probes_and_writes_are_compared_whole() {
         let (read, probe) = ([3, 0, 0, 0, 2], [8, 0, 0, 0x12, 0x34]);
         let write = [16, 0, 32, 0, 1, 2, 0, 5];
         for (request, reply, is_taken) in [
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_returns_the_request_is_seen_and_the_copy_is_no_reply() {
+    fn an_echoed_request_is_no_reply() {
         let request = frame(1, &[3, 0, 0, 0, 2]);
         let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
         let search = rtu(&request, &[&request, &reply], false);

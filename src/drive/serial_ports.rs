@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stable_name_leads_to_the_same_port_and_a_wrong_one_to_nothing() {
+    fn a_stable_name_leads_to_its_port() {
         let machine = machine();
         let by_id = Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
         let port = describe(machine.path(), by_id);

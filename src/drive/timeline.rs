@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn the_applied_time_is_on_the_axis_of_the_sample_across_a_turn_of_the_counter() {
+    fn the_applied_time_survives_a_turn_of_the_counter() {
         let mut timeline = Timeline::default();
         timeline.note(u32::MAX - 1499, Span::new(1.0, 1.001));
         let telemetry = telemetry(5, 500, u32::MAX - 499);

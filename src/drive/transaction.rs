@@ -380,7 +380,7 @@ mod tests {
     use crate::drive::waiting::now;
 
     #[test]
-    fn a_flag_cuts_in_until_it_was_heard_and_again_when_it_is_raised_again() {
+    fn a_flag_cuts_in_once_for_each_raise() {
         let flag = Arc::new(AtomicBool::new(false));
         let mut cut_in = CutIn::watching([Arc::clone(&flag)]);
         assert!(!cut_in.is_raised());

@@ -87,7 +87,7 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_key() {
 }
 
 #[test]
-fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
+fn an_impossible_value_is_named_with_key_and_allowed_range() {
     let plate = ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1.0");
     let silence = ("link_silence_s = 0.45", "link_silence_s = 0.015");
     let port = ("port = \"emulator\"", "port = \"tcp:nowhere\"");
@@ -192,7 +192,7 @@ fn a_speed_section_is_strict() {
 }
 
 #[test]
-fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused() {
+fn load_and_supply_become_limits_or_are_refused() {
     let with = |sections: &str| changed("[runs]", &format!("{sections}\n[runs]"));
     let brake = "hold_current_a = 2.0\nbrake_release_s = 0.3\nbrake_apply_s = 0.2";
     let supply = "[supply]\nregenerates = false\nbrake_power_w = 40.0";

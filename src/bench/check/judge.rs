@@ -605,7 +605,7 @@ mod tests {
     }
 
     #[test]
-    fn a_current_that_starts_elsewhere_and_goes_with_the_voltage_is_an_offset() {
+    fn a_current_offset_that_follows_the_voltage_is_found() {
         let plate = Nameplate::zk_22fc();
         let known = known(&plate, Demand::Voltage(0.0));
         let pulse = |current_a: fn(f64) -> f64| {
@@ -625,7 +625,7 @@ mod tests {
     }
 
     #[test]
-    fn a_current_without_a_sign_or_within_its_noise_is_not_held_against_the_drive() {
+    fn a_current_without_sign_or_within_noise_passes() {
         for (current_a, signed, words) in [
             (-1.8, false, "has no sign"),
             (0.05, true, "sign cannot be told"),
@@ -663,7 +663,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_fits_passes_with_both_figures_whatever_its_brushes_drop() {
+    fn a_matching_motor_passes_whatever_its_brushes_drop() {
         let plate = Nameplate::zk_22fc();
         for drop_v in [0.0, 1.2] {
             let (text, refusal) = judged(&plate, (1.0, 1.0), drop_v);
@@ -698,7 +698,7 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_that_is_not_the_one_asked_is_refused_with_both_and_the_set_point_s_name() {
+    fn a_wrong_speed_is_refused_with_the_set_points_name() {
         let plate = Nameplate::zk_22fc();
         let known = Known {
             set_point: Some("speed_ref"),
@@ -715,7 +715,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_without_any_believable_value_is_refused_however_wide_it_is() {
+    fn an_interval_without_believable_value_is_refused() {
         let ratio = |is_winding, interval| Ratio {
             name: if is_winding { RESISTANCE } else { BACK_EMF },
             unit: "",
@@ -781,7 +781,7 @@ mod tests {
     }
 
     #[test]
-    fn what_follows_a_pause_is_not_judged_and_where_nothing_else_is_left_that_is_refused_as_such() {
+    fn the_rows_after_a_pause_are_not_judged() {
         let plate = Nameplate::zk_22fc();
         let known = known(&plate, Demand::Voltage(0.0));
         // One cycle without a reply is no pause.

@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pulse_of_the_paper_motor_is_a_tenth_of_its_voltage_and_overcomes_its_friction() {
+    fn the_pulse_of_the_paper_motor_overcomes_its_friction() {
         let size = size(Demand::Voltage(0.0));
         // 0.455 N.m of friction are 1.29 A, and 0.3 rated currents beyond it.
         assert!((size.goal_a - 3.0).abs() < 0.01, "{size:?}");
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_far_from_what_was_asked_is_astray_at_once_and_an_overshoot_is_not() {
+    fn a_speed_far_from_its_set_point_is_no_overshoot() {
         let size = size(Demand::Speed(0.0));
         let mut leg = Leg::new(1.0);
         leg.push(&size, 0.5, sent(0.5), &reply(3.0, 4.0));
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn it_rises_holds_at_the_current_and_ends_with_the_speed_either_way_round() {
+    fn the_pulse_rises_holds_and_ends_in_both_directions() {
         let size = size(Demand::Voltage(0.0));
         let mut leg = Leg::new(-1.0);
         for cycle in 0..10 {
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn no_pause_is_followed_by_a_step_and_the_goal_is_not_shown_by_what_comes_right_after_one() {
+    fn no_step_follows_a_pause_of_the_host() {
         let size = size(Demand::Voltage(0.0));
         let mut leg = Leg::new(1.0);
         for (cycle, at_s) in [0.0, 0.01, 0.21, 0.22, 0.42].into_iter().enumerate() {

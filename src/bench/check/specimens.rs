@@ -152,7 +152,7 @@ fn no_motor_that_fits_is_refused() {
 }
 
 #[test]
-fn no_motor_that_fits_is_refused_because_the_host_stood_still_in_the_pulse() {
+fn a_pause_of_the_host_refuses_no_matching_motor() {
     let refusals = refused(200, |seed| {
         let (plate, config) = specimen(seed);
         let clock = VirtualClock::new();
@@ -171,7 +171,7 @@ fn no_motor_that_fits_is_refused_because_the_host_stood_still_in_the_pulse() {
 type Wrong = (&'static str, fn(&mut Nameplate), usize);
 
 #[test]
-fn the_nameplate_of_another_motor_or_in_other_units_is_refused_wherever_the_pulse_can_tell() {
+fn another_motor_or_other_units_are_refused_where_visible() {
     let wrong: [Wrong; 7] = [
         ("Ke x 0.3", |plate| plate.back_emf_v_s_per_rad *= 0.3, 50),
         ("Ke x 0.5", |plate| plate.back_emf_v_s_per_rad *= 0.5, 5),
@@ -202,7 +202,7 @@ fn the_nameplate_of_another_motor_or_in_other_units_is_refused_wherever_the_puls
 }
 
 #[test]
-fn a_pulse_of_pauses_only_is_made_twice_and_refused_as_such_unless_waived() {
+fn a_pulse_of_pauses_only_is_repeated_once_then_refused() {
     let config = exact("zk-22fc-plain");
     let plate = Nameplate::zk_22fc();
     let profile = DriveProfile::named("own").unwrap();
@@ -229,7 +229,7 @@ fn a_pulse_of_pauses_only_is_made_twice_and_refused_as_such_unless_waived() {
 }
 
 #[test]
-fn the_machine_of_every_profile_passes_the_pulse_whenever_the_host_stands_still() {
+fn every_profiles_machine_passes_a_pulse_with_pauses() {
     const RATE_HZ: f64 = 10.0;
     let plate = Nameplate::zk_22fc();
     let mut passed = 0;

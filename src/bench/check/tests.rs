@@ -134,7 +134,7 @@ fn turned_less(link: &MemoryLink, than_rad: f64) {
 }
 
 #[test]
-fn every_embedded_motor_passes_the_pulse_and_is_at_rest_after_it() {
+fn every_embedded_motor_passes_the_pulse_and_rests() {
     let bench = BenchFile::embedded_default();
     for name in ["plain", "hidden", "viscous", "fan", "brushes", "warming"] {
         let (report, link) = moved(&emulator(&format!("zk-22fc-{name}")), &bench, NONE);
@@ -193,7 +193,7 @@ fn a_broken_machine_is_refused_with_its_name() {
 }
 
 #[test]
-fn a_nameplate_in_other_units_or_of_another_motor_is_refused_unless_waived() {
+fn a_foreign_nameplate_is_refused_unless_waived() {
     let config = emulator("zk-22fc-plain");
     let mut bench = BenchFile::embedded_default();
     bench.motor.back_emf_v_s_per_rad = Some(0.3538 / crate::units::rpm_from_rad_s(1.0));
@@ -215,7 +215,7 @@ fn a_nameplate_in_other_units_or_of_another_motor_is_refused_unless_waived() {
 }
 
 #[test]
-fn a_vertical_load_is_not_moved_without_its_brake_and_held_with_it() {
+fn a_vertical_load_moves_only_with_its_brake() {
     let mut bench = BenchFile::embedded_default();
     bench.load.vertical = true;
     let text = format!(
@@ -270,7 +270,7 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
 }
 
 #[test]
-fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_it() {
+fn a_stop_ends_the_pulse_and_a_weak_field_precedes_it() {
     let first = plain();
     let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
     let asked = stopped_by(&|| true, &first);
@@ -327,7 +327,7 @@ fn speed_noise(report: &CheckReport) -> f64 {
 }
 
 #[test]
-fn a_link_that_is_too_slow_is_refused_with_the_rate_that_it_reaches() {
+fn a_slow_link_is_refused_with_its_rate() {
     let report = emulated(Latency {
         request_s: 0.01,
         reply_s: 0.01,
@@ -346,7 +346,7 @@ fn a_drive_whose_watchdog_does_nothing_is_refused_unless_waived() {
 }
 
 #[test]
-fn a_watchdog_that_is_off_or_too_long_is_refused_without_energising() {
+fn a_wrong_watchdog_is_refused_without_energising() {
     for watchdog_s in [None, Some(0.0), Some(1.5), Some(f64::NAN)] {
         let mut drive = ScriptedDrive::new(0.01);
         drive.watchdog_s = watchdog_s;
@@ -376,7 +376,7 @@ fn a_shaft_that_coasts_is_waited_for_and_not_counted_as_noise() {
 }
 
 #[test]
-fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_waived() {
+fn motion_at_zero_output_stops_at_the_first_sample() {
     let mut calm = ScriptedDrive::new(0.01);
     checked(&mut calm, waived());
     let asked = calm.demands.len();
@@ -402,7 +402,7 @@ fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_w
 }
 
 #[test]
-fn a_rate_that_the_line_cannot_carry_is_refused_without_asking_anything() {
+fn a_rate_beyond_the_line_is_refused_without_a_request() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.shortest_cycle_s = Some(0.02);
     let report = checked(&mut drive, options());
@@ -433,8 +433,7 @@ fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
 }
 
 #[test]
-fn nothing_is_energised_once_somebody_has_asked_to_stop_and_no_exchange_lasts_longer_than_the_silence()
- {
+fn nothing_is_energised_after_a_stop_request() {
     let mut drive = ScriptedDrive::new(0.01);
     let asked = asking(|options| options.stopped = &|| true);
     let stopped = check(&mut drive, &mut VirtualClock::new(), &limits(), asked);
@@ -454,7 +453,7 @@ fn a_stop_that_fails_is_said_beside_what_had_ended_the_checks() {
 }
 
 #[test]
-fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move() {
+fn a_hardware_fault_is_reset_only_with_permission() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
     let asked = asking(|options| options.reset_fault = true);
@@ -463,7 +462,7 @@ fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move()
 }
 
 #[test]
-fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
+fn a_latched_fault_is_reset_on_request() {
     for reset_fault in [false, true] {
         let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
         // A host that was killed while the drive ran: its watchdog has tripped.
@@ -502,7 +501,7 @@ fn a_drive_that_takes_its_time_to_run_passes_at_a_high_rate_too() {
 }
 
 #[test]
-fn a_drive_that_never_runs_is_given_up_after_the_time_that_is_told() {
+fn a_drive_that_never_runs_is_given_up_in_time() {
     for rate_hz in [4.0, 100.0, 1000.0] {
         let mut drive = ScriptedDrive::new(1.0 / rate_hz).with(0, u64::MAX, Fault::NeverRuns);
         let report = patient(&mut drive, rate_hz);
@@ -601,7 +600,7 @@ impl Table {
 }
 
 #[test]
-fn a_set_point_that_is_right_is_compared_at_rest_and_passes_the_pulse() {
+fn a_right_set_point_passes_at_rest_and_in_the_pulse() {
     let mut table = Table::right();
     let report = table.check(false);
     passes(&report);
@@ -611,7 +610,7 @@ fn a_set_point_that_is_right_is_compared_at_rest_and_passes_the_pulse() {
 }
 
 #[test]
-fn a_speed_of_another_word_order_or_scale_is_stopped_in_the_pulse_and_asked_about() {
+fn a_wrong_word_order_or_scale_of_speed_stops_the_pulse() {
     let high = "high_first";
     for (order, scale) in [("low_first", "0.1"), (high, "0.01"), (high, "1.0")] {
         let mut table = Table::new(servo(order, scale));
@@ -639,7 +638,7 @@ fn a_set_point_that_reads_back_otherwise_is_refused_at_rest() {
 }
 
 #[test]
-fn a_drive_that_somebody_runs_is_refused_and_nothing_is_asked_of_it() {
+fn a_drive_that_runs_already_is_refused_untouched() {
     for reset_fault in [false, true] {
         let mut table = Table::right();
         let bus = table.link.bus_mut();

@@ -113,7 +113,7 @@ fn report(done: &Done) -> String {
 const FOUND: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
 
 #[test]
-fn a_locked_rotor_and_an_open_phase_are_named_with_their_numbers() {
+fn a_locked_rotor_and_an_open_phase_are_named() {
     let done = named("zk-22fc-locked");
     let report = report(&done);
     let Some(Outcome::Named(ending @ Ending::LockedRotor { current_a, .. })) =
@@ -171,7 +171,7 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
 
 /// The nameplate of a software drive's motor.
 #[test]
-fn the_sequence_is_left_alone_or_made_smaller_until_every_limit_holds() {
+fn the_sequence_is_scaled_until_every_limit_holds() {
     let bench = BenchFile::embedded_default();
     let scaled = |emulator| {
         let plate = plate_of(EmulatorConfig::embedded(emulator).unwrap().motor);

@@ -220,7 +220,7 @@ fn a_quarter_of_an_hour_over_a_poor_line_brings_no_wrong_value() {
 /// Alone in its process: `cargo test --lib endurance -- --ignored --nocapture`.
 #[test]
 #[ignore = "24 h of virtual time take minutes"]
-fn a_day_over_a_poor_line_brings_no_wrong_value_and_takes_no_memory() {
+fn a_day_over_a_poor_line_gives_no_wrong_value() {
     let mut first = None;
     let account = soak(86_400.0, |account, now_s| {
         if now_s > 3600.0 && first.is_none() {

@@ -95,7 +95,7 @@ fn machine(seed: u64) -> Outcome {
 }
 
 #[test]
-fn on_a_line_with_spoilt_replies_the_hidden_effect_is_named_and_no_parameter_moves() {
+fn the_hidden_effect_is_named_over_a_poor_line() {
     let outcomes: Vec<Outcome> = std::thread::scope(|scope| {
         let half = |first: u64| (first..MACHINES).step_by(2).map(machine).collect();
         let halves: [_; 2] = [0, 1].map(|first| scope.spawn(move || half(first)));

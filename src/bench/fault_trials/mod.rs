@@ -483,7 +483,7 @@ fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
 }
 
 #[test]
-fn with_a_live_link_the_stop_is_on_the_line_in_time_in_a_thousand_trials() {
+fn a_stop_is_on_a_live_line_in_time_in_1000_trials() {
     let seeds: Vec<u64> = (0..STOPS).collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let done = trials::at_once(cores, &seeds, |seed| (*seed, stop_latency(*seed)));

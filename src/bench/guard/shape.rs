@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_resistor_the_voltage_never_falls_below_the_back_emf() {
+    fn without_a_resistor_voltage_stays_above_the_back_emf() {
         let braking = braking(0.0);
         for speed in [200.0, -200.0_f64] {
             let emf = 0.3538 * speed;

@@ -127,7 +127,7 @@ fn the_drive_s_own_fault_ends_the_run_at_once_with_its_code() {
 }
 
 #[test]
-fn a_fault_code_of_zero_is_no_code_and_words_without_one_are_told() {
+fn a_fault_code_of_zero_is_no_code() {
     let lost = "communication loss (comm_loss): the drive's own watchdog has expired";
     let reason = format!("drive fault: the drive reports a fault, {lost}");
     assert_eq!(drive_fault(0, Some(lost)), reason);
@@ -146,7 +146,7 @@ fn missing_signals_and_a_stuck_clock_end_the_run_after_three() {
 }
 
 #[test]
-fn a_drive_whose_clock_jumps_either_way_was_switched_off_and_on_again() {
+fn a_jump_of_the_drives_clock_is_a_restart() {
     // Where its counter begins anew depends on how long it was on before: behind, or ahead.
     for jump_s in [-1.0, -0.13, 0.2, 1294.97, -2147.0, 2147.0] {
         let jumped = trip_within(9, |sample| sample.time_s += jump_s);
@@ -224,7 +224,7 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
 }
 
 #[test]
-fn a_voltage_step_is_capped_at_current_limit_times_resistance_unless_the_drive_limits_itself() {
+fn a_voltage_step_is_capped_unless_the_drive_limits() {
     // 22.8 A times 1.1 ohm.
     for (drive_limit_a, first_v) in [(None, 25.08), (Some(100.0), 25.08), (Some(20.0), 60.0)] {
         let fast = with(|limits| limits.slew_v_per_s = 1e9);
@@ -250,8 +250,7 @@ fn unseen(mut guard: Guard) -> Vec<f64> {
 }
 
 #[test]
-fn a_shaft_that_was_not_seen_may_have_followed_the_voltage_and_is_braked_no_harder_than_that_allows()
- {
+fn an_unobserved_shaft_is_braked_within_the_limit() {
     let winding_v = limits().current_a * 1.1;
     let seen_v = 0.3538 * 10.0;
     let known = unseen(guard().with_period(PERIOD_S));
@@ -302,7 +301,7 @@ fn at_rest_the_noise_of_the_speed_is_no_first_command() {
 }
 
 #[test]
-fn travel_counts_from_the_first_angle_where_the_run_began_without_one() {
+fn travel_counts_from_the_first_angle() {
     let mut guard = guard();
     guard.begin(0.0, &sample(0.0).with(Channel::Angle, f64::NAN));
     for (time_s, angle_rad) in [(0.01, 7.0), (0.02, 56.9)] {
@@ -314,7 +313,7 @@ fn travel_counts_from_the_first_angle_where_the_run_began_without_one() {
 }
 
 #[test]
-fn a_trip_stays_and_what_is_not_known_to_rest_is_not_called_at_rest() {
+fn a_trip_stays_and_an_unknown_speed_is_no_rest() {
     let (mut guard, now_s) = running();
     guard.watch(now_s, &sample(now_s).with(Channel::Current, 30.0), true);
     let after = guard.shape(now_s, Demand::Voltage(5.0)).demand;
@@ -477,7 +476,7 @@ proptest! {
 }
 
 #[test]
-fn a_heavy_load_is_braked_no_harder_than_the_limit_allows_while_it_is_seen_to_slow_down() {
+fn a_heavy_load_is_braked_within_the_limit() {
     let limits = with(|limits| (limits.current_a, limits.slew_v_per_s) = (10.0, 400.0));
     let mut guard = guard_of(limits).with_period(PERIOD_S);
     guard.begin(0.0, &sample(0.0));
@@ -514,7 +513,7 @@ fn at_speed(limits: Limits, speed_rad_s: f64) -> Guard {
 }
 
 #[test]
-fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
+fn a_supply_without_sink_holds_the_back_emf() {
     let one_way = with(|limits| limits.braking_w = Some(0.0));
     let mut guard = at_speed(one_way.clone(), 200.0);
     let emf = 0.3538 * 200.0;
@@ -534,7 +533,7 @@ fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
 }
 
 #[test]
-fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
+fn a_bridge_gets_no_demand_outside_its_quadrants() {
     use Demand::{Current, Speed, Voltage};
     let of = |quadrants, demand| {
         let few = with(|limits| limits.quadrants = quadrants);
@@ -553,7 +552,7 @@ fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
 }
 
 #[test]
-fn a_lost_field_is_a_trip_of_its_own_even_where_the_drive_only_reports_a_fault() {
+fn a_lost_field_is_a_trip_of_its_own() {
     let watched = with(|limits| limits.field_min_a = Some(0.3));
     let found = |field_a, state| {
         let mut sample = sample(0.01);

@@ -79,7 +79,7 @@ fn every_limit_stands_with_its_value_and_its_reason() {
 }
 
 #[test]
-fn the_sequence_is_planned_and_stays_below_the_drive_s_own_limit() {
+fn the_planned_sequence_stays_below_the_drives_limit() {
     let file = made("own", &plate(), told()).unwrap();
     let plan = file.plan.as_ref().unwrap();
     assert!(!plan.is_refused());
@@ -147,7 +147,7 @@ fn an_unknown_motor_is_left_to_be_found() {
 }
 
 #[test]
-fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
+fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
     let file = made("epulse50-dc", &plate(), told()).unwrap();
     assert_eq!(file.purpose, InitUse::SpeedLoop);
     has(&file.remarks[0], "takes no voltage command");
@@ -236,7 +236,7 @@ fn names_and_numbers_are_plain() {
 }
 
 #[test]
-fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
+fn the_silence_is_compared_with_the_profiles_watchdog() {
     let mut profile = DriveProfile::named("epulse50-dc").unwrap();
     let mut map = (*profile.registers.clone().unwrap()).clone();
     map.watchdog.keys.set_ms = Some(800.0);
@@ -250,7 +250,7 @@ fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
 }
 
 #[test]
-fn a_plate_in_revolutions_per_minute_is_remarked_before_anything_else() {
+fn a_nameplate_in_rpm_is_remarked_first() {
     let mut motor = plate();
     motor.rated_speed_rad_s = 2800.0;
     let file = made("own", &motor, told()).unwrap();

@@ -12,7 +12,7 @@ fn evidence(model: &Model) -> Evidence {
 }
 
 #[test]
-fn every_recipe_is_a_bench_file_that_plans_within_the_drive_s_limits() {
+fn every_recipe_is_a_bench_file_within_the_limits() {
     let model = Model::baseline(Motor::zk_22fc());
     let bench = BenchFile::embedded_default();
     let recipes = menu_within(&model, &experiment_limits(&bench));
@@ -36,7 +36,7 @@ fn every_recipe_is_a_bench_file_that_plans_within_the_drive_s_limits() {
 }
 
 #[test]
-fn runs_without_a_bench_get_one_with_the_motor_and_the_limits_that_they_show() {
+fn runs_without_a_bench_get_one_from_their_motor() {
     let mut model = Model::baseline(Motor::zk_22fc());
     model.motor.set(MotorKey::Resistance, 1.7);
     let evidence = evidence(&model);

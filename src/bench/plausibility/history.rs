@@ -9,6 +9,8 @@ use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Commands that may still be answered.
 const COMMANDS: usize = 128;
+/// Commands that a drive which does not stamp its samples may be late.
+const LATE_COMMANDS: u64 = SETTINGS.latency_cycles as u64;
 /// Samples kept, at most.
 const KEPT: usize = 64;
 
@@ -189,15 +191,7 @@ impl History {
     pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
         let last = self.samples.back()?;
         last.key?;
-        Some(self.in_force(
-            last,
-            last,
-            if last.exact {
-                2
-            } else {
-                SETTINGS.late_commands
-            },
-        ))
+        Some(self.in_force(last, last, if last.exact { 2 } else { LATE_COMMANDS }))
     }
 
     /// The demands that the newest sample may answer to, as one range in their quantity; `None` where they are mixed.
@@ -222,7 +216,7 @@ impl History {
         let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.steady_voltage * scale.volts;
         let demand = last.demand?;
         if let Demand::Speed(_) = demand {
-            // The drive's own loop does with the voltage what it likes, and what it tells may be that of another machine.
+            // The drive's own loop sets the voltage, and the reported one may be that of another machine.
             return None;
         }
         if last.limited || now.limited {

@@ -8,19 +8,6 @@ use super::{Agreement, CHECK_ENCODER, CHECK_SET_POINT, Departure, Plausibility, 
 use crate::bench::trip::{Trip, TripKind};
 use crate::sample::Demand;
 
-/// A set-point that is not followed, and what is read instead.
-struct Deviation {
-    demand: Demand,
-    set_point: Range,
-    /// What would be believed.
-    region: Range,
-    value: f64,
-    unit: &'static str,
-    /// Nothing flows and nothing turns.
-    idle: bool,
-    for_s: f64,
-}
-
 impl Plausibility {
     /// Two readings that fit in each other's place and not in their own.
     pub(in crate::bench) fn swapped(&self) -> Option<Trip> {
@@ -75,15 +62,14 @@ impl Plausibility {
             .then(|| self.doubt(TripKind::SignalsSwapped, (current, speed), &what))
     }
 
-    /// A trip beyond a limit, with what speaks against the reading that broke it.
+    /// A trip beyond a limit, with what contradicts the reading that broke it.
     pub(in crate::bench) fn explained(&mut self, mut beyond: Trip) -> Trip {
         if let Some(trip) = self.swapped() {
             return trip;
         }
         let doubt = self.plate.and_then(|plate| {
             let window = self.window(&plate, 1)?;
-            let doubted = window.gap(SETTINGS.any_factor, SETTINGS.any_factor, self.drop_v()) > 0.0;
-            doubted.then(|| self.name(&plate, &window)).flatten()
+            self.misfits(&window).then(|| self.name(&plate, &window))?
         });
         if let Some(doubt) = doubt {
             beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
@@ -131,35 +117,30 @@ impl Plausibility {
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
-                region = region.wider(SETTINGS.current_follows * amps);
+                region = region.wider(SETTINGS.follows * amps);
                 let emf_v = self.plate.map_or(0.0, |plate| plate.back_emf * speed);
                 let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
                 if !self.proven.current_sign {
                     region = region.hull(negative(region));
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
-                (
-                    measured,
-                    amps,
-                    SETTINGS.current_follows_s.max(latency_s),
-                    "A",
-                )
+                let confirm_s = SETTINGS.current_follows_s.max(latency_s);
+                (measured, amps, confirm_s, "A")
             }
             _ => {
-                region = region.wider(SETTINGS.speed_follows * self.scale.rad_s);
+                region = region.wider(SETTINGS.follows * self.scale.rad_s);
                 let confirm_s = SETTINGS.speed_follows_s.max(latency_s);
                 let measured = Some(speed).filter(|_| !last.limited);
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
         };
-        let deviation = |region, value, for_s| Deviation {
-            demand,
-            set_point,
-            region,
-            value,
-            unit,
-            idle,
-            for_s,
+        let wanted = set_point.middle();
+        let not_followed = |watch: &Self, region: Range, value: f64, for_s: f64| {
+            let figures = format!(
+                "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {for_s:.2} s, {:.2} to {:.2} {unit} would be believed",
+                region.low, region.high
+            );
+            watch.not_followed(demand, (value, wanted), idle, &figures)
         };
         if let (Demand::Voltage(_), Some(value)) = (demand, measured)
             && let Some(for_s) = self
@@ -167,7 +148,7 @@ impl Plausibility {
                 .filter(|for_s| *for_s >= confirm_s)
         {
             let region = set_point.wider(self.drop_v());
-            return Some(self.not_followed(&deviation(region, value, for_s)));
+            return Some(not_followed(self, region, value, for_s));
         }
         let distance = measured.map_or(0.0, |value| region.gap(Range::at(value)));
         let Some(value) = measured.filter(|_| distance > 0.0) else {
@@ -190,7 +171,7 @@ impl Plausibility {
             return None;
         }
         self.swapped()
-            .or_else(|| Some(self.not_followed(&deviation(region, value, for_s))))
+            .or_else(|| Some(not_followed(self, region, value, for_s)))
     }
 
     /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
@@ -204,7 +185,7 @@ impl Plausibility {
             let nearest = value.clamp(set_point.low, set_point.high);
             let agrees = self.doubts.agreement.is_none_or(|last| {
                 let moves =
-                    (value - last.measured_v).abs() > SETTINGS.moving_voltage * self.scale.volts;
+                    (value - last.measured_v).abs() > SETTINGS.rest_voltage * self.scale.volts;
                 moves || (nearest - value).abs() <= (last.set_point_v - last.measured_v).abs()
             });
             if agrees {
@@ -215,9 +196,9 @@ impl Plausibility {
                 });
             }
             let is_steady = set_point.high - set_point.low < self.drop_v();
-            let tells =
+            let is_clear =
                 SETTINGS.known_scale.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
-            self.proven.voltage_scale |= is_steady && tells;
+            self.proven.voltage_scale |= is_steady && is_clear;
         }
         let beyond = |current: f64| current.abs() > self.bounds.limiting_a;
         let is_limited = last.limited || last.current_a.is_some_and(beyond);
@@ -233,21 +214,13 @@ impl Plausibility {
         Some(last.time_s - since_s)
     }
 
-    fn not_followed(&self, deviation: &Deviation) -> Trip {
-        let &Deviation {
-            demand,
-            set_point,
-            region,
-            value,
-            unit,
-            idle,
-            for_s,
-        } = deviation;
-        let wanted = set_point.middle();
-        let figures = format!(
-            "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {:.2} s, {:.2} to {:.2} {unit} would be believed",
-            for_s, region.low, region.high
-        );
+    fn not_followed(
+        &self,
+        demand: Demand,
+        (value, wanted): (f64, f64),
+        idle: bool,
+        figures: &str,
+    ) -> Trip {
         if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
             && let Some(row) = self.history.rows().back().filter(|_| !idle)
         {
@@ -294,16 +267,16 @@ impl Plausibility {
             speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
         }
         let rate = (turned - worst.1) / (seconds - worst.2);
-        // Where each speed has its time the mean says more than the lowest and the highest of them.
+        // Where each speed has its time the mean is narrower than their range.
         let speeds = if self.is_exact() {
             Range::around(by_speed / seconds, widest)
         } else {
             speeds?
         };
-        let believed = speeds
+        let plausible = speeds
             .times(SETTINGS.any_factor)
             .wider(2.0 * self.rest_rad_s());
-        if believed.gap(Range::at(rate)) <= 0.0 {
+        if plausible.gap(Range::at(rate)) <= 0.0 {
             self.doubts.angle_windows = 0;
             return None;
         }
@@ -314,7 +287,7 @@ impl Plausibility {
         let speed = speeds.middle();
         let what = format!(
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
-            believed.low, believed.high
+            plausible.low, plausible.high
         );
         let kind = if self.speed.run() >= SETTINGS.frozen_readings {
             TripKind::EncoderFrozen

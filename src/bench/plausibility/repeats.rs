@@ -59,7 +59,7 @@ impl Repeats {
         self.since_s
     }
 
-    /// Share of repeats at rest, none seen counting as one more of each; `None`: not known.
+    /// Share of repeats at rest, with one more of each (Laplace's rule of succession); `None`: not known.
     fn share(&self) -> Option<f64> {
         let known = self.rest >= SETTINGS.rest_readings && self.rest_same < self.rest;
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_reads_its_sensor_every_fourth_cycle_needs_as_much_more() {
+    fn a_sensor_read_every_fourth_cycle_needs_more_repeats() {
         let slow: Vec<f64> = (0..60).map(|n: u32| f64::from(n / 4)).collect();
         assert!(!after(&slow, 40).is_stuck());
         assert!(after(&slow, 90).is_stuck());

@@ -43,14 +43,11 @@ pub(super) struct Settings {
     /// A set-point is not followed for so long, s: of a current, and of a speed, of which the drive's ramp is not known.
     pub(super) current_follows_s: f64,
     pub(super) speed_follows_s: f64,
-    /// Deviation that is no doubt, shares.
-    pub(super) current_follows: f64,
-    pub(super) speed_follows: f64,
+    /// Deviation of current or speed that is no doubt, share.
+    pub(super) follows: f64,
     /// A voltage is stuck where its set-point has moved by this share and it has moved by less than this part of that.
     pub(super) stuck_voltage: f64,
     pub(super) stuck_part: f64,
-    /// A voltage that changes by more than this moves, share.
-    pub(super) moving_voltage: f64,
     /// Factors by which a voltage may be off whose scale was right before.
     pub(super) known_scale: Range,
     /// A runaway: the speed grows against the torque for so many cycles, by this share of the speed limit and from this
@@ -80,9 +77,7 @@ pub(super) struct Settings {
     pub(super) steady_voltage: f64,
     pub(super) steady_current: f64,
     pub(super) steady_command: f64,
-    /// Commands that a drive which does not stamp its samples may be late.
-    pub(super) late_commands: u64,
-    /// Chance of a row of equal readings that is not believed, and readings in a row that are needed whatever the noise.
+    /// Least probability of a row of equal readings, and readings in a row that are needed whatever the noise.
     pub(super) repeat_chance: f64,
     pub(super) fewest_repeats: usize,
     /// Readings at rest that show how often a sensor repeats itself.
@@ -116,11 +111,9 @@ pub(super) const SETTINGS: Settings = Settings {
     standing_friction: 1.7,
     current_follows_s: 0.4,
     speed_follows_s: 2.0,
-    current_follows: 0.1,
-    speed_follows: 0.1,
+    follows: 0.1,
     stuck_voltage: 0.06,
     stuck_part: 0.25,
-    moving_voltage: 0.01,
     known_scale: Range::new(0.85, 1.15),
     runaway_cycles: 4,
     runaway_growth: 0.01,
@@ -138,7 +131,6 @@ pub(super) const SETTINGS: Settings = Settings {
     steady_voltage: 0.05,
     steady_current: 0.1,
     steady_command: 0.03,
-    late_commands: 5,
     repeat_chance: 1e-9,
     fewest_repeats: 8,
     rest_readings: 3,

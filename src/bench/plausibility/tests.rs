@@ -399,7 +399,7 @@ fn a_slow_coarse_and_stale_drive_is_believed() {
 }
 
 #[test]
-fn on_a_slow_drive_a_broken_encoder_is_found_within_five_cycles_too() {
+fn a_slow_drives_encoder_fault_is_found_in_five_cycles() {
     for (wrong, kind) in [
         (Wrong::Frozen, TripKind::EncoderFrozen),
         (Wrong::Reversed, TripKind::EncoderReversed),

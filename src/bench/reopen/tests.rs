@@ -115,7 +115,7 @@ impl Case {
 }
 
 #[test]
-fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
+fn the_same_drive_is_stopped_and_nothing_else() {
     let done = Case::default().go();
     assert_eq!(done.reopened.ending, ReopenEnding::Stopped);
     assert!(done.has_link && done.reopened.is_safe());
@@ -151,7 +151,7 @@ fn another_drive_is_only_read() {
 }
 
 #[test]
-fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
+fn a_drive_without_state_does_not_count_as_stopped() {
     let done = done(|case| case.confirms = false);
     assert_eq!(done.reopened.ending, ReopenEnding::StopUnconfirmed);
     assert!(!done.reopened.is_safe() && done.reopened.state.is_none());
@@ -159,7 +159,7 @@ fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
 }
 
 #[test]
-fn a_drive_that_never_comes_is_given_up_after_the_time_and_one_that_is_mute_as_well() {
+fn an_absent_or_mute_drive_is_given_up_in_time() {
     let absent = done(|case| (case.there_at, case.limit_s) = (u32::MAX, Some(3.0)));
     assert_eq!(absent.reopened.ending, ReopenEnding::GivenUp);
     within(absent.reopened.downtime_s, 1.5..=3.2);

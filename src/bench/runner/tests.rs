@@ -82,7 +82,7 @@ fn one_seed_gives_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
-fn the_live_estimates_are_near_the_truth_and_a_replay_gives_them_to_the_bit() {
+fn live_estimates_are_accurate_and_replay_to_the_bit() {
     let plain = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
     for seed in 1..=3 {
         let (summary, recorder, _) = emulated_with(&plain, seed, 1);
@@ -197,7 +197,7 @@ fn an_interrupt_ends_with_130_after_a_ramp_down() {
 }
 
 #[test]
-fn a_link_that_is_gone_ends_the_run_and_is_described_in_the_manifest() {
+fn a_lost_link_ends_the_run_and_is_in_the_manifest() {
     let drive = ScriptedDrive::new(0.01).with(60, u64::MAX, Fault::Gone);
     let (summary, _, drive) = Scripted::new(drive).run();
     let mut manifest = Manifest::default();
@@ -208,7 +208,7 @@ fn a_link_that_is_gone_ends_the_run_and_is_described_in_the_manifest() {
 }
 
 #[test]
-fn a_run_that_cannot_begin_ends_with_the_reason_and_does_not_hang() {
+fn a_run_that_cannot_begin_ends_with_the_reason() {
     let silent = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Timeout);
     let (summary, _, _) = Scripted::new(silent).run();
     assert!(matches!(summary.outcome, Outcome::LinkLost { .. }));
@@ -324,7 +324,7 @@ fn a_motor_that_nobody_could_stop_is_left_to_the_watchdog() {
 }
 
 #[test]
-fn a_stop_that_the_link_got_confirmed_in_the_end_is_no_matter_of_the_watchdog() {
+fn a_stop_confirmed_late_is_no_matter_of_the_watchdog() {
     for fault in [Fault::Gone, Fault::IgnoresStop] {
         let notices = last_notices(60, fault, None);
         assert_eq!(errors_with(&notices, "confirmed").len(), 0, "{notices:?}");
@@ -387,7 +387,7 @@ impl Tamper<ScriptedDrive> for Held {
 }
 
 #[test]
-fn a_silence_that_comes_from_the_link_is_never_called_a_host_that_stood_still() {
+fn a_silent_link_is_never_called_a_stalled_host() {
     let motor = Nameplate::zk_22fc();
     for dead_from in 60..70 {
         let mut clock = VirtualClock::new();
@@ -460,7 +460,7 @@ fn beyond_a(knows_its_period: bool) -> Vec<f64> {
 }
 
 #[test]
-fn a_shaft_that_was_not_seen_for_a_while_is_not_braked_beyond_the_limit() {
+fn an_unobserved_shaft_is_not_braked_beyond_the_limit() {
     // A speed is one period old on a good link too: that much the limit is exceeded by now and then.
     let with = beyond_a(true);
     assert!(with.len() < 4, "{with:?}");
@@ -533,7 +533,7 @@ fn foreign(
 const SLOW: Demand = Demand::Speed(30.0);
 
 #[test]
-fn a_foreign_drive_is_given_the_time_of_its_profile_and_its_stop_confirmed_where_it_tells_of_it() {
+fn a_foreign_drive_gets_the_times_of_its_profile() {
     let roboteq = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
     let voltage = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
     let slow = |command: &str| {
@@ -585,7 +585,7 @@ fn keypad_and_torque_off_end_a_run_with_their_own_words() {
 }
 
 #[test]
-fn torque_off_before_the_start_is_refused_in_words_and_nothing_is_enabled() {
+fn torque_off_before_the_start_is_refused() {
     let (summary, _, link) = foreign(&telling(), SLOW, 1, |drive| drive.switch_torque_off(true));
     let Outcome::NotStarted { reason } = &summary.outcome else {
         panic!("{:?}", summary.outcome);
@@ -595,7 +595,7 @@ fn torque_off_before_the_start_is_refused_in_words_and_nothing_is_enabled() {
 }
 
 #[test]
-fn a_drive_that_refuses_ends_the_run_at_once_and_a_busy_one_after_the_silence_that_is_allowed() {
+fn a_refusal_ends_the_run_and_a_busy_drive_after_silence() {
     type Case = (&'static str, fn(&mut ForeignDrive), [&'static str; 2]);
     let illegal = ["profile epulse50-dc:", "exception 0x02"];
     let busy = ["requests refused", "exception 0x06"];

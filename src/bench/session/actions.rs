@@ -7,7 +7,7 @@ use crate::drive::LinkError;
 use crate::recording::Event;
 use crate::sample::{Command, Sample};
 
-/// Exceptions that say that the request itself is wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
+/// Exceptions for a request that is itself wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
 const ILLEGAL_FIRST: u8 = 1;
 const ILLEGAL_LAST: u8 = 3;
 
@@ -36,7 +36,7 @@ pub enum Lost {
     Transient(String),
     /// The drive, or a gateway, answers that it cannot do so now: the next cycle may try again.
     Busy(String),
-    /// The drive does not have what it was asked: asking again is of no use.
+    /// The drive does not have what was requested: no retry can help.
     Refused(String),
     /// The link does not come back within this session.
     Gone(String),
@@ -57,7 +57,7 @@ impl From<&LinkError> for Lost {
     }
 }
 
-/// What a person, a signal or the workflow asks for.
+/// A request of a person, of a signal or of the workflow.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Intent {
     /// Output on at zero, then the program.

@@ -59,6 +59,14 @@ impl State {
             Self::Connecting(_) | Self::Safe | Self::Armed | Self::Running(_) => None,
         }
     }
+
+    /// Whether the stop is confirmed; `None`: not over yet.
+    pub(super) const fn confirmed(&self) -> Option<bool> {
+        match self {
+            Self::Over { is_confirmed, .. } => Some(*is_confirmed),
+            _ => None,
+        }
+    }
 }
 
 /// The drive's own stop where commands no longer arrive.

@@ -65,7 +65,7 @@ fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Event> {
 }
 
 #[test]
-fn a_healthy_run_goes_through_every_phase_and_ends_done_with_the_output_off() {
+fn a_healthy_run_passes_every_phase_and_ends_done() {
     let bench = run_with(0, 0, Fault::Timeout);
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
     let phases = events(&bench, "phase");
@@ -103,7 +103,7 @@ fn every_fault_ends_at_zero_output_with_its_own_reason() {
 }
 
 #[test]
-fn a_silence_that_ends_with_an_exchange_is_answered_before_the_next_cycle() {
+fn a_silence_is_answered_before_the_next_cycle() {
     let mut session = run_for(60, EVER, EVER, Fault::Timeout).session;
     let begun_s = session.now_s;
     let left_s = session.guard().silence_left_s(begun_s);
@@ -190,7 +190,7 @@ fn a_stop_while_the_motor_coasts_switches_nothing_on() {
 }
 
 #[test]
-fn a_stop_of_any_output_that_is_on_asks_for_zero_before_it_is_switched_off() {
+fn a_stop_ramps_any_output_to_zero_before_it_goes_off() {
     let demands: [fn(f64) -> Demand; 3] = [
         |_| Demand::Voltage(20.0),
         |_| Demand::Current(3.0),
@@ -244,7 +244,7 @@ fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
 }
 
 #[test]
-fn a_link_that_is_lost_after_a_stop_by_hand_ends_as_asked_and_unconfirmed() {
+fn a_link_lost_after_a_stop_ends_as_requested() {
     for fault in [Fault::Gone, Fault::Timeout] {
         let mut bench = run_for(60, 66, EVER, fault.clone());
         bench.ask(Intent::Quit);
@@ -256,7 +256,7 @@ fn a_link_that_is_lost_after_a_stop_by_hand_ends_as_asked_and_unconfirmed() {
 }
 
 #[test]
-fn a_watchdog_that_was_waived_is_not_said_to_have_stopped_the_motor() {
+fn a_waived_watchdog_is_not_named_as_the_stop() {
     for (watchdog_s, waived, words) in [
         (None, None, "no watchdog is known"),
         (Some(0.5), None, "stops the motor 0.5 s after the last word"),
@@ -278,7 +278,7 @@ fn a_watchdog_that_was_waived_is_not_said_to_have_stopped_the_motor() {
 }
 
 #[test]
-fn a_shaft_that_moves_again_in_the_ramp_down_rests_anew_before_its_brake_is_shut() {
+fn a_shaft_that_moves_again_rests_anew_before_its_brake() {
     let applies = |bench: &Bench| -> Vec<f64> {
         let brakes = events(bench, "brake").into_iter();
         let applies = brakes.filter(|event| event.details["brake"] == "applies");
@@ -333,21 +333,21 @@ fn patient(from: u64, to: u64, fault: Fault) -> Bench {
 }
 
 #[test]
-fn a_drive_that_comes_down_by_a_slow_ramp_of_its_own_is_waited_for() {
+fn a_slow_ramp_of_the_drive_is_waited_for() {
     let bench = patient(60, 500, Fault::IgnoresStop);
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
     assert_eq!(bench.session.stop_notice(None), None);
 }
 
 #[test]
-fn a_drive_that_says_nothing_is_not_waited_for_as_for_a_slow_ramp() {
+fn a_silent_drive_is_not_waited_for() {
     let bench = patient(60, EVER, Fault::Timeout);
     lost(&bench);
     within(stops(&bench) as f64, 99.0..110.0);
 }
 
 #[test]
-fn a_busy_drive_is_named_and_told_to_stop_as_long_as_its_watchdog_takes_and_then_seldom() {
+fn a_busy_drive_gets_its_stop_often_and_then_seldom() {
     let times = CommandTimes {
         stop_s: 2.0,
         ..CommandTimes::default()
@@ -400,7 +400,7 @@ fn a_drive_that_never_runs_is_named_after_the_enable_time() {
 }
 
 #[test]
-fn nothing_starts_by_itself_and_a_session_that_has_tripped_never_again() {
+fn nothing_starts_by_itself_or_after_a_trip() {
     let mut idle = idle();
     idle.cycles(300);
     assert!(idle.link.demands.iter().all(|d| *d == Demand::Disable));

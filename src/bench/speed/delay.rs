@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_applies_a_cycle_later_is_found_out_and_a_silent_one_is_not_measured() {
+    fn a_late_drive_is_measured_and_a_silent_one_is_not() {
         let mut meter = DelayMeter::default();
         for n in 0..100_u32 {
             let time_s = f64::from(n) * 0.01;

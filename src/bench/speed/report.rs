@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn what_begins_before_its_step_belongs_to_it_and_not_to_the_one_before() {
+    fn an_early_response_belongs_to_its_own_step() {
         let steps = [(1.0, 2.0, 0.0, 10.0), (2.0, 3.0, 10.0, 0.0)];
         let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
             at_s,

@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_beyond_the_speed_or_the_voltage_limit_is_refused_with_the_limit() {
+    fn a_reference_beyond_a_limit_is_refused_with_it() {
         let (motor, mut limits) = plate();
         let at = |speed, limits: &Limits| constant(speed).reference(limits, Some(&motor));
         assert!(at(-300.0, &limits).is_ok());
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn to_compare_the_reference_is_followed_twice_from_the_same_beginning() {
+    fn a_comparison_follows_the_reference_twice() {
         let (motor, limits) = plate();
         let mut section = section(ReferencePart::Ramp {
             from_rad_s: 20.0,
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_is_commanded_with_the_first_it_takes_or_with_what_was_asked_for() {
+    fn a_drive_gets_the_first_command_it_takes() {
         let mut section = constant(10.0);
         let mut takes = Capabilities {
             voltage_command: false,
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_current_beyond_the_guard_is_refused_and_left_out_it_follows_from_the_nameplate() {
+    fn a_current_beyond_the_guard_is_refused() {
         let (_, limits) = plate();
         let mut section = constant(10.0);
         assert_eq!(section.refused(&limits), None);

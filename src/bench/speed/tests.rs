@@ -194,7 +194,7 @@ fn a_frozen_encoder_is_stopped_wherever_it_freezes() {
 }
 
 #[test]
-fn a_loop_whose_signals_are_broken_under_way_is_stopped_with_the_signal_s_name() {
+fn a_loop_with_a_broken_signal_stops_and_names_it() {
     fn scale(sample: &mut Sample, factor: f64) {
         let speed = sample.get(Channel::Speed).unwrap();
         sample.set(Channel::Angle, f64::NAN);
@@ -336,7 +336,7 @@ fn gains_by_hand_are_held_within_what_the_delay_leaves() {
 }
 
 #[test]
-fn a_bandwidth_that_the_link_cannot_carry_is_refused_with_the_one_that_it_can() {
+fn a_bandwidth_beyond_the_link_is_refused() {
     let mut bench = bench();
     bench.speed.as_mut().unwrap().bandwidth_rad_s = Some(500.0);
     let error = refused(&bench, &baseline(&bench), 2.0);
@@ -360,7 +360,7 @@ fn every_controller_can_be_made_or_says_why_not() {
 }
 
 #[test]
-fn behind_a_coupling_a_controller_is_rehearsed_with_its_second_mass() {
+fn behind_a_coupling_both_masses_are_rehearsed() {
     let mut bench = bench();
     let mut model = baseline(&bench).with_effect("elastic_coupling").unwrap();
     // The load hangs on softly: controllers that know nothing of it see a motor of a tenth of the inertia.
@@ -399,7 +399,7 @@ fn followed(config: &EmulatorConfig, bench: &BenchFile, model: &Model, cycles: u
 }
 
 #[test]
-fn a_drive_that_takes_a_current_is_regulated_and_one_that_takes_a_speed_is_trimmed_from_outside() {
+fn a_current_drive_is_regulated_and_a_speed_drive_trimmed() {
     use ControllerKind::{Addc, Pi};
     for (actuator, controller, lag_s, overshoot_percent, settling_s) in [
         (Actuator::Current, Pi, None, 10.0, 0.8),
@@ -540,7 +540,7 @@ fn behind_a_coupling(
 }
 
 #[test]
-fn behind_a_coupling_a_step_settles_without_ringing_about_as_quickly_as_full_knowledge_lets_it() {
+fn behind_a_coupling_a_step_settles_without_ringing() {
     use ControllerKind::{Addc, Pi};
     let std = |key: &str, std: f64| FittedValue {
         key: key.to_owned(),
@@ -661,7 +661,7 @@ fn fare(seed: u64) -> Fate {
 }
 
 #[test]
-fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() {
+fn two_hundred_motors_stay_stable_and_within_limits() {
     let limits = bench().limits();
     let fates: Vec<Fate> = (1..=MOTORS).map(fare).collect();
     for fate in &fates {
@@ -685,7 +685,7 @@ fn two_hundred_motors_with_a_hidden_effect_stay_stable_and_within_every_limit() 
 }
 
 #[test]
-fn a_loop_that_cannot_reach_its_reference_ends_at_zero_within_a_second_and_says_why() {
+fn a_loop_short_of_its_reference_ends_at_zero() {
     // A load beyond what the current limit carries: the shaft slows down under the largest current.
     let mut config = exact("zk-22fc-plain");
     config.hidden =

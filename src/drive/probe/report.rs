@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_built_in_profile_of_which_nothing_is_known_is_another_drive() {
+    fn an_unknown_built_in_profile_is_another_drive() {
         let mut report = judged(vec![signal("bus", Some(false), false)], None);
         report.is_unknown_everywhere = true;
         report.judge();
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_running_drive_is_not_at_rest_and_a_failed_check_is_another_drive() {
+    fn a_running_drive_or_failed_check_is_no_rest() {
         let running = judged(vec![signal("bus", Some(true), true)], Some(true));
         assert_eq!(running.verdict, ProbeVerdict::Implausible);
         let mut report = judged(vec![signal("bus", Some(true), true)], Some(true));

@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_count_from_their_base_and_formulas_are_those_of_the_manuals() {
+    fn address_bases_and_formulas_are_those_of_manuals() {
         let number = |address, base| {
             let formula = None;
             Numbering { base, formula }.resolve(Some(address), None, None)

@@ -535,7 +535,7 @@ mod tests {
 
     /// One register too high: the low word reads as the high one, and the other word is that of the next signal.
     #[test]
-    fn a_register_of_another_signal_explains_less_than_an_address_one_lower() {
+    fn a_register_of_another_signal_explains_less() {
         let mut map = map("type = \"u32\"\nscale = 0.1");
         let (bus, current) = (index(&map, "bus"), index(&map, "current"));
         // The voltage's second register is that of the current.
@@ -567,7 +567,7 @@ mod tests {
     }
 
     #[test]
-    fn signs_and_bytes_are_tried_and_what_changes_nothing_is_no_candidate() {
+    fn sign_and_byte_order_are_candidates_if_they_matter() {
         let map = map("type = \"u16\"");
         // -3 raw of a drive whose current is signed after all; 120 V with its bytes exchanged.
         let current = Window {

@@ -133,7 +133,7 @@ fn reads_keep_to_the_limits_of_the_drive_and_serve_every_signal() {
 }
 
 #[test]
-fn a_block_of_exact_length_is_read_as_a_whole_and_its_bytes_apart() {
+fn a_block_of_exact_length_is_read_whole() {
     let text = DriveProfile::text("delta-ms300")
         .unwrap()
         .replace("max_hole = 1", "max_hole = 1\nexact_reads = [[0x0018, 6]]")

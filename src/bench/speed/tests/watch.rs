@@ -288,13 +288,13 @@ fn no_controller_rings_unnoticed_for_a_second_behind_a_coupling() {
 }
 
 #[test]
-fn no_controller_is_suspected_on_motors_that_are_what_their_model_says() {
+fn no_controller_is_suspected_on_a_modelled_motor() {
     no_controller_is_suspected(SHORT, 1);
 }
 
 #[test]
 #[ignore = "the two above over the whole reference, on twice as many motors: minutes"]
-fn no_controller_rings_unnoticed_or_is_suspected_over_the_whole_reference() {
+fn no_controller_rings_unnoticed_over_the_reference() {
     no_controller_rings_unnoticed(WHOLE);
     no_controller_is_suspected(WHOLE, 2);
 }

@@ -203,7 +203,7 @@ fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch
 }
 
 #[test]
-fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
+fn no_fault_gives_a_wrong_value_and_the_line_recovers() {
     for (fault, at) in FAULTS.iter().flat_map(|f| [0, 1, 4].map(|at| (*f, at))) {
         let context = format!("{fault:?} of request {at}");
         with_client(Manners::default(), 300, only(at, fault), |client| {
@@ -236,7 +236,7 @@ fn mixed_faults_never_deliver_a_wrong_value() {
 
 /// A line that does the same to every reply still yields what came clean: 0 of 5 before every reply was told by its code.
 #[test]
-fn a_line_that_does_the_same_to_every_reply_yields_values_and_none_of_them_is_wrong() {
+fn a_fault_of_every_reply_gives_no_wrong_value() {
     for fault in [
         Fault::Duplicate,
         Fault::LateDuplicate,
