@@ -331,12 +331,6 @@ fn selected(state: &State) -> &'static str {
     state.row().map_or("", |row| row.key())
 }
 
-fn select(state: &mut State, key: &str) {
-    while selected(state) != key {
-        press(state, DOWN);
-    }
-}
-
 fn told(state: &State) -> &str {
     state.message.as_deref().unwrap_or_default()
 }
