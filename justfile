@@ -24,6 +24,11 @@ ci:
 deny:
     cargo deny check
 
+# How often the diagnosis is right, written into docs/validation.md; half an hour on two cores
+validation:
+    cargo run --release -p drivebench-studies -- discovery --out target/validation
+    cp target/validation/validation.md docs/validation.md
+
 # Speed, written into docs/benchmarks.md
 bench:
     cargo bench

@@ -47,7 +47,7 @@ impl Failure {
     }
 
     /// With this next step, where there is one.
-    pub(crate) fn helped_by(self, help: Option<impl Into<String>>) -> Self {
+    pub fn helped_by(self, help: Option<impl Into<String>>) -> Self {
         let help = help.map(Into::into).or(self.help);
         Self { help, ..self }
     }

@@ -9,7 +9,7 @@
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive once more; `survey`, `doctor`: drives and
 //!   lines that are only looked at; `registers`: raw ones, read and written; `catalogue`: the effects.
-//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `study`, `by_hand`, `screen`, `versus`: the
+//! * `run` (and commissioning), `speed`, `identify` (and replay), `forecast`, `by_hand`, `screen`, `versus`: the
 //!   order of work of each command; a test of a live run gives a rig of its own.
 //! * `suite`: bench tests, each step a process of this program; `analyse`: many runs as one table, a row each.
 //! * `evidence`: runs and models that are judged, and the run that would tell more.
@@ -37,17 +37,16 @@ pub(crate) mod front;
 pub(crate) mod guided;
 pub(crate) mod identify;
 pub(crate) mod opening;
-pub(crate) mod output;
+pub mod output;
 pub(crate) mod pages;
-pub(crate) mod progress;
+pub mod progress;
 pub(crate) mod registers;
 pub(crate) mod report;
 mod rig;
 mod run;
 pub(crate) mod screen;
-pub(crate) mod signals;
+pub mod signals;
 mod speed;
-pub(crate) mod study;
 pub(crate) mod suite;
 pub(crate) mod survey;
 pub(crate) mod tune;

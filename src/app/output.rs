@@ -22,7 +22,7 @@ pub(crate) use crate::text::shell::{quoted, quoted_word};
 const FEWEST_COLUMNS: usize = 40;
 
 /// Prints a result as one JSON document, or as the text that `text` makes of it, in rows that fit.
-pub(crate) fn result<T: Serialize>(
+pub fn result<T: Serialize>(
     value: &T,
     json: bool,
     text: impl FnOnce(&T) -> String,
@@ -212,7 +212,7 @@ pub(crate) fn is_aside() -> bool {
 }
 
 /// A message for the person at the terminal, above the progress line.
-pub(crate) fn message(text: &str) {
+pub fn message(text: &str) {
     let is_taken = ASIDE.with_borrow_mut(|aside| {
         aside
             .as_mut()

@@ -120,14 +120,14 @@ fn left_s(stage_s: f64, done: usize, of: usize) -> Option<f64> {
 }
 
 /// The progress of one command; the line goes when it is dropped.
-pub(crate) struct Shown(Option<JoinHandle<()>>);
+pub struct Shown(Option<JoinHandle<()>>);
 
 /// Shows the progress of `command` from now on.
 #[expect(
     clippy::disallowed_methods,
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
-pub(crate) fn begin(command: &'static str) -> Shown {
+pub fn begin(command: &'static str) -> Shown {
     let now = Instant::now();
     lock().work = Some(Work {
         command,
@@ -170,7 +170,7 @@ impl Drop for Shown {
     clippy::disallowed_methods,
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
-pub(crate) fn stage(text: &str, of: usize) {
+pub fn stage(text: &str, of: usize) {
     if output::is_aside() {
         return;
     }
@@ -182,7 +182,7 @@ pub(crate) fn stage(text: &str, of: usize) {
 }
 
 /// `done` pieces of the part are done.
-pub(crate) fn at(done: usize) {
+pub fn at(done: usize) {
     if let Some(work) = &mut lock().work {
         work.done = done;
     }
@@ -224,7 +224,7 @@ mod tests {
     fn the_line_says_how_far_how_fast_and_how_long() {
         let begun = Instant::now();
         let mut work = Work {
-            command: "reproduce",
+            command: "analyse",
             begun,
             stage: "excites".to_owned(),
             stage_begun: begun + Duration::from_secs(10),
@@ -234,10 +234,10 @@ mod tests {
             logged: begun,
         };
         let now = begun + Duration::from_secs(30);
-        assert_eq!(work.text(now), "reproduce: excites, 30 s");
+        assert_eq!(work.text(now), "analyse: excites, 30 s");
         (work.done, work.of) = (50, 5000);
         let text = work.text(now);
-        let begins = "reproduce: excites, 50 of 5000, 30 s, 2.5 a second, about ";
+        let begins = "analyse: excites, 50 of 5000, 30 s, 2.5 a second, about ";
         assert!(
             text.starts_with(begins) && text.ends_with(" s left in this step"),
             "{text}"

@@ -42,7 +42,7 @@ const LOOKS: u32 = 200;
 const LOOK: Duration = Duration::from_millis(10);
 
 /// While it lives a signal ends the program at once with status 130.
-pub(crate) struct Endable(());
+pub struct Endable(());
 
 impl Drop for Endable {
     fn drop(&mut self) {
@@ -51,7 +51,7 @@ impl Drop for Endable {
 }
 
 /// From here on a signal ends the program at once.
-pub(crate) fn endable() -> Result<Endable, Failure> {
+pub fn endable() -> Result<Endable, Failure> {
     let mut watched = Ok(());
     WATCH.call_once(|| {
         watched = spawn(&ENDINGS, |_| {
@@ -76,7 +76,7 @@ pub(crate) fn is_endable() -> bool {
 }
 
 /// Raised by the first signal that asks for an end, for work that has to put something down first.
-pub(crate) fn flag() -> Result<Arc<AtomicBool>, Failure> {
+pub fn flag() -> Result<Arc<AtomicBool>, Failure> {
     let raised = Arc::new(AtomicBool::new(false));
     for signal in ENDINGS {
         register(signal, Arc::clone(&raised))?;
@@ -143,6 +143,6 @@ fn end() -> ! {
 }
 
 /// Held while something is written that is of no use in part.
-pub(crate) fn writing() -> MutexGuard<'static, ()> {
+pub fn writing() -> MutexGuard<'static, ()> {
     WRITING.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -33,7 +33,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 
 use crate::app::{failure, front, opening, output, progress, signals};
 use crate::tui::{use_light, use_mouse};
@@ -103,6 +103,7 @@ enum Command {
     Tune(tune::Arguments),
     Export(export::Arguments),
     Report(report::Arguments),
+    #[command(hide = true)]
     Reproduce(reproduce::Arguments),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -110,18 +111,30 @@ enum Command {
 
 /// Runs the program with the process's arguments.
 pub fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    program(execute)
+}
+
+/// Runs a program with the process's arguments: a usage error, like a failure, is printed as headline and help line.
+pub fn program<A: Parser>(execute: impl FnOnce(A) -> Result<(), failure::Failure>) -> ExitCode {
+    let done = match A::try_parse() {
+        Ok(arguments) => execute(arguments),
+        Err(error) if error.use_stderr() => Err(usage_failure(&error, A::command())),
         Err(error) => {
-            if error.use_stderr() {
-                usage_failure(&error).print();
-                return ExitCode::from(failure::USAGE);
-            }
             // Help and version; a broken pipe there is nobody's concern.
             let _ = error.print();
-            return ExitCode::SUCCESS;
+            Ok(())
         }
     };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.print();
+            ExitCode::from(failure.status)
+        }
+    }
+}
+
+fn execute(arguments: Arguments) -> Result<(), failure::Failure> {
     if let Some(theme) = arguments.theme {
         crossterm::style::force_color_output(theme != Theme::Mono);
         if theme == Theme::Light {
@@ -132,9 +145,9 @@ pub fn main() -> ExitCode {
         use_mouse();
     }
     let Some(command) = arguments.command else {
-        return ended(output::text(&front::page(Path::new("."))));
+        return output::text(&front::page(Path::new(".")));
     };
-    ended(match command {
+    match command {
         Command::Commission(arguments) => run::execute_commission(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
         Command::Init(arguments) => init::execute(&arguments),
@@ -163,23 +176,15 @@ pub fn main() -> ExitCode {
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Completions(arguments) => shell::execute_completions(&arguments),
         Command::Man(arguments) => shell::execute_man(&arguments),
-    })
-}
-
-fn ended(done: Result<(), failure::Failure>) -> ExitCode {
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            failure.print();
-            ExitCode::from(failure.status)
-        }
     }
 }
 
-/// The command that these words begin with, and how it is called.
-fn called(words: impl Iterator<Item = String>) -> (clap::Command, String) {
-    let mut command = Arguments::command();
-    let mut path = "drivebench".to_owned();
+/// The command of a program that these words begin with, and how it is called.
+fn called(
+    mut command: clap::Command,
+    words: impl Iterator<Item = String>,
+) -> (clap::Command, String) {
+    let mut path = command.get_name().to_owned();
     for word in words {
         let Some(below) = command.find_subcommand(&word).cloned() else {
             break;
@@ -219,8 +224,8 @@ const WORDS: [(&str, &str); 6] = [
 ];
 
 /// clap's message as one headline and one help line, like every other error.
-fn usage_failure(error: &clap::Error) -> failure::Failure {
-    let (command, path) = called(std::env::args().skip(1));
+fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failure {
+    let (command, path) = called(program, std::env::args().skip(1));
     let page = format!("see {path} --help");
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let below = command.get_subcommands().map(clap::Command::get_name);
@@ -282,11 +287,16 @@ fn meant(tip: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory as _;
+
     use super::*;
 
     #[test]
     fn a_usage_error_names_the_help_page_of_its_own_command() {
-        let path = |words: &[&str]| called(words.iter().map(|word| (*word).to_owned())).1;
+        let path = |words: &[&str]| {
+            let words = words.iter().map(|word| (*word).to_owned());
+            called(Arguments::command(), words).1
+        };
         assert_eq!(path(&["probe", "--baud", "x"]), "drivebench probe");
         assert_eq!(
             path(&["registers", "write", "probe"]),

@@ -3,7 +3,6 @@
 //! ```text
 //! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG
 //!                                                             '----> text: Markdown that a terminal shows well
-//! Reproduction of a paper (sections of tables and pictures) -> the same page, and every figure and table as a file
 //! Model and gains -> export: source text of other languages, from the formula of each effect
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
@@ -22,7 +21,6 @@ pub mod export;
 mod findings;
 pub mod page;
 pub mod plot;
-pub mod reproduce;
 pub mod run;
 pub(crate) mod tables;
 mod traces;

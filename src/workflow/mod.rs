@@ -20,7 +20,6 @@ mod discovery;
 mod guide;
 mod keyed;
 mod leaning;
-pub mod reproduce;
 pub mod suite;
 mod truth;
 

@@ -14,7 +14,6 @@ use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::identification::{output_error, start, weak_form};
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
 use drivebench::sample::{ParameterEstimate, Run, Verdict};
-use drivebench::workflow::reproduce::lines::{self, ALL_ERRORS, HOST_STAMPED, Told, VoltageKnown};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -212,52 +211,6 @@ fn scheme_2_covers() {
 #[test]
 fn the_weak_form_covers() {
     check("weak-form", fit_weak_form, 1.0, 0..5);
-}
-
-/// Records of a host that stamps what it sends and hears. Of every kind the intervals hold; believing the stamps, the values are
-/// far off: a command is applied, and a sample taken, somewhere within its exchange.
-#[test]
-fn what_a_host_stamps_covers() {
-    let runs = usize::try_from(MOTORS * SEEDS / 2).unwrap();
-    let (mut bad, mut sampled, mut clocked) = (ALL_ERRORS, ALL_ERRORS, ALL_ERRORS);
-    (bad.late, bad.lost, bad.doubled) = (0.01, 0.01, 0.01);
-    sampled.voltage = VoltageKnown::Sampled;
-    clocked.stamps = false;
-    let mut wrong = Vec::new();
-    for (name, errors) in [
-        ("host's stamps", ALL_ERRORS),
-        ("1 % late, lost, doubled", bad),
-        ("voltage sampled only", sampled),
-        ("drive's stamps", clocked),
-    ] {
-        let row = lines::row(name.into(), HOST_STAMPED, errors, runs, 500_000, Told::All);
-        for (key, found) in lines::KEYS.iter().zip(&row.parameters) {
-            println!(
-                "{name:24} {:22} valued {:3} covered {:5.1} %, median error {:.3} %, std {:.3} %",
-                key.key(),
-                found.valued,
-                100.0 * found.coverage(),
-                found.error_percent,
-                found.std_percent
-            );
-            let tolerance = BINOMIAL * (0.93 * 0.07 / found.valued.max(1) as f64).sqrt();
-            if found.coverage() < 0.93 - tolerance || found.valued * 3 < 2 * runs {
-                wrong.push(format!("{name} {} {found:?}", key.key()));
-            }
-        }
-    }
-    let believed = lines::row(
-        "stamps believed".into(),
-        HOST_STAMPED,
-        ALL_ERRORS,
-        runs,
-        500_000,
-        Told::StampsBelieved,
-    );
-    // What the stamps do not say bends R and L by far more; the form of a late command, which it resembles, is in their intervals.
-    assert!(believed.parameters[0].error_percent > 1.0, "{believed:?}");
-    assert!(believed.parameters[1].error_percent > 10.0, "{believed:?}");
-    assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
 #[test]

@@ -263,8 +263,12 @@ fn a_mistake_is_answered_with_what_to_do() {
         ("run --seed abc", &["expected a whole number from 0"]),
         ("emulate --listen 1502", &["expected ADDRESS:PORT"]),
         (
-            "reproduce lines --out /proc/lines",
-            &["cannot write", "--out"],
+            "reproduce paper-a --json",
+            &[
+                "`reproduce paper-a --json`",
+                "allowed: the program drivebench-studies",
+                "cargo run --release -p drivebench-studies -- paper-a --json",
+            ],
         ),
         ("compare r --min-fit high", &["expected a number"]),
         (

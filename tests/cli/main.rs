@@ -28,7 +28,6 @@ mod offline;
 mod progress;
 mod replay;
 mod report;
-mod reproduce;
 mod screen;
 mod stop;
 mod suite;

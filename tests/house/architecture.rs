@@ -1,7 +1,7 @@
 //! The plan of the house, held by a test: floors, file sizes, pictures, clocks, and data files that parse.
 //!
 //! ```text
-//! src/**.rs -> code without comments -> crate paths -> rooms -> which floor? -> violations (must be none)
+//! src/**.rs, crates/**.rs -> code without comments -> crate paths -> rooms -> which floor? -> violations (must be none)
 //! ```
 
 use std::fs;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// Lowest first; rooms on one floor don't see each other.
 const FLOORS: &str = "units config_text < text < sample < signal < numerics < plant excitation < identification \
-    < diagnosis control < drive recording < emulator < bench < report < workflow < tui < app < cli < main";
+    < diagnosis control < drive recording < emulator < bench < report < workflow < tui < app < cli < main studies";
 
 /// Lower rooms that a room must not use all the same, outside its tests: screens know no drive.
 const CLOSED: &[(&str, &[&str])] = &[("tui", &["drive", "emulator"])];
@@ -70,8 +70,12 @@ fn read(path: &Path) -> String {
     fs::read_to_string(root().join(path)).expect("a source file is readable text")
 }
 
-/// `src/drive/link.rs` and `src/drive.rs` are in the room `drive`, `src/core/plant/motor.rs` in the room `plant`.
+/// `src/drive/link.rs` and `src/drive.rs` are in the room `drive`, `src/core/plant/motor.rs` in the room `plant`,
+/// `crates/drivebench-studies/src/page.rs` in the room `studies`.
 fn room_of(path: &str) -> &str {
+    if let Some(of_crate) = path.strip_prefix("crates/drivebench-") {
+        return of_crate.split('/').next().unwrap_or(of_crate);
+    }
     let inside = path
         .strip_prefix(CORE)
         .or(path.strip_prefix("src/"))
@@ -196,6 +200,9 @@ fn floor_violations(path: &str, text: &str) -> Vec<String> {
         })
         .map(|(line, used)| format!("{path}:{line}: {room} uses {used}"))
         .collect();
+    if code(text).contains("drivebench_studies") && room != "studies" {
+        violations.push(format!("{path}: {room} uses studies"));
+    }
     if code(text).contains("firmware_protocol") && !FIRMWARE_ROOMS.contains(&room) {
         violations.push(format!("{path}: {room} uses firmware_protocol"));
     }
@@ -240,7 +247,7 @@ fn placeholders(page: &str) -> Vec<String> {
 
 #[test]
 fn every_arrow_goes_down() {
-    let violations: Vec<String> = rust_files(&["src"])
+    let violations: Vec<String> = rust_files(&["src", "crates"])
         .iter()
         .flat_map(|(path, text)| floor_violations(path, text))
         .collect();
@@ -267,6 +274,7 @@ fn the_check_of_the_floors_can_fail() {
         ("tui/tests/a.rs", "use crate::drive::Link;", 0),
         ("bench/a.rs", "use firmware_protocol::Map;", 1),
         ("drive/a.rs", "use firmware_protocol::Map;", 0),
+        ("cli/a.rs", "use drivebench_studies::page;", 1),
         ("kitchen/a.rs", "", 1),
         // Words about a room are no arrow.
         (
@@ -283,6 +291,10 @@ fn the_check_of_the_floors_can_fail() {
         let found = floor_violations(&format!("src/{path}"), text);
         assert_eq!(found.len(), arrows, "{path}: {text}: {found:?}");
     }
+    let of_studies = "crates/drivebench-studies/src/main.rs";
+    let below = "use drivebench::cli; use drivebench_studies::page;";
+    assert_eq!(floor_violations(of_studies, below).len(), 0);
+    assert_eq!(floor_violations(of_studies, "use crate::main;").len(), 1);
     // The number of a line is that of the path.
     let told = floor_violations("src/emulator/pty.rs", "\n\nuse crate::cli::Failure;");
     assert_eq!(told, ["src/emulator/pty.rs:3: emulator uses cli"]);
@@ -300,7 +312,7 @@ fn every_floor_has_its_rooms_in_the_library() {
 
 #[test]
 fn no_file_is_too_long() {
-    for (path, text) in rust_files(&["src", "tests", "firmware-protocol"]) {
+    for (path, text) in rust_files(&["src", "crates", "tests", "firmware-protocol"]) {
         let lines = text.lines().count();
         assert!(
             lines <= MOST_LINES,
@@ -316,7 +328,7 @@ fn depth(path: &str) -> usize {
 
 #[test]
 fn every_part_opens_with_its_picture() {
-    let sources = rust_files(&["src", "firmware-protocol/src"]);
+    let sources = rust_files(&["src", "crates", "firmware-protocol/src"]);
     let is_part = |path: &str| {
         let name = path.rsplit('/').next().unwrap_or(path);
         let beside = path.strip_suffix(".rs").unwrap_or(path);
@@ -341,7 +353,7 @@ fn every_part_opens_with_its_picture() {
 
 #[test]
 fn only_the_owners_of_a_clock_read_it() {
-    for (path, text) in rust_files(&["src", "firmware-protocol/src"]) {
+    for (path, text) in rust_files(&["src", "crates", "firmware-protocol/src"]) {
         let owner = CLOCK_FILES.contains(&path.as_str());
         assert_eq!(
             reads_a_clock(&text),
@@ -357,7 +369,7 @@ fn only_the_owners_of_a_clock_read_it() {
 
 #[test]
 fn nothing_is_left_unfinished() {
-    for (path, text) in rust_files(&["src", "tests", "firmware-protocol"]) {
+    for (path, text) in rust_files(&["src", "crates", "tests", "firmware-protocol"]) {
         let marks = unfinished_marks(&text);
         assert!(marks.is_empty(), "{path}: {marks:?}");
     }

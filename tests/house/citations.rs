@@ -34,6 +34,7 @@ fn no_file_cites_a_page_that_is_not_there() {
     let mut missing = Vec::new();
     let folders = [
         "src",
+        "crates",
         "tests",
         "benches",
         "docs",

@@ -39,7 +39,7 @@ fn rows(page: &str) -> Vec<(usize, Vec<Proof>)> {
 
 /// Names of all tests, and whether each is ignored unless it is asked for.
 fn tests() -> BTreeMap<String, bool> {
-    let all = ["src", "tests"].into_iter().flat_map(files);
+    let all = ["src", "crates", "tests"].into_iter().flat_map(files);
     let rust = all.filter(|path| path.extension().is_some_and(|ending| ending == "rs"));
     let mut names = BTreeMap::new();
     for path in rust {

@@ -54,7 +54,7 @@ pub use optimal::{
 pub use pi::{AntiWindup, Pi};
 pub use response::{Response, SETTLED_SHARE, response};
 pub use schedule::{Schedule, Scheduled};
-pub use sensor::{Direct, HallSensor, SpeedSensor};
+pub use sensor::{Direct, SpeedSensor};
 pub use spread::drawn;
 pub use timing::LoopTiming;
 pub use trial::{Course, TrialMachine, TrialPoint, trial, trial_seen_by};

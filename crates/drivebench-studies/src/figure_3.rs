@@ -1,0 +1,148 @@
+//! Figure 3: scheme 2 (current and speed give J and Mc), beta 0.98, S/N <= 15.
+//!
+//! The paper says neither where the noise enters nor what S/N is a ratio of, so both readings are computed.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::machine::{SignalToNoise, Spread, random, random_binary, white, with_noise};
+use super::machine::{Turning, forward, motor, value};
+use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
+use drivebench_core::identification::recursive::{CurrentIntegral, Scheme2};
+use drivebench_core::plant::{Motor, MotorKey};
+
+/// Paper A, Figure 3.
+const FORGETTING: f64 = 0.98;
+const RATIO: f64 = 15.0;
+const SAMPLES: usize = 900;
+/// Spread is told over the samples from here on: the memory of 50 samples has filled several times.
+const SETTLED_FROM: usize = 300;
+
+/// One way of making the noise and of integrating the current.
+#[derive(Clone, Debug, Serialize)]
+pub struct Case {
+    pub noise: NoiseModel,
+    pub signal_to_noise: SignalToNoise,
+    /// What S/N compares.
+    pub of_signal: &'static str,
+    /// `rectangle` is the printed form.
+    pub integral: &'static str,
+    pub inertia_kg_m2: Spread,
+    pub load_torque_n_m: Spread,
+    /// Estimates of the first seed.
+    pub inertia_trace: Trace,
+    pub load_torque_trace: Trace,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Figure3 {
+    pub forgetting: f64,
+    pub period_s: f64,
+    pub samples: usize,
+    pub settled_from: usize,
+    pub seeds: u64,
+    pub inertia_kg_m2: f64,
+    pub load_torque_n_m: f64,
+    pub cases: Vec<Case>,
+}
+
+/// What a case is made of: noise model, ratio, whether the current is noisy too, integral.
+type Ask = (NoiseModel, SignalToNoise, bool, CurrentIntegral);
+
+pub(super) fn figure_3() -> Figure3 {
+    use CurrentIntegral::{Rectangle, Trapezoid};
+    use NoiseModel::{EquationError, Sensor};
+    let (power, amplitude) = (SignalToNoise::power(RATIO), SignalToNoise::amplitude(RATIO));
+    let asked: [Ask; 6] = [
+        (EquationError, amplitude, false, Rectangle),
+        (EquationError, power, false, Rectangle),
+        (EquationError, power, false, Trapezoid),
+        (Sensor, power, false, Rectangle),
+        (Sensor, power, false, Trapezoid),
+        (Sensor, power, true, Trapezoid),
+    ];
+    let motor = motor(TA_S, TM_S);
+    Figure3 {
+        forgetting: FORGETTING,
+        period_s: PERIOD_S,
+        samples: SAMPLES,
+        settled_from: SETTLED_FROM,
+        seeds: SEEDS,
+        inertia_kg_m2: value(&motor, MotorKey::Inertia),
+        load_torque_n_m: value(&motor, MotorKey::LoadTorque),
+        cases: asked.map(|ask| case(&motor, ask)).into(),
+    }
+}
+
+fn case(motor: &Motor, ask: Ask) -> Case {
+    let seeds = (0..SEEDS).into_par_iter();
+    let traces: Vec<[Vec<f64>; 2]> = seeds
+        .map(|seed| estimates(motor, ask, SHOWN_SEED + seed))
+        .collect();
+    let spread = |key: MotorKey, which: usize| {
+        let settled = traces
+            .iter()
+            .flat_map(|trace| &trace[which][SETTLED_FROM..]);
+        Spread::of(value(motor, key), settled.copied())
+    };
+    let (noise, signal_to_noise, current_noise, integral) = ask;
+    let [inertia_trace, load_torque_trace] = traces[0].clone().map(Trace);
+    Case {
+        noise,
+        signal_to_noise,
+        of_signal: match (noise, current_noise) {
+            (NoiseModel::EquationError, _) => "the speed's change per period, to epsilon",
+            (NoiseModel::Sensor, false) => "speed, to the noise on it; current exact",
+            (NoiseModel::Sensor, true) => "speed and current, to the noise on each",
+        },
+        integral: match integral {
+            CurrentIntegral::Rectangle => "rectangle",
+            CurrentIntegral::Trapezoid => "trapezoid",
+        },
+        inertia_kg_m2: spread(MotorKey::Inertia, 0),
+        load_torque_n_m: spread(MotorKey::LoadTorque, 1),
+        inertia_trace,
+        load_torque_trace,
+    }
+}
+
+/// J and Mc over the samples of one seed.
+fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
+    let (noise, ratio, current_noise, integral) = ask;
+    let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
+    let clean = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, None);
+    let columns = |turning: &[Turning]| -> (Vec<f64>, Vec<f64>) {
+        turning
+            .iter()
+            .map(|at| (at.speed_rad_s, at.current_a))
+            .unzip()
+    };
+    let (mut speed, mut current) = columns(&clean);
+    let errors = white(&mut random(seed, 2), SAMPLES);
+    match noise {
+        NoiseModel::EquationError => {
+            let steps: Vec<f64> = speed.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let deviation = ratio.noise_beside(&steps);
+            let strikes: Vec<f64> = errors.iter().map(|error| deviation * error).collect();
+            let struck = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, Some(&strikes));
+            (speed, current) = columns(&struck);
+        }
+        NoiseModel::Sensor => {
+            if current_noise {
+                let errors = white(&mut random(seed, 3), SAMPLES);
+                current = with_noise(&current, &errors, ratio.noise_beside(&current));
+            }
+            speed = with_noise(&speed, &errors, ratio.noise_beside(&speed));
+        }
+    }
+    let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
+    let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
+    let estimate = |k: usize| {
+        scheme.push(PERIOD_S * k as f64, current[k], speed[k]);
+        let found = scheme.estimates(torque);
+        let [inertia, load] = [0, 1].map(|which: usize| found[which].value.unwrap_or(f64::NAN));
+        (inertia, load)
+    };
+    let (inertia, load) = (0..SAMPLES).map(estimate).unzip();
+    [inertia, load]
+}
